@@ -14,9 +14,7 @@ from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Browser, Page
 from xplain.people.study.bot import StudyBot
 
-GENEROUS = Server(
-    ("invitation", "platform", "open"), studies=("s",), burst=1e9, visitor_burst=1e9, blinded=False
-)
+GENEROUS = Server(("invitation", "open"), burst=1e9, visitor_burst=1e9, blinded=False)
 
 
 class Visitor(Browser):

@@ -12,10 +12,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.cli.parser import parsed
-from xplain.errors import InputError, XplainError, whole_number
+from xplain.errors import InputError, XplainError, first_line, mapping, whole_number
 from xplain.experiment.config import composed
 
 if TYPE_CHECKING:
@@ -77,18 +78,23 @@ def database_of(cfg: DictConfig) -> Path:
 
 
 def server_of(cfg: DictConfig) -> Server:
-    """How the pages are served; links lead to host and port where no other address is given.
+    """How the pages are served: the keys of ``server``, and those in the file ``server.file``.
 
     Raises:
         InputError: a key that cannot be.
     """
+    from xplain.people.plan import typed
     from xplain.people.server.http import Server
 
     for key, most in (("port", 65535), ("threads", 256)):
         whole_number(key, cfg[key], 1, most)
     given: Any = OmegaConf.to_container(cfg.server, resolve=True)
-    address = given.get("address") or f"http://{cfg.host}:{cfg.port}"
-    return Server(**{k: v for k, v in given.items() if k != "_target_"} | {"address": address})
+    file = given.pop("file")
+    try:
+        own = yaml.safe_load(Path(file).read_text(encoding="utf-8")) if file else {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError("server.file", file, f"a YAML file ({first_line(error)})") from None
+    return typed(Server, "server", given | mapping("server.file", own, "keys of server"))
 
 
 def running(name: str, cfg: DictConfig, path: Path, kind: type[Site[Any]]) -> Any:
@@ -122,10 +128,12 @@ def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: Dict
     from xplain.people.server.security import Keys
     from xplain.people.server.store import Store
 
+    host = f"[{cfg.host}]" if ":" in cfg.host else cfg.host
+
     class Application(BaseApplication):  # type: ignore[misc]
         def load_config(self) -> None:
             for key, value in {
-                "bind": f"{cfg.host}:{cfg.port}",
+                "bind": f"{host}:{cfg.port}",
                 "workers": 1,
                 "worker_class": "gthread",
                 "threads": cfg.threads,
@@ -149,12 +157,19 @@ def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: Dict
             # In the worker: a connection to SQLite must not be carried over a fork.
             return create_app(Store(path, site), server)
 
+    if "platform" in server.entry and not server.ids:
+        print(
+            f"{name}: anybody can make up an id in a platform's link and take a place; "
+            "server.entry=[signed] or server.ids=FILE prevents it",
+            file=sys.stderr,
+        )
     # Opened once before the server starts, so that what is wrong with it is one clear line.
     store = Store(path, site)
-    key = Keys(store.secret).researcher
+    key = "as in its settings" if server.key else Keys(store.secret).researcher
     store.close()
     print(
-        f"{name}: http://{cfg.host}:{cfg.port}/  ·  researcher's page: /researcher, key {key}\n"
+        f"{name}: {server.address or f'http://{host}:{cfg.port}'}/  ·  researcher's page: "
+        f"/researcher, key {key}\n"
         f"{name}: database {path}, plan {site.plan.hash[:16]}",
         file=sys.stderr,
         flush=True,
@@ -203,11 +218,33 @@ def export(name: str, arguments: list[str]) -> None:
     """The data as tables, and their codebook, from a database that no server has open (or from a
     snapshot): CSV and Parquet; of a collection also the labels that ``xplain discover`` reads.
 
-        xplain NAME export DATABASE FOLDER
+        xplain NAME export DATABASE FOLDER [--identifiers FILE]
+
+    ``--identifiers`` writes who is who into a file apart: completion codes, and the platform's ids
+    where the server keeps them.
     """
-    given = parsed(f"xplain {name} export", arguments, "database", "folder")
+    flags = {"identifiers": Path}
+    given = parsed(f"xplain {name} export", arguments, "database", "folder", **flags)
     digest = site(name).export(given.database, given.folder)
+    if given.identifiers:
+        from xplain.people.analysis.export import write_identifiers
+
+        write_identifiers(given.database, given.identifiers)
     print(f"tables and codebook in {given.folder}\nSHA-256 of events.csv: {digest}")
+
+
+def backup(name: str, arguments: list[str]) -> None:
+    """Copies a database into a new file, safely while its server runs, with its key beside it.
+
+        xplain NAME backup DATABASE FILE
+
+    To restore it, put both files in the place of the old ones while no server runs.
+    """
+    given = parsed(f"xplain {name} backup", arguments, "database", "file")
+    from xplain.people.analysis.stored import copied
+
+    copied(given.database, given.file)
+    print(f"backup in {given.file}, its key in {given.file}.key: keep both secret")
 
 
 def erase(name: str, arguments: list[str]) -> None:

@@ -7,30 +7,28 @@ from __future__ import annotations
 
 import base64
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from PIL import Image, ImageOps
 
 from xplain.domains.base import Domain, Parameter
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.types import TypeSource
-from xplain.errors import InputError
+from xplain.errors import InputError, first_line
 from xplain.explanation.message_sets import names_of
 from xplain.people.plan import Picture, Task, Told, Way
 from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import stream
 
-MEDIA = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".jpeg": "image/jpeg",
-    ".webp": "image/webp",
-    ".gif": "image/gif",
-}
-MAX_IMAGE = 2 << 20
-"""Bytes of one image."""
+KEPT = {"transparency"}
+"""What is kept of a picture beside its pixels."""
+FORMATS = ("PNG", "JPEG", "WEBP", "GIF")
+MAX_IMAGE, MAX_SIDE = 2 << 20, 4096
+"""Bytes of one image, and pixels of its longer side."""
 DRAWN_ROLES = 4
 """Kinds of simulated people where nobody wrote down which there may be."""
 
@@ -113,12 +111,23 @@ def _picture(folder: Path, image: str, alt: str) -> Picture | None:
     if not image:
         return None
     path = folder / image
-    if path.suffix.lower() not in MEDIA:
-        raise InputError("transitions.image", image, f"a file that ends in {', '.join(MEDIA)}")
+    wanted = (
+        f"a picture ({', '.join(FORMATS)}) in {folder}, no link, of at most {MAX_IMAGE >> 20} MB "
+        f"and {MAX_SIDE} × {MAX_SIDE} pixels"
+    )
     try:
-        content = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise InputError("transitions.image", image, f"a file in {folder} ({error})") from None
-    if len(content) > MAX_IMAGE:
-        raise InputError("transitions.image", image, f"at most {MAX_IMAGE >> 20} MB")
-    return Picture(MEDIA[path.suffix.lower()], base64.b64encode(content).decode(), alt)
+        inside = not path.is_symlink() and path.resolve().is_relative_to(folder.resolve())
+        if not inside or path.stat().st_size > MAX_IMAGE:
+            raise ValueError("not allowed")
+        with Image.open(path, formats=FORMATS) as read:
+            if max(read.size) > MAX_SIDE:
+                raise ValueError(f"{read.width} × {read.height} pixels")
+            upright, kind = ImageOps.exif_transpose(read), str(read.format)
+            # Written anew, a picture has nothing but its pixels: no place and no name in it.
+            content = io.BytesIO()
+            upright.info = {key: upright.info[key] for key in upright.info.keys() & KEPT}
+            upright.save(content, kind, quality=95)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError("transitions.image", image, f"{wanted} ({first_line(error)})") from None
+    media = Image.MIME[kind]
+    return Picture(media, base64.b64encode(content.getvalue()).decode(), alt)

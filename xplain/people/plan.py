@@ -8,15 +8,20 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+
+import pydantic
 
 from xplain.domains.base import Parameter, Scene
-from xplain.errors import InputError, one_of, sentence
+from xplain.errors import InputError, sentence
 from xplain.storage import decode, encode
 
+T = TypeVar("T")
 Told = tuple[tuple[str, ...], ...]
 """Sentences of each of several transitions or states; or none."""
 Way = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
@@ -96,39 +101,46 @@ class Task:
 
 FORM = ("token", "sequence", "kind", "ms", "action", "method", "elements", "submit")
 """Names that forms and their own fields have."""
+_NUMBER = re.compile(r"([+-]?[0-9]{1,9})([.]0*)?")
 
 
-@dataclass(frozen=True)
+@pydantic.dataclasses.dataclass(frozen=True, config={"strict": True, "extra": "forbid"})
 class LabQuestion:
     """One question of the lab's own to the participant.
+
+    One definition of a kind of answer: :attr:`attributes` is what the browser checks, and
+    :meth:`read` and :meth:`problem` what the server checks.
 
     Attributes:
         name: the column in the data.
         label: what the participant reads.
-        kind: "number", "choice", "text" or "scale".
+        kind: of the answer.
         choices: of a choice.
         low, high: bounds of a number, ends of a scale.
-        max_length: of a text, in characters.
+        max_length: of a text, in characters as browsers count them (UTF-16 units).
         ends: what the two ends of a scale mean; or none.
         required: whether it has to be answered.
-        right: the one answer of those who read; others end here, if it is asked before. "" is none.
+        right: the one answer of people who read the question; others end here if it is asked before
+            the briefing. "" is none.
     """
 
     name: str
     label: str
-    kind: str = "text"
+    kind: Literal["number", "choice", "text", "scale"] = "text"
     choices: tuple[str, ...] = ()
     low: int = 0
     high: int = 120
-    max_length: int = 500
+    max_length: Annotated[int, pydantic.Field(ge=1, le=20_000)] = 500
     ends: tuple[str, ...] = ()
     required: bool = False
     right: str = ""
 
     def __post_init__(self) -> None:
-        """Raises InputError: an unknown kind, or what the kind needs is not there."""
+        """Raises InputError: what the kind needs is not there."""
         key = f"questions.{self.name}"
-        one_of(f"{key}.kind", self.kind, ("number", "choice", "text", "scale"))
+        if self.name in FORM:
+            wanted = f"another name; forms have {', '.join(FORM)}"
+            raise InputError("questions.name", self.name, wanted)
         if self.kind == "choice" and not self.choices:
             raise InputError(f"{key}.choices", [], "at least one choice")
         if self.kind == "scale" and not 1 <= self.high - self.low <= 10:
@@ -137,23 +149,6 @@ class LabQuestion:
             raise InputError(f"{key}.ends", list(self.ends), "two words, for low and high")
         if self.right and self.options and self.right not in self.options:
             raise InputError(f"{key}.right", self.right, ", ".join(self.options))
-
-    @classmethod
-    def of(cls, question: Mapping[str, Any]) -> LabQuestion:
-        """A question as the configuration has it.
-
-        Raises:
-            InputError: a choice that YAML takes for no text, or a name that a form has already.
-        """
-        key, name = f"questions.{question.get('name')}", str(question.get("name"))
-        for one in (*question.get("choices", ()), *question.get("ends", ())):
-            if not isinstance(one, str):
-                wanted = f'texts in quotation marks, such as "{one}"'
-                raise InputError(f"{key}.choices", one, wanted)
-        if name in FORM:
-            raise InputError("questions.name", name, f"another name; forms have {', '.join(FORM)}")
-        lists = {key: tuple(question.get(key, ())) for key in ("choices", "ends")}
-        return cls(**{**question, **lists})
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -166,6 +161,82 @@ class LabQuestion:
     def needed(self) -> bool:
         """Whether it has to be answered."""
         return self.required or bool(self.right)
+
+    @property
+    def attributes(self) -> dict[str, str | int]:
+        """HTML attributes of its field."""
+        found: dict[str, str | int] = {"required": "required"} if self.needed else {}
+        if self.kind == "number":
+            found |= {"type": "number", "min": self.low, "max": self.high}
+        elif self.kind == "text":
+            found |= {"maxlength": self.max_length}
+        return found
+
+    def read(self, text: str) -> str:
+        """An answer as it is stored: without blanks around it, lines end in a line feed, and of
+        whole numbers without ".0"."""
+        text = text.replace("\r\n", "\n").translate(_NO_TEXT).strip()
+        whole = _NUMBER.fullmatch(text) if self.kind == "number" else None
+        return str(int(whole[1])) if whole else text
+
+    def problem(self, value: object, words: Mapping[str, str]) -> str:
+        """What is wrong with an answer, as participants read it; "" for nothing."""
+        label = self.label
+        units = len(value.encode("utf-16-le")) // 2 if isinstance(value, str) else math.inf
+        if not isinstance(value, str) or units > self.max_length:
+            return words["too_long"].format(label=label, most=self.max_length)
+        if self.needed and not value:
+            return words["answer_this"].format(label=label)
+        if value and self.options and value not in self.options:
+            return words["choose_one"].format(label=label)
+        whole = _NUMBER.fullmatch(value)
+        allowed = whole is not None and self.low <= int(whole[1]) <= self.high
+        if value and self.kind == "number" and not allowed:
+            return words["whole_number"].format(label=label, low=self.low, high=self.high)
+        return ""
+
+
+_NO_TEXT = dict.fromkeys({*range(32)} - {*map(ord, "\t\n")})
+"""Characters that no text has and some programs end at, such as NUL; left out."""
+
+
+def typed(kind: type[T], key: str, given: Mapping[str, Any]) -> T:
+    """A value of a class whose fields pydantic checks strictly.
+
+    Raises:
+        InputError: an unknown key, or a value of another type, such as ``yes`` in YAML, which is no
+            text but a truth value.
+    """
+    try:
+        text = json.dumps(given, allow_nan=False, default=str)
+        return pydantic.TypeAdapter(kind).validate_json(text)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        reason = first.get("ctx", {}).get("error")
+        if isinstance(reason, InputError):
+            raise reason from None
+        wanted = first["msg"].removeprefix("Input should be ")
+        if "string" in first["type"]:
+            wanted = f'a text in quotation marks, such as "{first["input"]}"'
+        where = ".".join(map(str, (key, *first["loc"])))
+        raise InputError(where, first["input"], wanted) from None
+
+
+def lab_questions(*given: Sequence[Mapping[str, Any]]) -> list[tuple[LabQuestion, ...]]:
+    """The lab's own questions of several pages.
+
+    Raises:
+        InputError: a question that cannot be, or two of one name: an answer would be lost.
+    """
+    pages = [
+        tuple(typed(LabQuestion, f"questions.{one.get('name')}", one) for one in page)
+        for page in given
+    ]
+    names = [question.name for page in pages for question in page]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError("questions.name", name, "one name for each question, over all pages")
+    return pages
 
 
 @dataclass(frozen=True)
@@ -226,6 +297,11 @@ class StoredPlan:
     pictures: tuple[Picture | None, ...] = ()
     ahead: Ahead | None = None
     config: Mapping[str, Any]
+
+    @property
+    def lab_questions(self) -> tuple[LabQuestion, ...]:
+        """The lab's own questions on all pages."""
+        return self.asked
 
     @cached_property
     def text(self) -> str:

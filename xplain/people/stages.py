@@ -104,22 +104,20 @@ class QuestionStage(Stage[F, S]):
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """The answers by name."""
         asked = getattr(flow.plan, self.of)
-        return {one.name: form.get(one.name, "").translate(NO_TEXT).strip() for one in asked}
+        return {one.name: one.read(form.get(one.name, "")) for one in asked}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """Each answer has to be one that its question allows."""
         asked: Sequence[LabQuestion] = getattr(flow.plan, self.of)
         for one in asked:
-            check(one, payload.get(one.name, ""), flow.words)
+            if problem := one.problem(payload.get(one.name, ""), flow.words):
+                raise Refused(problem)
         if payload.keys() - {one.name for one in asked}:
             raise Refused(flow.words["not_understood"])
         if self.missed and any(q.right and payload.get(q.name) != q.right for q in asked):
             return state.to(stage=self.missed)
         return flow.after(state)
 
-
-NO_TEXT = dict.fromkeys({*range(32)} - {*map(ord, "\t\n\r")})
-"""Characters that no text has and some programs end at, such as NUL; left out."""
 
 # Answers ----------------------------------------------------------------------------------------
 
@@ -152,19 +150,3 @@ def choices(values: object, counts: Sequence[int], otherwise: str) -> tuple[int,
         raise Refused(otherwise)
     pairs = zip(values, counts, strict=True)
     return tuple(choice(value, count, otherwise) for value, count in pairs)
-
-
-def check(asked: LabQuestion, value: object, words: Mapping[str, str]) -> None:
-    """Raises Refused: an answer that its question does not allow."""
-    label = asked.label
-    if not isinstance(value, str) or len(value) > asked.max_length:
-        raise Refused(words["too_long"].format(label=label, most=asked.max_length))
-    if asked.needed and not value:
-        raise Refused(words["answer_this"].format(label=label))
-    if value and asked.options and value not in asked.options:
-        raise Refused(words["choose_one"].format(label=label))
-    if value and asked.kind == "number":
-        whole = value.isascii() and value.isdigit() and len(value) < 10
-        if not whole or not asked.low <= int(value) <= asked.high:
-            text = words["whole_number"]
-            raise Refused(text.format(label=label, low=asked.low, high=asked.high))

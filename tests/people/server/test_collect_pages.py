@@ -224,6 +224,7 @@ def test_images_of_own_transitions_are_served(tmp_path: Path) -> None:
     plan = replace(plan, pictures=(picture, *[None] * (plan.hypotheses.n_transitions - 1)))
     store = Store(tmp_path / "p.sqlite", CollectSite(Collection(plan)))
     client = create_app(store, GENEROUS).test_client()
+    enter(Visitor(client), store.invite(1, "person")[0])
     reply = client.get("/picture/0")
     assert (reply.status_code, reply.data) == (200, content)
     assert reply.headers["Content-Type"] == "image/png"

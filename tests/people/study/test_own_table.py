@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import re
 from itertools import product
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor, pages
@@ -25,6 +27,12 @@ from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
+
+
+def pixels(picture: bytes) -> bytes:
+    """What is seen of a picture."""
+    return Image.open(io.BytesIO(picture)).convert("RGBA").tobytes()
+
 
 PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
@@ -132,7 +140,7 @@ def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path
         assert images == ([(f"/picture/{k}", "A red cable")] if row == 1 else [])
         for address, _ in images:
             reply = visitor.client.get(address)
-            assert (reply.data, reply.mimetype) == (PIXEL, "image/png")
+            assert (pixels(reply.data), reply.mimetype) == (pixels(PIXEL), "image/png")
     assert site.replay(store._connection).differences == []
     store.close()
 
@@ -165,7 +173,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
             images = re.findall(r'<img class="clip" src="([^"]*)" alt="([^"]*)"', html)
             assert [alt for _, alt in images] == ["A red cable"] * (rows[clip] == 0)
             for address, _ in images:
-                assert visitor.client.get(address).data == PIXEL
+                assert pixels(visitor.client.get(address).data) == pixels(PIXEL)
     assert asked
     assert store.site.replay(store._connection).differences == []
     store.close()

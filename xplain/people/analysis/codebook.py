@@ -35,7 +35,7 @@ _WHOLE = {
     *("questions_asked", "clip"),
     *("in_labels", "observers.labels", "attentive", "practice_errors"),
 }
-_JSON = {"belief_before", "belief_after", "action_values", "steps.labels", "payload", "outside_ids"}
+_JSON = {"belief_before", "belief_after", "action_values", "steps.labels", "payload"}
 _JSON |= {"state"}
 _NUMBERS = {"consistency", "posterior", "unlike", "bits", "cost", "worth"}
 _UNITS = {

@@ -150,6 +150,24 @@ def write(
     return digest, own, people
 
 
+def write_identifiers(database: Path, file: Path) -> None:
+    """Writes who is who, for paying people, apart from the tables that may be published: a row a
+    participant with the completion code and, where the server keeps them, the platform's ids.
+
+    Raises:
+        InputError: it is no database of a study or a collection.
+    """
+    import pandas as pd
+
+    query = (
+        "SELECT id AS participant, code AS completion_code, kept FROM participant WHERE NOT erased"
+    )
+    with reading(database) as connection:
+        rows = [dict(row) for row in connection.execute(f"{query} ORDER BY number")]
+    table = pd.DataFrame([row | json.loads(row.pop("kept")) for row in rows])
+    table.map(defused).to_csv(file, index=False)
+
+
 def events_of(people: Iterable[ParticipantRow[Any]]) -> list[Row]:
     """Rows of the table of events."""
     return [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import TypeVar
 
@@ -52,6 +52,25 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
     except Timeout:
         wanted = "in use by a server; take the snapshot that the researcher's page offers"
         raise InputError("database", str(path), wanted) from None
+
+
+def copied(database: Path, file: Path) -> None:
+    """Copies a database, which its server may have open, with the key beside it.
+
+    Raises:
+        InputError: it is no such database, its key is missing, or the file exists.
+    """
+    key = Path(f"{database}.key")
+    if not database.is_file() or not key.is_file():
+        raise InputError("database", str(database), f"a database with {key.name} beside it")
+    if file.exists():
+        raise InputError("file", str(file), "a new file")
+    with opened(database) as source, closing(sqlite3.connect(file)) as copy:
+        source.backup(copy)
+    for path, mode in ((file, 0o600), (Path(f"{file}.key"), 0o600)):
+        if path != file:
+            path.write_bytes(key.read_bytes())
+        path.chmod(mode)
 
 
 def plan_of(connection: sqlite3.Connection, kind: type[Plan]) -> Plan:

@@ -28,9 +28,7 @@ CODEBOOK = {
         "practice_errors": "answers of the practice that were not as expected",
         "entered": "server's wall clock, seconds since 1970-01-01 UTC",
         "entry": "invitation, platform, open or preview",
-        "outside_ids": "ids of the recruiting platform (JSON), only if the config keeps them",
         "consent_hash": "SHA-256 of the consent text agreed to (or declined)",
-        "completion_code": "of those who finished",
         "stated_…": "of each fact what they say they thought: accurate, inaccurate or unsure",
         "answer_…": "answers to the lab's own questions, as given; a text that a spreadsheet would "
         "run is preceded by '",

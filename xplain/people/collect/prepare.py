@@ -24,7 +24,7 @@ from xplain.people.collect.plan import (
     Example,
 )
 from xplain.people.own_table import Source, own_table
-from xplain.people.plan import Fact, LabQuestion, Told
+from xplain.people.plan import Fact, Told, lab_questions
 from xplain.people.wording import each, fixed, of_states, parts, way_of
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery
@@ -124,7 +124,7 @@ def assemble(
         **own,
         example=Example(**wording["example"]),
         rules=rules,
-        asked=tuple(map(LabQuestion.of, wording["questions"])),
+        asked=lab_questions(wording["questions"])[0],
         roles=tuple(_role(name, held, own["facts"]) for name, held in source.roles.items()),
         assigned=config["briefing"] == "assigned",
         hypotheses=known,

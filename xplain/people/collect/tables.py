@@ -94,9 +94,7 @@ def _observer(plan: CollectPlan, one: Participant) -> Row:
         + sum(not event["payload"]["label"] for event in one.answers("ahead")),
         "entered": one.events[0]["wall"],
         "entry": one.row["entry"],
-        "outside_ids": one.row["kept"] if one.row["kept"] != "{}" else None,
         "consent_hash": one.first("consent").get("text"),
-        "completion_code": one.row["code"] if state.stage == "done" else None,
         **{
             f"stated_{fact.name}": STATED[stated[j]] if stated else None
             for j, fact in enumerate(plan.facts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 
 import jinja2
 from flask import Flask, Response, request
@@ -21,6 +22,9 @@ from xplain.people.server.store import Store
 MARKED = ("participant.answer", "participant.events")
 """Routes whose replies scripts take for an acknowledgement only with the server's mark: a proxy in
 between may answer anything."""
+RIGHT_TO_LEFT = ("ar", "arc", "ckb", "dv", "fa", "he", "ks", "ps", "sd", "ug", "ur", "yi")
+LEAST_FREE = 64 << 20
+"""Bytes on the disk below which the server calls itself not well."""
 log = logging.getLogger(__name__)
 FREE = ("static", "alive", "researcher.login")
 """Routes that take nothing from anybody's limit; the login has one of its own, of wrong keys."""
@@ -29,9 +33,11 @@ FREE = ("static", "alive", "researcher.login")
 def create_app(store: Store, server: Server) -> Flask:
     """The application for one open store."""
     app = Flask(__name__)
+    # A character takes nine bytes on its way, at most: the page's own limit holds in any language.
+    longest = 9 * sum(question.max_length for question in store.site.plan.lab_questions)
     app.config.update(
-        MAX_CONTENT_LENGTH=security.MAX_BODY,
-        MAX_FORM_MEMORY_SIZE=security.MAX_BODY,
+        MAX_CONTENT_LENGTH=security.MAX_BODY + longest,
+        MAX_FORM_MEMORY_SIZE=security.MAX_BODY + longest,
         MAX_FORM_PARTS=200,
     )
     own = app.extensions["study"] = Context(store, server)
@@ -41,25 +47,39 @@ def create_app(store: Store, server: Server) -> Flask:
     app.jinja_env.globals.update(
         store.site.drawing()
         | {"texts": store.site.plan.texts, "words": own.words, "mark": own.keys.mark}
-        | {"checked": checked}
+        | {"checked": checked, "direction": direction(own.words["language"])}
     )
     app.before_request(_limit)
     app.after_request(_secure)
     app.register_error_handler(HTTPException, _http_error)
     app.register_error_handler(Exception, _failure)
-    app.add_url_rule("/alive", "alive", lambda: ("alive\n", {"Content-Type": "text/plain"}))
+    app.add_url_rule("/alive", "alive", _alive)
     app.register_blueprint(participant_pages)
     app.register_blueprint(researcher_pages)
     if server.proxies:
         app.wsgi_app = ProxyFix(app.wsgi_app, server.proxies, server.proxies)  # type: ignore[method-assign]
+    if server.path:
+        app.wsgi_app = security.BelowPath(app.wsgi_app, server.path)  # type: ignore[method-assign]
     app.wsgi_app = security.ReadToTheEnd(app.wsgi_app)  # type: ignore[method-assign]
     return app
+
+
+def direction(language: str) -> str:
+    """In which direction a language is written: "rtl" or "ltr"."""
+    return "rtl" if language.lower().split("-")[0] in RIGHT_TO_LEFT else "ltr"
 
 
 @pass_context
 def checked(page: jinja2.runtime.Context, name: str, value: object) -> Markup:
     """The attribute of a choice that was made in a refused form."""
     return Markup(" checked" if str(value) in page["typed"].getlist(name) else "")
+
+
+def _alive() -> AnyResponse:
+    """Whether answers can be taken: the server runs, and its disk has room."""
+    free = shutil.disk_usage(context().store.path.parent).free
+    said, status = ("alive", 200) if free >= LEAST_FREE else (f"disk full: {free} bytes left", 503)
+    return Response(f"{said}\n", status, content_type="text/plain")
 
 
 def _limit() -> AnyResponse | None:
@@ -77,7 +97,7 @@ def _limit() -> AnyResponse | None:
 def _secure(response: Response) -> Response:
     """Adds the headers. Pages are never stored: back and reload ask the server again."""
     kept = request.endpoint == "static" and response.status_code == 200
-    response.headers.update(security.HEADERS)
+    response.headers.update(security.headers(context().server.frames))
     if request.endpoint in MARKED and response.status_code not in (429, 500):
         response.headers["Study-Mark"] = context().keys.mark
     response.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"

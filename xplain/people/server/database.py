@@ -28,6 +28,8 @@ from xplain.errors import InputError, Refused, XplainError
 
 Do = Callable[..., sqlite3.Cursor]
 """Executes a statement within a transaction."""
+RELEASE = 30
+"""Seconds in which a server that was just killed lets go: its worker looks for it every few."""
 MAX_TAB_EVENTS = 5000
 """Events of a participant's pages that are kept; a study page makes a few dozen."""
 
@@ -68,10 +70,9 @@ class Database:
         """
         self.path, self.clock = path, clock or Clock()
         path.parent.mkdir(parents=True, exist_ok=True)
-        # A server that was just killed may take a moment to let go.
         self._file_lock = FileLock(f"{path}.lock", thread_local=False)
         try:
-            self._file_lock.acquire(timeout=5)
+            self._file_lock.acquire(timeout=RELEASE)
         except Timeout:
             raise XplainError(f"database={path}: another process is using it") from None
         with ExitStack() as opened:
@@ -183,8 +184,8 @@ class Database:
             (who,),
         )
         do(
-            """UPDATE event SET payload = json_remove(payload, '$.kept', '$.width') WHERE
-            participant = ? AND source != 'erased'""",
+            "UPDATE event SET payload = json_remove(payload, '$.width') WHERE participant = ? "
+            "AND source != 'erased'",
             (who,),
         )
         gone = "external = NULL, session = NULL, kept = '{}'"
@@ -198,15 +199,15 @@ class Database:
         sql = "SELECT * FROM event WHERE participant = ? ORDER BY sequence"
         return [row | {"payload": json.loads(row["payload"])} for row in self.query(sql, (who,))]
 
+    def was_shown(self, who: str, sequence: int) -> bool:
+        """Whether the page with this number was rendered."""
+        query = "SELECT 1 FROM event WHERE participant = ? AND source = 'shown' AND"
+        return bool(self.query(f"{query} source_sequence = ?", (who, sequence)))
+
     def shown(self, who: str, sequence: int, stage: str) -> None:
         """Notes that a page was rendered for the first time."""
         # Most repeats are reloads; they need no transaction.
-        known = self.query(
-            "SELECT 1 FROM event WHERE participant = ? AND source = 'shown' "
-            "AND source_sequence = ?",
-            (who, sequence),
-        )
-        if not known:
+        if not self.was_shown(who, sequence):
             with self.transaction() as do:
                 self.record(do, who, "shown", sequence, "shown", {"stage": stage})
 

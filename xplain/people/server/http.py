@@ -5,21 +5,26 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import field
 from pathlib import Path
-from typing import Any
-from urllib.parse import quote
+from typing import Any, Literal
+from urllib.parse import quote, urlsplit
 
+import jwt
+import pydantic
 from flask import Response, current_app, make_response, render_template, request
 from werkzeug.wrappers import Response as AnyResponse
 
-from xplain.errors import InputError, one_of
+from xplain.errors import InputError
 from xplain.people.analysis.export import ParticipantRow
 from xplain.people.server.security import SESSION, Keys, RateLimit
 from xplain.people.server.store import LETTERS, Store
 
 ENDINGS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full")
 """What a code of its own can be set for, beside the end that all who finish come to."""
+LEAST_KEY, LEAST_SECRET = 12, 32
+"""Characters of a key that researchers type, bytes of a secret that signs links."""
 GUESSES = 10
 """Wrong keys of researchers, a minute and an address, that are answered."""
 PARTICIPANT = "participant"
@@ -28,23 +33,30 @@ RESEARCHER = "researcher"
 """The cookie of a researcher who is logged in."""
 
 
-@dataclass(frozen=True)
+@pydantic.dataclasses.dataclass(frozen=True, config={"strict": True, "extra": "forbid"})
 class Server:
     """How the pages are served; no part of the study's plan.
 
     Attributes:
-        entry: who may come in: "invitation", "platform", "open" (as pilots).
+        entry: who may come in: "invitation"; "platform", with ids in the link, which can be made
+            up; "signed", with ids that the platform or the lab has signed; "open", as pilots.
         id_names: of the parameters by which a platform's address tells a person's id, and, if it
             does, the study's and the session's.
         studies: of the platform, whose people may come in; none for any.
         ids: a file of persons' ids, one a line, read whenever somebody comes; nobody else may come
             in. "" for anybody of the studies.
+        signed_by: with "signed": a file with the platform's public key (PEM, or its JSON Web Key
+            Set), or with a secret of the lab's of 32 bytes or more.
+        signed_name: parameter of the link that holds the signed token (a JSON Web Token).
         keep_ids: whether a platform's ids are stored in clear; else only keyed hashes.
         completion_url: where finished participants may go, "" for nowhere. ``{code}`` in it is
             replaced by the completion code, ``{id}`` by the person's id.
         completion_code: one for all who finish (platforms want that), "" for one a participant.
         codes: ``{how a part ended: code}``, as ``completion_code``, for the other endings.
-        address: as the outside world types it, for links; "" takes it from the server's own.
+        address: as the outside world types it, with its path, such as
+            ``https://lab.example.org/robots``; "" takes it from each request.
+        frames: addresses of pages that may show this one in a frame, such as a survey's.
+        key: that researchers type in, of 12 characters or more; "" for one made by the server.
         blinded: whether the researcher's page keeps to itself who has which type and condition.
         https: whether the outside world sees https.
         proxies: how many proxies in front add X-Forwarded-For.
@@ -52,15 +64,19 @@ class Server:
         visitors_per_second, visitor_burst: limit of an address, for those without a cookie.
     """
 
-    entry: tuple[str, ...] = ("invitation",)
+    entry: tuple[Literal["invitation", "platform", "signed", "open"], ...] = ("invitation",)
     id_names: tuple[str, ...] = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
     studies: tuple[str, ...] = ()
     ids: str = ""
+    signed_by: str = ""
+    signed_name: str = "token"
     keep_ids: bool = False
     completion_url: str = ""
     completion_code: str = ""
     codes: Mapping[str, str] = field(default_factory=lambda: dict.fromkeys(ENDINGS, ""))
     address: str = ""
+    frames: tuple[str, ...] = ()
+    key: str = ""
     blinded: bool = True
     https: bool = False
     proxies: int = 0
@@ -70,11 +86,7 @@ class Server:
     visitor_burst: float = 300.0
 
     def __post_init__(self) -> None:
-        """Raises InputError: an unknown way to come in, or a platform of which anybody may."""
-        for name in ("entry", "id_names", "studies"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
-        for kind in self.entry:
-            one_of("server.entry", kind, ("invitation", "platform", "open"))
+        """Raises InputError: keys that contradict each other, or a file that cannot be read."""
         if not 1 <= len(self.id_names) <= 3:
             wanted = "the names of a person's id, and if there are any of a study's and a session's"
             raise InputError("server.id_names", list(self.id_names), wanted)
@@ -83,11 +95,29 @@ class Server:
         if "platform" in self.entry and not (self.studies or self.ids):
             wanted = "ids of the studies whose people may come in, or server.ids=FILE with theirs"
             raise InputError("server.studies", [], wanted)
+        if "open" in self.entry and {"platform", "signed"} & {*self.entry}:
+            # Somebody paid whose link is incomplete would become a pilot, and lose their data.
+            raise InputError("server.entry", list(self.entry), "open without platform and signed")
+        if ("signed" in self.entry) != bool(self.signed_by):
+            wanted = "with server.entry=[signed] a file with the key, else none"
+            raise InputError("server.signed_by", self.signed_by, wanted)
         if "{id}" in self.completion_url and not self.keep_ids:
             wanted = "an address without {id}, or server.keep_ids=true"
             raise InputError("server.completion_url", self.completion_url, wanted)
+        if self.key and len(self.key) < LEAST_KEY:
+            raise InputError("server.key", "…", f"{LEAST_KEY} characters or more, or none")
+        if self.address and not urlsplit(self.address).netloc:
+            wanted = "an address with https:// or http://, such as https://lab.example.org/robots"
+            raise InputError("server.address", self.address, wanted)
         if self.ids:
             self.listed()
+        if self.signed_by:
+            self.verify("")
+
+    @property
+    def path(self) -> str:
+        """Of the address: what every route, link and cookie begins with; "" for none."""
+        return urlsplit(self.address).path.rstrip("/")
 
     def listed(self) -> set[str]:
         """The ids of people who may come in, of the file ``ids``.
@@ -102,10 +132,41 @@ class Server:
             raise InputError("server.ids", self.ids, f"a file of ids ({error})") from None
 
     def lets_in(self, ids: Sequence[str]) -> bool:
-        """Whether somebody whom a platform sends with these values of ``id_names`` may come in."""
-        whole = "platform" in self.entry and all(0 < len(one) <= 100 for one in ids)
+        """Whether somebody with these values of ``id_names`` may come in."""
+        whole = bool(ids) and all(0 < len(one) <= 100 for one in ids)
         of_study = not self.studies or ids[1] in self.studies
         return whole and of_study and (not self.ids or ids[0] in self.listed())
+
+    def verify(self, token: str) -> dict[str, str]:
+        """The ids in a signed token that has not expired; none of a token that is not genuine.
+
+        Raises:
+            InputError: the file with the key cannot be used.
+        """
+        wanted = "a file with a public key (PEM or JWKS), or a secret of 32 bytes or more"
+        try:
+            text = Path(self.signed_by).read_text(encoding="utf-8").strip()
+            if text.startswith("{"):
+                keys = [
+                    (one.key, [one.algorithm_name]) for one in jwt.PyJWKSet.from_json(text).keys
+                ]
+            elif text.startswith("-----BEGIN PUBLIC KEY"):
+                keys = [(text, ["RS256", "ES256", "EdDSA"])]
+            elif len(text.encode()) >= LEAST_SECRET:
+                keys = [(text, ["HS256"])]
+            else:
+                raise ValueError("neither")
+        except (OSError, ValueError, jwt.PyJWTError) as error:
+            raise InputError("server.signed_by", self.signed_by, f"{wanted} ({error})") from None
+        for key, algorithms in keys:
+            with suppress(jwt.PyJWTError):
+                options: Any = {"require": ["exp"], "verify_aud": False}
+                claims = jwt.decode(token, key, algorithms=algorithms, options=options)
+                audience = str(claims.get("aud", self.address))
+                if urlsplit(audience).netloc == urlsplit(self.address).netloc:
+                    ids = claims.get("prolific", claims)
+                    return {name: str(ids.get(name, "")) for name in self.id_names}
+        return {}
 
 
 class Context:
@@ -189,12 +250,15 @@ def read_cookie(name: str) -> str:
 
 def set_cookie(response: AnyResponse, name: str, value: str, samesite: str = "Lax") -> None:
     """A cookie that scripts cannot read."""
-    https = context().server.https
+    own = context().server
+    # In another page's frame a browser sends only cookies that are meant for it.
+    samesite = "None" if own.frames else samesite
     response.set_cookie(
         context().cookie(name),
         value,
         httponly=True,
         samesite=samesite,
-        secure=https,
+        secure=own.https or bool(own.frames),
+        path=f"{own.path}/",
         max_age=14 * 86400,
     )

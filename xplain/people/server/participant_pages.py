@@ -43,6 +43,8 @@ VISITOR = "visitor"
 """The cookie of somebody who has not entered yet; forms are bound to it."""
 TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
 MAX_ITEMS = 50
+MOST_ANSWERS = 100_000
+"""Numbers that no page reaches."""
 
 # Entry -----------------------------------------------------------------------------------------
 
@@ -54,13 +56,14 @@ def entrance() -> AnyResponse:
     if not (len(visitor) == 32 and visitor.isascii() and visitor.isalnum()):
         visitor = secrets.token_hex(16)
     own = context()
-    ids = {key: request.args.get(key, "")[:101] for key in own.server.id_names}
+    names = (*own.server.id_names, own.server.signed_name)
+    ids = {key: request.args[key][:4000] for key in names if request.args.get(key)}
     response = make_response(
         render_template(
             "entrance.html",
             token=own.keys.form(visitor),
             invitation=request.args.get("invitation", "")[:100],
-            ids=ids if "platform" in own.server.entry and all(ids.values()) else {},
+            ids=ids if {"platform", "signed"} & {*own.server.entry} else {},
             entry=own.server.entry,
         )
     )
@@ -72,12 +75,17 @@ def entrance() -> AnyResponse:
 def enter() -> AnyResponse:
     """Admits, or leads back to where the participant was."""
     own = context()
+    if not read_cookie(VISITOR):
+        return error_page(403, "no_cookies")
     if not genuine(read_cookie(VISITOR)):
         return error_page(403, "old_form")
     ids = {key: request.form.get(key, "") for key in own.server.id_names}
-    invitation = request.form.get("invitation", "").strip()
+    if "signed" in own.server.entry:
+        ids = own.server.verify(request.form.get(own.server.signed_name, ""))
+    # Mail programs cut the last character of a link, or add the full stop of a sentence.
+    invitation = request.form.get("invitation", "").strip().rstrip(".,;-_)>")
     try:
-        if own.server.lets_in([*ids.values()]):
+        if {"platform", "signed"} & {*own.server.entry} and own.server.lets_in([*ids.values()]):
             who = own.store.enter_from_platform(ids, own.server.keep_ids)
         elif invitation and "invitation" in own.server.entry:
             who = own.store.enter_invited(invitation)
@@ -149,10 +157,12 @@ def answer() -> AnyResponse:
     kind, sequence = form.get("kind", "")[:20], form.get("sequence", -1, type=int)
     ms = form.get("ms", -1.0, type=float)
     try:
-        if sequence < 0:
+        if not 0 <= sequence < MOST_ANSWERS:
             raise Refused("not_complete")
         if kind == "time_out":
             raise Refused("not_understood")
+        if kind not in ("withdraw", "return") and not own.store.was_shown(found.id, sequence):
+            raise Conflict("other_page")  # nobody has seen the page of this answer
         own.store.submit(
             found.id,
             sequence,
@@ -177,6 +187,7 @@ def answer() -> AnyResponse:
 @pages.get("/consent.txt")
 def consent() -> AnyResponse:
     """A copy of the consent text to keep."""
+    _current()
     texts = context().site.plan.texts
     content = "\n\n".join([texts.title, *texts.consent, texts.contact, texts.consent_hash])
     kept = {"Content-Disposition": "attachment; filename=consent.txt"}
@@ -186,6 +197,7 @@ def consent() -> AnyResponse:
 @pages.get("/picture/<int:number>")
 def picture(number: int) -> AnyResponse:
     """An image that belongs to the plan, of a transition."""
+    _current()
     pictures = context().site.pictures
     found = pictures[number] if number < len(pictures) else None
     if found is None:

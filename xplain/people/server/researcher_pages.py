@@ -12,6 +12,7 @@ import tempfile
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from flask import (
     Blueprint,
@@ -25,6 +26,7 @@ from flask import (
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, Refused
+from xplain.people.analysis.export import write_identifiers
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.server.http import (
     PARTICIPANT,
@@ -39,6 +41,8 @@ from xplain.people.server.security import SESSION
 from xplain.people.stages import small
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
+LOOPBACK = ("127.0.0.1", "localhost", "::1", "0.0.0.0", "::")
+"""Hosts whose links open on the server's own computer alone."""
 MOST_INVITATIONS = 500
 MOST_BATCHES = 20
 """Batches of invitations that can be looked at again."""
@@ -65,7 +69,6 @@ def overview() -> AnyResponse:
     own, here = context(), session()
     if here is None:
         return make_response(render_template("login.html"))
-    own.store.time_out_stale()
     site, blinded = own.site, own.server.blinded
     people = own.store.query(
         "SELECT id, stream, state, entered, wall FROM seen WHERE NOT erased "
@@ -81,7 +84,8 @@ def overview() -> AnyResponse:
         "SELECT event.wall FROM event JOIN participant ON participant.id = event.participant "
         "WHERE kind = 'labels' AND source = 'protocol' AND stream = 'person' ORDER BY 1"
     )
-    address = own.server.address.rstrip("/") or request.host_url.rstrip("/")
+    outside = urlsplit(own.server.address or request.host_url)
+    entrance = f"{outside.scheme}://{outside.netloc}{url_for('participant.entrance')}"
     return make_response(
         render_template(
             site.OVERVIEW,
@@ -94,7 +98,8 @@ def overview() -> AnyResponse:
             flow=counted,
             times=[row["wall"] for row in given],
             streams=[name for name in STREAMS if any(one == name for one, _ in counted)],
-            entrance=address + url_for("participant.entrance"),
+            entrance=entrance,
+            local=outside.hostname in LOOPBACK,
             invitations=own.invitations.get(request.args.get("made", ""), []),
             plan_hash=site.plan.hash,
             paused=own.store.paused,
@@ -107,7 +112,7 @@ def overview() -> AnyResponse:
 def login() -> AnyResponse:
     """Trades the key for a session of one's own."""
     own = context()
-    if not own.keys.is_researcher(request.form.get("key", "")):
+    if not own.keys.is_researcher(request.form.get("key", ""), own.server.key):
         if not own.guess_limit.allows(request.remote_addr or "?"):
             return error_page(429, "too_fast")
         return error_page(403, "This is not the researcher's key. The server prints it at start.")
@@ -172,15 +177,21 @@ def erase() -> AnyResponse:
 
 @pages.post("/export")
 def export() -> AnyResponse:
-    """All data as one archive, made from a snapshot."""
+    """An archive, made from a snapshot: the tables without anything that says who is who, or with
+    ``what=identifiers`` the completion codes, the platform's ids and the snapshot itself."""
+    name = "identifiers" if request.form.get("what") == "identifiers" else "study"
     with tempfile.TemporaryDirectory() as folder:
-        study = Path(folder) / "study"
-        study.mkdir()
-        context().store.snapshot(study / "snapshot.sqlite")
-        context().site.export(study / "snapshot.sqlite", study)
-        archive = shutil.make_archive(f"{folder}/study", "zip", folder, "study")
+        inside, snapshot = Path(folder) / name, Path(folder) / "snapshot.sqlite"
+        inside.mkdir()
+        context().store.snapshot(snapshot)
+        if name == "study":
+            context().site.export(snapshot, inside)
+        else:
+            write_identifiers(snapshot, inside / "identifiers.csv")
+            snapshot.rename(inside / snapshot.name)
+        archive = shutil.make_archive(f"{folder}/{name}", "zip", folder, name)
         content = io.BytesIO(Path(archive).read_bytes())
-    return send_file(content, download_name="study.zip", as_attachment=True)
+    return send_file(content, download_name=f"{name}.zip", as_attachment=True)
 
 
 def _back() -> AnyResponse:

@@ -7,7 +7,7 @@ import hmac
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,17 +19,46 @@ MAX_BODY = 64 * 1024
 
 POLICY = (
     "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; img-src 'self'; "
-    "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    "form-action 'self'; base-uri 'none'; frame-ancestors "
 )
 HEADERS = {
-    "Content-Security-Policy": POLICY,
     "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=(), interest-cohort=()",
 }
+
+
+def headers(frames: Sequence[str]) -> dict[str, str]:
+    """Headers of every reply.
+
+    Args:
+        frames: addresses of pages that may show this one in a frame; none for nobody.
+    """
+    found = HEADERS | {"Content-Security-Policy": POLICY + (" ".join(frames) or "'none'")}
+    return found if frames else found | {"X-Frame-Options": "DENY"}
+
+
+@dataclass(frozen=True)
+class BelowPath:
+    """Serves below a path, whether the proxy in front takes it off or not.
+
+    Attributes:
+        application: WSGI.
+        path: such as "/robots".
+    """
+
+    application: Callable[..., Iterable[bytes]]
+    path: str
+
+    def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Any:
+        """As WSGI has it."""
+        inner = environ["PATH_INFO"].removeprefix(self.path)
+        if inner.startswith("/"):
+            environ["PATH_INFO"] = inner
+        environ["SCRIPT_NAME"] = self.path
+        return self.application(environ, start_response)
 
 
 @dataclass(frozen=True)
@@ -138,9 +167,9 @@ class Keys:
         """What the researcher types in to see who is where; the same at every start."""
         return self._signer(_RESEARCHER).derive_key().hex()[:32]
 
-    def is_researcher(self, typed: str) -> bool:
+    def is_researcher(self, typed: str, configured: str = "") -> bool:
         """Whether this is the researcher's key, compared in constant time."""
-        return hmac.compare_digest(_bytes(typed), _bytes(self.researcher))
+        return hmac.compare_digest(_bytes(typed), _bytes(configured or self.researcher))
 
     def _signer(self, purpose: str) -> Signer:
         """HMAC-SHA256 with a key of this purpose's own, compared in constant time."""

@@ -21,11 +21,17 @@ from xplain.people.server.database import Clock, Database, Do, Gone, Unknown
 from xplain.people.server.site import Site
 
 LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
-"""Of completion codes: no vowels, so no words, and no digits that look like a number."""
+"""Of ids, invitations and completion codes: no vowels, so no words, and no digits,
+which look like a number."""
 OTHER_PLAN = (
     "belongs to another study plan, or was begun by an earlier version: go on with that one, or "
     "take another database (export and replay read this one)"
 )
+
+
+def _letters(count: int) -> str:
+    """A random text that nothing reads as a word or a number, and no mail program cuts."""
+    return "".join(secrets.choice(LETTERS) for _ in range(count))
 
 
 class Store(Database):
@@ -63,7 +69,7 @@ class Store(Database):
     def invite(self, count: int, stream_name: str) -> list[str]:
         """New invitation tokens, shown once: only their keyed hashes are stored."""
         one_of("stream", stream_name, STREAMS)
-        tokens = [secrets.token_urlsafe(12) for _ in range(count)]
+        tokens = [_letters(18) for _ in range(count)]
         with self.transaction() as do:
             for token in tokens:
                 do(
@@ -146,13 +152,12 @@ class Store(Database):
         kept: Mapping[str, str] | None = None,
         **more: int,
     ) -> str:
-        who, ids = secrets.token_hex(8), json.dumps(kept or {})
-        code = "".join(secrets.choice(LETTERS) for _ in range(8))
+        who, ids, code = _letters(14).lower(), json.dumps(kept or {}), _letters(8)
         do(
             "INSERT INTO participant VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, 0)",
             (who, stream_name, entry, external, session, ids, code),
         )
-        about = {"entry": entry, "stream": stream_name, "code": code, "kept": ids, **more}
+        about = {"entry": entry, "stream": stream_name, **more}
         self.record(do, who, "server", None, "enter", about, state=self.site.state().text)
         return who
 

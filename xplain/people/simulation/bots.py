@@ -1,15 +1,13 @@
 """Simulated people, in the bare flow and against a running server (``study bots``).
 
-They come over HTTP, with invitations of the stream "bot", which marks
-them in the data for ever. The plan that they need is read from the snapshot that the server
-offers, so the server may run anywhere.
+They come over HTTP, with invitations of the stream "bot", which marks them in the data for ever.
+The plan that they need is read from the server's export, so the server may run anywhere.
 """
 
 from __future__ import annotations
 
 import io
 import re
-import tempfile
 import time
 import zipfile
 from collections import Counter
@@ -17,14 +15,13 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
-from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from werkzeug.datastructures import MultiDict
 
 from xplain.errors import InputError, Probability
-from xplain.people.analysis.stored import Plan, opened, plan_of
+from xplain.people.analysis.stored import Plan
 from xplain.people.flow import Fields, Flow, S
 from xplain.people.plan import LabQuestion
 from xplain.people.simulation.browser import Browser, Page, Visitor, visit
@@ -153,12 +150,9 @@ class Researcher:
         return self.browser.session.post(url, data={"token": self.token}, timeout=60).content
 
     def plan(self, kind: type[Plan]) -> Plan:
-        """The plan, from a snapshot of the server's database."""
-        with tempfile.TemporaryDirectory() as folder:
-            with zipfile.ZipFile(io.BytesIO(self.archive())) as archive:
-                path = Path(archive.extract("study/snapshot.sqlite", folder))
-            with opened(path) as connection:
-                return plan_of(connection, kind)
+        """The plan, from the server's export."""
+        with zipfile.ZipFile(io.BytesIO(self.archive())) as archive:
+            return kind.from_text(archive.read("study/plan.json").decode())
 
 
 def crowd(

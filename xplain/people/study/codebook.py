@@ -42,8 +42,6 @@ CODEBOOK = {
         "timed_out": "times that they were silent for too long, and came back or not",
         "window_width": "of the window at the consent, CSS pixels; empty without JavaScript",
         "attention_missed": "attention checks after the quiz that were answered wrongly",
-        "completion_code": "of those who finished; letters only",
-        "outside_ids": "ids of the recruiting platform (JSON), only if the config keeps them",
         "messages_again…": "how often it said one of the messages again; only where it may",
         "questions_asked…": "steps that they were asked about in between; only where a condition "
         "asks",

@@ -67,6 +67,7 @@ class StudyState(core.State):
         score: of the quiz.
         asked: the questions, the one on the page last.
         position: of the place that they hold; None for none.
+        missed: attention checks answered wrongly after the quiz.
         before, values: what the step on the page was decided by: the belief over user types, and
             the policy's values by message set.
         after: the belief over user types after the labels of the last step.
@@ -88,6 +89,7 @@ class StudyState(core.State):
     heard: tuple[int, ...] = ()
     asked: tuple[AskedQuestion, ...] = ()
     position: int | None = None
+    missed: int = 0
     before: tuple[float, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     after: tuple[float, ...] = ()
@@ -100,8 +102,10 @@ class StudyState(core.State):
 
     @property
     def place(self) -> int | None:
-        """The position of the place that they hold or have used up; None once it is given back."""
-        return self.position if self.stage == "done" or not self.over else None
+        """The position of the place that they hold or have used up; None once it is given back, as
+        by somebody whom the analysis leaves out."""
+        used = self.stage == "done" and not self.missed
+        return self.position if used or not self.over else None
 
     @property
     def again(self) -> int:

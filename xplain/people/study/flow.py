@@ -129,6 +129,15 @@ class Quiz(Stage["Study", StudyState]):
         return flow.after(state, score=score)
 
 
+class LastQuestions(QuestionStage["Study", StudyState]):
+    """The lab's questions after the quiz, with checks of attention among them."""
+
+    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
+        """Counts the checks that were missed: these people are left out of the analysis."""
+        wrong = [q for q in flow.plan.asked if q.right and payload.get(q.name) != q.right]
+        return replace(super().advance(flow, state, payload), missed=len(wrong))
+
+
 @dataclass(frozen=True)
 class Study(Explaining):
     """A plan with its policies at work."""
@@ -144,7 +153,7 @@ class Study(Explaining):
         Evaluation("evaluation", "labels"),
         Asking("asking", "clip", "label_missing"),
         Quiz("quiz", "quiz"),
-        QuestionStage("questions", "answers"),
+        LastQuestions("questions", "answers"),
     )
 
     def view(self, state: StudyState) -> dict[str, Any]:

@@ -160,6 +160,11 @@ class StudyPlan(StoredPlan):
     conditions: Mapping[str, Mapping[str, Any]]
     belief: Mapping[str, Any]
 
+    @property
+    def lab_questions(self) -> tuple[LabQuestion, ...]:
+        """Those before the briefing, too."""
+        return (*self.before, *self.asked)
+
     def problem_of(self, condition: str) -> Problem:
         """What the policy of a condition plans for: only one of them may ask."""
         return self.problem if condition == ASKING else replace(self.problem, questions=None)

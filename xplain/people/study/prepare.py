@@ -18,7 +18,7 @@ from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Pool, Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.people.own_table import own_table
-from xplain.people.plan import LabQuestion
+from xplain.people.plan import lab_questions
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned, fitting, learned_types
 from xplain.people.study.plan import (
@@ -156,6 +156,7 @@ def drafted(
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares
     facts, known = own["facts"], tuple(Known(**one) for one in wording["known"])
     habits = instantiate(config["belief"]).habits(learned and learned.habits)
+    before, asked = lab_questions(config["before"], config["questions"])
     roles = content.roles_of(facts, seen.facts, types, seen.labels, wording)
     problem = costs.problem(table, tuple(fact.name for fact in facts), names, shares)
     if may_ask:
@@ -167,8 +168,8 @@ def drafted(
         known=known,
         training=Training(**wording["training"]),
         rules=StudyRules(**config["rules"]),
-        before=tuple(map(LabQuestion.of, config["before"])),
-        asked=tuple(map(LabQuestion.of, config["questions"])),
+        before=before,
+        asked=asked,
         roles=(content.natural_role(facts, known, seen.labels),) if natural else roles,
         kinds=tuple(role.wrong for role in roles) if natural else (),
         trace=tuple(map(in_words, seen.trace)),

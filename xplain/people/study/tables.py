@@ -18,6 +18,8 @@ from xplain.people.study.flow import StudyState
 from xplain.people.study.plan import StudyPlan
 
 Participant = ParticipantRow[StudyState]
+SLEEP = 2.0
+"""Seconds by which a device's clock runs ahead of a page's own after a sleep."""
 EVALUATING = ("evaluation", "asking")
 """Stages whose pages are the evaluation."""
 
@@ -55,7 +57,8 @@ def steps_of(one: Participant) -> list[Row]:
 
 
 def tables(plan: StudyPlan, people: list[Participant]) -> dict[str, Iterable[Row]]:
-    """Rows of every table by name."""
+    """Rows of every table by name. Answers of participants who withdrew are left out."""
+    everybody, people = people, [one for one in people if one.state.stage != "withdrawn"]
     steps = [step for one in sorted(people, key=lambda one: one.id) for step in steps_of(one)]
     shown = [page for one in people for page in pages(one.events)]
     took = {
@@ -65,7 +68,7 @@ def tables(plan: StudyPlan, people: list[Participant]) -> dict[str, Iterable[Row
     }
     asked = [row for one in people for row in _questions(plan, one, shown)]
     return ({"questions": asked} if plan.clips else {}) | {
-        "participants": [_participant(plan, one) for one in people],
+        "participants": [_participant(plan, one) for one in everybody],
         "steps": [
             _step(plan, step) | {"seconds": took.get((step["participant"], step["k"]))}
             for step in steps
@@ -88,8 +91,7 @@ def tables(plan: StudyPlan, people: list[Participant]) -> dict[str, Iterable[Row
 def _participant(plan: StudyPlan, one: Participant) -> Row:
     person, state, consent = one.row, one.state, one.first("consent")
     finished = state.stage in ("quiz", "questions", "done")
-    given, cost = one.first("answers"), _cost(plan, one) if finished else None
-    missed = [bool(q.right) and given.get(q.name, "") != q.right for q in plan.asked if given]
+    cost = _cost(plan, one) if finished else None
     return {
         "participant": one.id,
         "stream": person["stream"],
@@ -109,9 +111,7 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "consent_hash": consent.get("text"),
         "timed_out": sum(event["kind"] == "time_out" for event in one.events),
         "window_width": consent.get("width"),
-        "attention_missed": sum(missed),
-        "completion_code": person["code"] if state.stage == "done" else None,
-        "outside_ids": person["kept"] if person["kept"] != "{}" else None,
+        "attention_missed": state.missed,
         **({"messages_again": state.again} if plan.problem.tracks_knowledge else {}),
         **({"questions_asked": len(state.asked), "cost": cost} if plan.clips else {}),
     }
@@ -254,29 +254,43 @@ def pages(events: Sequence[Row]) -> list[Row]:
 
 
 def hidden(events: Sequence[Row]) -> float | None:
-    """Seconds of the evaluation in which no page was visible, by the browser's clock.
+    """Seconds of the evaluation in which no page was visible; None where no page reported.
 
     Pages report when they become visible and when they are hidden (another tab, another window,
     closed), but not when an answer leads on to the next. So the page that became visible last is
     the one looked at, and only its being hidden counts: with two tabs, going from one to the other
     does not.
+
+    Clocks of two devices need not agree: pages are ordered by arrival, a duration on one page is by
+    that page's own clock, and one from page to page by the server's. Where the wall clock of a
+    visible page jumps ahead of the page's own, the device slept.
     """
-    reports = sorted(
-        (e["payload"]["at"], e["source"], e["kind"], e["payload"]["what"])
-        for e in events
-        if e["source"].startswith("tab:") and e["kind"] in ("visible", "hidden")
-    )
     total, began = 0.0, False
-    looked_at = since = None
-    for at, page, kind, what in reports:
-        if kind == "hidden":
-            if began and page == looked_at and since is None:
-                since = at
+    looked_at: str | None = None
+    since: Row | None = None
+    latest: dict[str, Row] = {}
+    for event in (one for one in events if one["source"].startswith("tab:")):
+        page, before = event["source"], latest.get(event["source"])
+        latest[page] = event
+        if before and began and page == looked_at and since is None:
+            own, wall = _passed(before, event)
+            total += wall - own if wall - own > SLEEP else 0.0
+        if event["kind"] == "hidden" and began and page == looked_at and since is None:
+            since = event
+        if event["kind"] != "visible":
             continue
         if since is not None:
-            total, since = total + (at - since), None
-        if began and what not in EVALUATING:
+            same = since["source"] == page
+            total += max(_passed(since, event)) if same else seconds(since, event)[0] or 0.0
+            since = None
+        if began and event["payload"]["what"] not in EVALUATING:
             break  # the quiz: the evaluation is over
-        began = began or what in EVALUATING
+        began = began or event["payload"]["what"] in EVALUATING
         looked_at = page
-    return total / 1000 if began else None
+    return total if began else None
+
+
+def _passed(first: Row, last: Row) -> tuple[float, float]:
+    """Seconds between two reports of a page: by the page's own clock, and by the device's."""
+    own = last["browser"] - first["browser"]
+    return own / 1000, (last["payload"]["at"] - first["payload"]["at"]) / 1000

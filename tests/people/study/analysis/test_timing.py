@@ -20,6 +20,7 @@ def event(source: str, kind: str, at: float, **payload: Any) -> dict[str, Any]:
         "wall": 1e9 + at,
         "monotonic": 5.0 + at,
         "boot": "one",
+        "browser": 1000 * at,
         "payload": {"at": 1e12 + 1000 * at} | payload if tab else payload,
     }
 
@@ -98,6 +99,20 @@ def test_hidden_time_is_when_no_page_is_looked_at(
     assert hidden(reports) == (None if away is None else pytest.approx(away))
     found = interaction([*LABELS, *reports])
     assert found["visible_time_s"] == (None if away is None else pytest.approx(100 - away))
+
+
+def test_clocks_of_two_devices_need_not_agree() -> None:
+    """A phone that is ten minutes slow, and a computer: a minute was looked away."""
+    slow = [seen(0), gone(20)]
+    for one in slow:
+        one["payload"]["at"] -= 600_000
+    assert hidden([*slow, seen(80, "b"), seen(90, "c", "quiz")]) == pytest.approx(60)
+
+
+def test_a_device_that_sleeps_is_not_looked_at() -> None:
+    """Its wall clock goes on, the page's own clock stands still."""
+    woke = event("tab:a", "active", 50, what="") | {"browser": 10_000.0}
+    assert hidden([seen(0), woke, seen(101, "c", "quiz")]) == pytest.approx(40)
 
 
 def test_every_page_has_its_place_and_the_time_until_its_answer() -> None:

@@ -17,7 +17,7 @@ from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
-from xplain.people.plan import LabQuestion
+from xplain.people.plan import LabQuestion, typed
 from xplain.people.study.bot import take_part
 from xplain.people.study.flow import Study, StudyState
 from xplain.solvers.qmdp import QMDP
@@ -250,10 +250,11 @@ def agreed(study: Study, **more: object) -> StudyState:
 
 def test_a_scale_has_two_to_eleven_points() -> None:
     for high in (1, 10):
-        assert len(LabQuestion.of(RATING | {"low": 0, "high": high}).options) == high + 1
+        scale = typed(LabQuestion, "questions", RATING | {"low": 0, "high": high})
+        assert len(scale.options) == high + 1
     for high in (0, 11):
         with pytest.raises(InputError, match=r"questions.robots.high"):
-            LabQuestion.of(RATING | {"low": 0, "high": high})
+            typed(LabQuestion, "questions.robots", RATING | {"low": 0, "high": high})
 
 
 def test_a_missed_attention_check_ends_the_part_before_it_begins() -> None:

@@ -93,7 +93,7 @@
 
   function note(kind, what = "") {
     const ms = performance.now();
-    queue.push({ n: number++, kind, ms, at: performance.timeOrigin + ms, what });
+    queue.push({ n: number++, kind, ms, at: Date.now(), what });
   }
 
   // A beacon outlives the page; a fetch tells whether the server took it.
