@@ -144,7 +144,7 @@ def test_what_was_learned_and_what_was_run_are_told(results):
         "rows": 2,
         "columns": 3,
         "walls": [[0, 0]],
-        "items": [{"name": "goal", "symbol": "G", "cells": [[1, 2]], "labels": []}],
+        "items": [{"name": "goal", "symbol": "G", "cells": [[1, 2]], "labels": [], "shows": []}],
     }
     # Three users of each trace: six episodes come to a second step, three to a third.
     assert results["steps"]["episodes"] == [6, 6, 6, 3]
