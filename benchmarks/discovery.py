@@ -46,14 +46,13 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.learning.clustering import Clustering, Perfect
 from xplain.learning.data import queries as designs
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import SimulatedObservers
-from xplain.learning.data.rollouts import sample_trace
+from xplain.learning.data.queries import sample_trace
 from xplain.learning.labelers import LabelerTrainer, split
 from xplain.learning.prediction import log_likelihoods
-from xplain.learning.user_types import UserTypes, label_table, learn_types
+from xplain.learning.types import Clustering, Perfect, UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP

@@ -44,9 +44,9 @@ from xplain.interaction.explainees import SimulatedUser
 from xplain.learning import evidence
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent, Queries
-from xplain.learning.fact_sets import fact_set_classifier
 from xplain.learning.known_types import learn
-from xplain.learning.user_types import label_table
+from xplain.learning.mixture import labeler as hypothesis_labeler
+from xplain.learning.types import label_table
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
 from xplain.solvers.qmdp import QMDP
@@ -63,7 +63,7 @@ def believing() -> Iterator[None]:
     """Hypotheses are never doubted or beaten."""
     never = [
         (evidence, "BEATEN", np.inf),
-        (fact_set_classifier, "DOUBTED", 1.0),
+        (hypothesis_labeler, "DOUBTED", 1.0),
     ]
     with patch.object(*never[0]), patch.object(*never[1]):
         yield

@@ -41,13 +41,12 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.learning.clustering import Perfect
 from xplain.learning.data import queries
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import SimulatedObservers
-from xplain.learning.data.rollouts import sample_trace
+from xplain.learning.data.queries import sample_trace
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.user_types import UserTypes, label_table, learn_types
+from xplain.learning.types import Perfect, UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import series_style
 from xplain.solvers.qmdp import QMDP

@@ -15,7 +15,7 @@ from tests.conftest import Command
 from xplain.cli.discover import sentences_of
 from xplain.cli.main import main
 from xplain.errors import InputError
-from xplain.learning.saved_types import LearnedTypes
+from xplain.learning.saved import LearnedTypes
 
 
 @pytest.fixture

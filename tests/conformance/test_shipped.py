@@ -11,7 +11,7 @@ import pytest
 
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.experiment.config import CONF
-from xplain.learning.fact_sets.labeler import HypothesisTrainer
+from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.testing import (
     Chosen,
     ClustererConformance,

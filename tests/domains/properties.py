@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting
-from xplain.learning.data.rollouts import sample_trace
+from xplain.learning.data.queries import sample_trace
 
 LARGEST_TRADE_OFF = 2.5
 """Of the paper's table."""

@@ -10,7 +10,7 @@ import pytest
 from tests.domains.configs import domain_of, given, setting_of
 from xplain.domains.four_rooms import DOORS, FourRooms
 from xplain.errors import InputError
-from xplain.learning.data.rollouts import sample_trace
+from xplain.learning.data.queries import sample_trace
 from xplain.randomness import stream
 
 FOUR_ROOMS = "domain=four_rooms"

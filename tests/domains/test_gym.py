@@ -13,7 +13,7 @@ import pytest
 from tests.domains.configs import domain_of, given, setting_of
 from xplain.domains import mdp
 from xplain.errors import InputError, XplainError
-from xplain.learning.data.rollouts import sample_trace
+from xplain.learning.data.queries import sample_trace
 from xplain.randomness import stream
 
 gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")

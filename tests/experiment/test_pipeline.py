@@ -15,10 +15,10 @@ from xplain.domains.users.types import Explicit
 from xplain.errors import InputError, XplainError
 from xplain.experiment.pipeline import Components, Prepared, prepare
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.clustering import Clustering
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.data.queries import Queries, Shared
+from xplain.learning.types import Clustering
 
 TRUTH = np.array([2, 0, 0, 1, 2, 2, 1, 2])
 """True types of eight observers, not in the types' order; A and B behave alike."""

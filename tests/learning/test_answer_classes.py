@@ -6,12 +6,12 @@ from scipy.integrate import quad
 from scipy.special import betaln, gammaln
 from sklearn.metrics import adjusted_rand_score
 
-from xplain.learning.answer_classes import SHRINKAGE, answer_classes
-from xplain.learning.clustering import Single
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.mixture.classes import SHRINKAGE, answer_classes
+from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import held_out
+from xplain.learning.types import Single
 
 
 def answered(labels: np.ndarray, asked: np.ndarray | None = None) -> Dataset:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from xplain.errors import InputError
-from xplain.learning.answer_model import (
+from xplain.learning.mixture.answers import (
     RATE_PRIOR,
     RATES,
     AnswerModel,

@@ -9,13 +9,15 @@ from sklearn.metrics import adjusted_rand_score
 from tests.learning.conftest import made
 from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
-from xplain.learning.clustering import Clusterer, Clustering, Perfect, Single
 from xplain.learning.data.dataset import Dataset, query_index
-from xplain.learning.disagreements import disagreements
 from xplain.learning.labelers import Labeler, LabelerTrainer
-from xplain.learning.paper_clusterer import Agglomerative, Elbow, KMeans, Partitioner
-from xplain.learning.user_types import (
+from xplain.learning.paper import Agglomerative, Elbow, KMeans, Partitioner, disagreements
+from xplain.learning.types import (
     AskedOnce,
+    Clusterer,
+    Clustering,
+    Perfect,
+    Single,
     UserTypes,
     label_table,
     learn_types,

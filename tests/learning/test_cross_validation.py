@@ -11,11 +11,11 @@ from tests.domains.configs import domain_of
 from tests.learning.conftest import made
 from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import RandomCover
-from xplain.learning.clustering import Clustering
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent, Shared
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.prediction import fresh_accuracy, log_likelihood, log_likelihoods
+from xplain.learning.types import Clustering
 
 
 def test_siblings_under_one_message_set_do_not_help(rng: np.random.Generator) -> None:

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from tests.learning.conftest import made
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.disagreements import disagreements
+from xplain.learning.paper import disagreements
 
 
 def of_one(dataset: Dataset, assignment: NDArray[np.int64]) -> int:

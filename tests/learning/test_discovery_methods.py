@@ -11,16 +11,28 @@ from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
 from xplain.errors import InputError, TooLargeError
-from xplain.learning.clustering import Clustering, Perfect, Single
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.learning.fact_model.gibbs import sample
-from xplain.learning.fact_model.model import CELL, NOISE, Prior, SortedLabels
-from xplain.learning.fact_model.resample_transitions import WIDE
-from xplain.learning.fact_model.split_merge import MANY_OBSERVERS
 from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.mixture.kernels import WIDE
+from xplain.learning.mixture.sampler import (
+    CELL,
+    MANY_OBSERVERS,
+    NOISE,
+    DirichletMixture,
+    Prior,
+    SortedLabels,
+    sample,
+)
 from xplain.learning.prediction import held_out
-from xplain.learning.user_types import base_rate, label_table, learn_types, with_none_of_these
+from xplain.learning.types import (
+    Clustering,
+    Perfect,
+    Single,
+    base_rate,
+    label_table,
+    learn_types,
+    with_none_of_these,
+)
 
 TYPES = [[0, 1], [2], [1, 3]]
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kneed import KneeLocator
 
-from xplain.learning.elbow import elbow
+from xplain.learning.paper import elbow
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from tests.learning.conftest import made
 from xplain.errors import TooLargeError
 from xplain.learning.data.dataset import inputs
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.message_vectors import minimal_message_set, minimal_message_sets
+from xplain.learning.paper import minimal_message_set, minimal_message_sets
 
 
 def enumerated(classifier: object, features: NDArray[np.float64], n: int) -> int:

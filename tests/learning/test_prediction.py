@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from tests.learning.conftest import made
-from xplain.learning.clustering import Clustering, Single
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.prediction import calibration, held_out, predicted
-from xplain.learning.user_types import learn_types
+from xplain.learning.types import Clustering, Single, learn_types
 
 
 def test_an_observer_is_predicted_by_the_types_that_their_labels_speak_for(

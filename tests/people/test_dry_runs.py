@@ -26,7 +26,7 @@ from tests.people.visitors import GENEROUS, Visitor
 from xplain.cli.main import main
 from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
-from xplain.learning.saved_types import LearnedTypes
+from xplain.learning.saved import LearnedTypes
 from xplain.people.collect.site import CollectSite
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store

@@ -17,7 +17,7 @@ from xplain.cli.discover import main as discover
 from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.experiment.config import composed
-from xplain.learning.saved_types import LearnedTypes
+from xplain.learning.saved import LearnedTypes
 from xplain.people.collect.bot import Habits, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectRules

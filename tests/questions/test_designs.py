@@ -9,8 +9,8 @@ from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent
-from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.learning.fact_sets.labeler import HypothesisTrainer
+from xplain.learning.mixture.labeler import HypothesisTrainer
+from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.questions import designs
 from xplain.questions.designs import Adaptive, Battery, transitions_of
 from xplain.questions.questionnaire import Questionnaire

@@ -7,14 +7,22 @@ import numpy as np
 import pytest
 
 from tests.questions.test_people_who_err import asked, erring, hypotheses
-from xplain.learning.clustering import Single
 from xplain.learning.data.observers import Observed
-from xplain.learning.evidence import BEATEN, BEFORE, COIN, LEAST, Evidence, foretold, parts, stacked
-from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.learning.fact_sets.labeler import HypothesisTrainer
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.user_types import learn_types
+from xplain.learning.mixture.evidence import (
+    BEATEN,
+    BEFORE,
+    COIN,
+    LEAST,
+    Evidence,
+    foretold,
+    parts,
+    stacked,
+)
+from xplain.learning.mixture.labeler import HypothesisTrainer
+from xplain.learning.mixture.sampler import DirichletMixture
+from xplain.learning.types import Single, learn_types
 
 
 @pytest.mark.parametrize("seed", range(6))

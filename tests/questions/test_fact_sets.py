@@ -11,19 +11,20 @@ from scipy.special import logsumexp
 from tests.questions.tables import random_hypotheses
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.fact_sets.fact_set_classifier import FactSetClassifier
-from xplain.learning.fact_sets.known_transitions import MATTERS, UNWRITTEN, KnownTransitions
-from xplain.learning.fact_sets.labeler import HypothesisTrainer
-from xplain.learning.fact_sets.likelihood import (
+from xplain.learning.mixture.labeler import FactSetClassifier, HypothesisTrainer
+from xplain.learning.mixture.likelihood import (
     DEVIATION,
     DISPUTED,
     ERROR,
+    MATTERS,
+    UNWRITTEN,
     Answers,
     Cells,
+    KnownTransitions,
     by_level,
     log_prior,
 )
-from xplain.learning.fact_sets.partition import partition
+from xplain.learning.mixture.partition import partition
 
 
 def known_of(hypotheses_seed=0, facts=3, transitions=5, variants=1, unwritten=0):

@@ -15,10 +15,9 @@ from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import DomainError, TooLargeError
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.data.observers import SimulatedObservers
-from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.learning.fact_sets.fact_set_classifier import MOST
-from xplain.learning.fact_sets.growth import LIKELY, grown, posterior_by
-from xplain.learning.fact_sets.labeler import HypothesisTrainer
+from xplain.learning.mixture.labeler import MOST, HypothesisTrainer
+from xplain.learning.mixture.likelihood import LIKELY, grown, posterior_by
+from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive
 

@@ -9,7 +9,7 @@ from tests.domains.configs import setting_of
 from xplain.domains.base import transition_features
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent
-from xplain.learning.fact_sets.labeler import HypothesisTrainer
+from xplain.learning.mixture.labeler import HypothesisTrainer
 
 
 @pytest.mark.parametrize("transitions_known", [False, True])
@@ -24,7 +24,7 @@ def test_the_table_over_what_matters_is_the_whole_table(
     known = transitions if transitions_known else None
     whole = labeler.table(features, known)
     assert whole.is_dense(6)
-    for module in ("xplain.learning.labelers", "xplain.learning.fact_sets.labeler"):
+    for module in ("xplain.learning.labelers", "xplain.learning.mixture.labeler"):
         monkeypatch.setattr(f"{module}.DENSE", 0)
     some = labeler.table(features, known)
     assert some.array(6) == pytest.approx(whole.array(6), abs=1e-9)

@@ -7,16 +7,15 @@ import pytest
 
 from tests.questions.tables import random_hypotheses
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.learning.clustering import Clustering, Single
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
-from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.learning.fact_sets.labeler import HypothesisTrainer
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import Labeler
+from xplain.learning.mixture.labeler import HypothesisTrainer
+from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import held_out, predicted
-from xplain.learning.saved_types import LearnedTypes
-from xplain.learning.user_types import learn_types
+from xplain.learning.saved import LearnedTypes
+from xplain.learning.types import Clustering, Single, learn_types
 
 
 def hypotheses(seed=1, facts=4, transitions=30):
@@ -114,15 +113,11 @@ class Constant(Labeler):
     """Says the same of everything; ``means_truth`` as told."""
 
     def __init__(self, one, means_truth):
-        super().__init__(None, 1, 0.5, 0.5, 1, 1)
-        object.__setattr__(self, "said", (one, means_truth))
-
-    @property
-    def means_truth(self):
-        return self.said[1]
+        super().__init__(None, 1, 0.5, 0.5, 1, 1, means_truth=means_truth)
+        object.__setattr__(self, "said", one)
 
     def probability(self, features, message_sets):
-        return np.full(len(features), self.said[0])
+        return np.full(len(features), self.said)
 
 
 def test_a_prediction_is_a_mean_over_types_and_error_rates():

@@ -11,9 +11,9 @@ import pytest
 
 from xplain.domains.base import Parameter
 from xplain.domains.users.setting import Setting, UserType
-from xplain.learning.clustering import Clustering
 from xplain.learning.data.queries import Independent
 from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.types import Clustering
 from xplain.solvers.qmdp import QMDP
 from xplain.testing import (
     Chosen,

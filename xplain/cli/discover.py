@@ -2,7 +2,7 @@
 
 The file is read as :mod:`xplain.learning.data.label_file` says. Into the folder ``output`` go
 
-- ``types.npz``: the types and their labelers, as :class:`xplain.learning.saved_types.LearnedTypes`
+- ``types.npz``: the types and their labelers, as :class:`xplain.learning.saved.LearnedTypes`
   loads them (for ``xplain.Explainer``);
 - ``assignment.csv``: the type of each observer;
 - ``predictions.csv``, with ``predict=FILE``: the rows of FILE, and ``p``, the probability of the
@@ -43,10 +43,10 @@ from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import read_questions, read_table
 from xplain.learning.data.observers import Observed
 from xplain.learning.known_types import learn
-from xplain.learning.message_vectors import minimal_message_set
+from xplain.learning.paper import minimal_message_set
 from xplain.learning.prediction import Tenth, held_out, predicted
-from xplain.learning.saved_types import LearnedTypes
-from xplain.learning.user_types import UserTypes, with_none_of_these
+from xplain.learning.saved import LearnedTypes
+from xplain.learning.types import UserTypes, with_none_of_these
 from xplain.randomness import run_seed
 
 Row = dict[str, Any]

@@ -10,9 +10,9 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from xplain.explanation.message_sets import bits_of
-from xplain.learning.clustering import Clustering
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.prediction import Tenth
+from xplain.learning.types import Clustering
 from xplain.report.plots import COLOURS, MARKERS
 
 

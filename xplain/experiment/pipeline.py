@@ -25,12 +25,11 @@ from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Pool
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.clustering import Clusterer
 from xplain.learning.data.observers import Observed, Observers
-from xplain.learning.data.queries import Queries
-from xplain.learning.data.rollouts import sample_trace
+from xplain.learning.data.queries import Queries, sample_trace
 from xplain.learning.known_types import TablesOf, find_types
 from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.types import Clusterer
 from xplain.randomness import MOST, stream
 
 

@@ -28,7 +28,7 @@ class Types(Protocol):
     """What an explainer knows of users: N types, n messages.
 
     :class:`~xplain.interaction.explainer.GivenTypes` takes plain arrays and functions; learned
-    types are :class:`~xplain.learning.saved_types.LearnedTypes`.
+    types are :class:`~xplain.learning.saved.LearnedTypes`.
     """
 
     @property

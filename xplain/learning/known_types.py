@@ -1,6 +1,6 @@
 """Which user types there are, and what agents know of each: learned from labels, or given.
 
-Observed ── find_types ── Known (tables of any trace)
+Observed ── find_types ── KnownTypes (tables of any trace)
 """
 
 from __future__ import annotations
@@ -8,19 +8,18 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import TooLargeError, XplainError
+from xplain.errors import InputError, TooLargeError, XplainError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.prediction import fresh_accuracy
-from xplain.learning.user_types import AskedOnce, UserTypes, learn_types
+from xplain.learning.types import AskedOnce, Clusterer, Perfect, UserTypes, learn_types
 
 log = logging.getLogger(__name__)
 
@@ -79,19 +78,6 @@ class KnownTypes:
     wrong: NDArray[np.float64] | None = None
 
 
-@runtime_checkable
-class KnowsTypes(Protocol):
-    """A component ``labeler`` that learns nothing from labels, because it knows the types."""
-
-    def types_of(self, observed: Observed) -> KnownTypes:
-        """What agents know.
-
-        Raises:
-            InputError: these observers' types are unknown.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class References:
     """Labelers that policies are compared with.
@@ -124,8 +110,8 @@ def find_types(
     Raises:
         InputError: the labels are too few, or the types are unknown that the trainer should know.
     """
-    if isinstance(trainer, KnowsTypes):
-        return trainer.types_of(observed)
+    if (given := trainer.types_of(observed)) is not None:
+        return given
     trainer = trainer.given(observed)  # once: what it works out of its task is kept with it
     references = learn_references(observed, trainer, seed)
     perfect = references.perfect.by_observers if references.perfect else None
@@ -174,7 +160,7 @@ def learn(
         trainer: fits labelers.
         clusterer: finds the types.
         seed: of the run.
-        known: see :func:`xplain.learning.user_types.learn_types`.
+        known: see :func:`xplain.learning.types.learn_types`.
     """
     trainer, dataset = trainer.given(observed), observed.dataset
     clustering = clusterer.cluster(dataset, trainer, seed, observed.behaviour)
@@ -270,3 +256,57 @@ def _require_tested(labelers: Iterable[Any]) -> None:
                 "(transition, message set), and its labeler needs two: one to train it and one "
                 "to test it"
             )
+
+
+class TrueLabels(LabelerTrainer):
+    """Stands where a labeler is chosen, and says that there is none.
+
+    An experiment then plans with the labels of the users' own models, and with one type for each
+    true type: what is left to find out is which of them is in front of the robot. A policy's cost
+    above the clairvoyant's is what not knowing the type costs; a learned labeler's, above that,
+    what its errors cost. True labels belong to the types of a setting, so no cluster of observers
+    can have them, and the clusterer is not asked: the observers give the types' shares alone.
+
+    Labels of a user who is one of the types are never impossible, so beliefs need no care, but
+    sharpen to certainty: a type that an answer contradicts is ruled out for good.
+    """
+
+    def __init__(self) -> None:
+        """There is nothing to choose."""
+        super().__init__()
+
+    def types_of(self, observed: Observed) -> KnownTypes:
+        """The true types with their true labels. One labeler for everybody is the share of
+        observers whose type would label so.
+
+        Raises:
+            InputError: nobody knows the observers' types, as of real people.
+        """
+        setting, truth = observed.setting, observed.truth
+        if setting is None or truth is None:
+            raise InputError("labeler", "truth", "needs simulated observers, whose type is known")
+        shares = np.bincount(truth, minlength=len(setting.types)) / len(truth)
+
+        def tables(_: NDArray[np.float64], transitions: NDArray[np.int64]) -> TraceTables:
+            labels = setting.true_labels(transitions)
+            return TraceTables(labels, unless_too_large(lambda: labels.mixed(shares)), labels)
+
+        count = float(len(np.unique(setting.distinct)))
+        return KnownTypes(
+            names=tuple(user_type.name for user_type in setting.types),
+            matched_true_type=setting.distinct,
+            shares=shares,
+            figures={"types_found": count, "true_types": count},
+            curve=np.zeros(0),
+            rule="truth",
+            tables=tables,
+            wrong=setting.wrong,
+        )
+
+    def fit(self, *_: Any, **__: Any) -> NoReturn:
+        """Raises InputError: whoever fits labelers learns from data alone, without a setting."""
+        raise InputError("labeler", "truth", "a labeler that learns; true labels are simulated")
+
+    def fitted(self, *_: Any, **__: Any) -> NoReturn:
+        """Raises InputError, as :meth:`fit` does."""
+        self.fit()

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,12 @@ from xplain.explanation.message_sets import subsets
 from xplain.learning.data.dataset import Dataset, inputs, query_index
 from xplain.learning.data.observers import Observed
 from xplain.randomness import derived_seed, stream
+
+if TYPE_CHECKING:
+    from xplain.learning.known_types import KnownTypes
+    from xplain.learning.mixture.answers import AnswerModel
+    from xplain.learning.mixture.evidence import Evidence
+    from xplain.learning.types import Clustering
 
 MOST_LOOKED_AT = 16
 """Messages that may change a labeler's predictions about one trace."""
@@ -32,12 +38,21 @@ def paper_tree() -> Any:
 
 class OfTruth:
     """A classifier of labels 0 and 1 that says how likely people are to think so, errors in answers
-    left out: its probabilities are taken as they are."""
+    left out. Its labeler has ``means_truth``: probabilities are taken as they are."""
 
     classes_ = np.array([0, 1])
 
     def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
         """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
+        raise NotImplementedError
+
+    def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """All it knows: rows of features [U, F], and P(label = 1) of each by message set
+        [U, 2^n].
+
+        Raises:
+            TooLargeError: too many numbers for a file.
+        """
         raise NotImplementedError
 
     def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -50,14 +65,15 @@ class Labeler:
     """A fitted labeling model L(τ, H) with its confidence P(label = prediction).
 
     Attributes:
-        classifier: fitted, scikit-learn's shape, classes among 0 and 1. Those :class:`OfTruth`
-            need no confidence.
+        classifier: fitted, scikit-learn's shape, classes among 0 and 1.
         n_messages: n of the message bits it was fitted with.
         confidence: (right + 1) / (tested + 2) on questions held out of training, in (0, 1).
         accuracy: right / tested; NaN where nothing was tested.
         n_train, n_test: distinct questions (transition, message set) in either part.
         calibrated: P(label = 1) comes from the classifier's own probabilities (see
             :class:`LabelerTrainer`), not from the one confidence.
+        means_truth: the classifier is one :class:`OfTruth`: P(label = 1) is what people think. Else
+            it is what they answer, as the confidence is measured on answers.
     """
 
     classifier: Any
@@ -67,12 +83,7 @@ class Labeler:
     n_train: int
     n_test: int
     calibrated: bool = False
-
-    @property
-    def means_truth(self) -> bool:
-        """Whether P(label = 1) is what people think; else it is what they answer, as the confidence
-        is measured on answers."""
-        return isinstance(self.classifier, OfTruth)
+    means_truth: bool = False
 
     @property
     def wrong(self) -> NDArray[np.float64] | None:
@@ -124,10 +135,10 @@ class Labeler:
         return by_sets(self._probability, features, message_sets, self.n_messages)
 
     def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
-        if hasattr(self.classifier, "tree_"):
-            return np.asarray(self._of_leaves()[self.classifier.apply(x)])
         if self.means_truth:
             return share_of_ones(self.classifier, self.classifier.predict_proba(x))
+        if hasattr(self.classifier, "tree_"):  # scikit-learn's; leaves have weights
+            return np.asarray(self._of_leaves()[self.classifier.apply(x)])
         if not self.calibrated:
             return self._of_labels(self.classifier.predict(x))
         return self._shrunk(share_of_ones(self.classifier, self.classifier.predict_proba(x)))
@@ -179,6 +190,11 @@ class LabelerTrainer:
     confidence: Literal["accuracy", "leaf"] = "accuracy"
     refit: bool = True
 
+    labeler: ClassVar[type[Labeler]] = Labeler
+    """What is fitted."""
+    means_truth: ClassVar[bool] = False
+    """Whether its labelers know that an answer is not a label (:attr:`Labeler.means_truth`)."""
+
     def __post_init__(self) -> None:
         for method in ("fit", "predict"):
             if not hasattr(self.classifier, method):
@@ -190,6 +206,26 @@ class LabelerTrainer:
         """With what can be used of the observers' task, and of what they were asked, beside their
         labels."""
         return self
+
+    def types_of(self, observed: Observed) -> KnownTypes | None:
+        """What agents know of the users without any labels; None where labels are needed.
+
+        Raises:
+            InputError: these observers' types are unknown.
+        """
+        return None
+
+    def find_types(self, dataset: Dataset, concentration: float) -> Clustering | None:
+        """The types by a Dirichlet process with this concentration, fact sets being those of the
+        trainer's hypotheses; None where it knows nothing of the dataset."""
+        return None
+
+    def with_errors(
+        self, dataset: Dataset, assignment: NDArray[np.int64]
+    ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
+        """The trainer for a dataset whose observers' types [O] are given; how its people err when
+        they answer; and how well hypotheses foretold it: None where the trainer learns neither."""
+        return self, None, None
 
     def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> Labeler:
         """Fits one labeler to all labels of a dataset. The same labels, in whatever order, and the
@@ -219,7 +255,7 @@ class LabelerTrainer:
             trained = fitted(~test) if self.refit else classifier
             agrees = trained.predict(x[test]) == dataset.label[test]
             right = float(by_question(agrees, query[test]).sum())
-        return Labeler(
+        return self.labeler(
             classifier=classifier,
             n_messages=dataset.n_messages,
             confidence=(right + 1) / (tested + 2),
@@ -227,6 +263,7 @@ class LabelerTrainer:
             n_train=len(np.unique(query[~test | (self.refit and not tested)])),
             n_test=tested,
             calibrated=self.confidence == "leaf",
+            means_truth=self.means_truth,
         )
 
     def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:

@@ -10,11 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from xplain.learning.answer_model import truth
-from xplain.learning.clustering import Clusterer, Clustering, Single
 from xplain.learning.data.dataset import Dataset, places, query_index
 from xplain.learning.labelers import Labeler, LabelerTrainer, by_question, split
-from xplain.learning.user_types import LearnsErrors, UserTypes, learn_types
+from xplain.learning.mixture.answers import truth
+from xplain.learning.types import (
+    Clusterer,
+    Clustering,
+    Single,
+    UserTypes,
+    learn_types,
+)
 from xplain.randomness import derived_seed, stream
 
 EDGE = 0.002
@@ -180,7 +185,7 @@ def log_likelihoods(
     else by the labeler of its observer's cluster, fitted to ``train``. A cluster without labels in
     ``train`` is predicted by everybody's. Where the trainer knows that an answer is not a label, as
     :func:`predicted`."""
-    if isinstance(trainer, LearnsErrors):
+    if trainer.means_truth:
         return _log(predicted(train, _all_learned(train, found, trainer, seed), test), test.label)
     if found.expected is not None:
         return _log(found.expected[test.observer, test.transition], test.label)

@@ -14,9 +14,8 @@ from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting
 from xplain.errors import Count, InputError, Range, checks
 from xplain.learning.data.dataset import places
-from xplain.learning.data.queries import Answer, Answered, asked_in_order
-from xplain.learning.data.rollouts import expected_visits
-from xplain.learning.fact_sets.growth import grown
+from xplain.learning.data.queries import Answer, Answered, asked_in_order, expected_visits
+from xplain.learning.mixture.likelihood import grown
 from xplain.questions.battery import battery
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed, stream

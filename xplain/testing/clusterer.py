@@ -1,4 +1,4 @@
-"""Properties of every clusterer and every partition (see :mod:`xplain.learning.clustering`)."""
+"""Properties of every clusterer and every partition (see :mod:`xplain.learning.types`)."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.learning.clustering import Clustering, by_first_appearance
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.types import Clustering, by_first_appearance
 from xplain.testing.data import rule_data
 from xplain.testing.suite import Conformance
 
 
 class ClustererConformance(Conformance):
     """Tests a clusterer, ``cluster(dataset, trainer, seed, truth)``, for what learning and scoring
-    need from its :class:`~xplain.learning.clustering.Clustering`.
+    need from its :class:`~xplain.learning.types.Clustering`.
 
     Attributes:
         finds_types: it must distinguish types that answer the same questions differently.
@@ -106,7 +106,7 @@ def _in_order(data: Dataset, order: NDArray[np.int64]) -> Dataset:
 
 class PartitionConformance(Conformance):
     """Tests a partition, ``partition(vectors, k, seed)``, the plug-in of
-    :class:`~xplain.learning.paper_clusterer.Elbow`, for what its curve of disagreements needs.
+    :class:`~xplain.learning.paper.Elbow`, for what its curve of disagreements needs.
     """
 
     def test_makes_at_most_k_groups(self, component: Any) -> None:

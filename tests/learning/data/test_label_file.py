@@ -8,7 +8,7 @@ import pytest
 
 from tests.learning.conftest import made
 from xplain.errors import InputError
-from xplain.learning.data.encoding import align, columns_of
+from xplain.learning.data.dataset import align, columns_of
 from xplain.learning.data.label_file import read_table, write_table
 
 ROWS = {

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from xplain.domains.mdp import MDP
-from xplain.learning.data.rollouts import expected_visits, sample_trace
+from xplain.learning.data.queries import expected_visits, sample_trace
 
 COUNT = 4000
 

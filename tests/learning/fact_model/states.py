@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.learning.fact_model.gibbs import init
-from xplain.learning.fact_model.model import ChainState, Prior, SortedLabels
-from xplain.learning.fact_model.resample_transitions import TransitionScratch as TransitionScratch
-from xplain.learning.fact_model.resample_transitions import resample_transitions
+from xplain.learning.mixture.kernels import TransitionScratch as TransitionScratch
+from xplain.learning.mixture.kernels import resample_transitions
+from xplain.learning.mixture.sampler import ChainState, Prior, SortedLabels, init
 
 
 def begun(

@@ -6,7 +6,7 @@ from math import comb
 import numpy as np
 import pytest
 
-from xplain.learning.fact_model import model as facts
+from xplain.learning.mixture import sampler as facts
 
 
 @pytest.mark.parametrize(("n", "depth"), [(6, 3), (5, 5), (2, 4), (9, 1)])

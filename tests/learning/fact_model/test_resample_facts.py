@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.learning.fact_model.states import begun, counted
-from xplain.learning.fact_model.model import CELL, NOISE, ChainState, Prior, SortedLabels
-from xplain.learning.fact_model.resample_facts import FactScratch, InUse, resample_facts
+from xplain.learning.mixture.kernels import FactScratch, InUse, resample_facts
+from xplain.learning.mixture.sampler import CELL, NOISE, ChainState, Prior, SortedLabels
 
 N, CONCENTRATION = 2, 0.7
 

@@ -11,13 +11,20 @@ from scipy.special import gammaln
 
 from tests.learning.fact_model.states import counted
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.fact_model.counts import REACH
-from xplain.learning.fact_model.gibbs import init, sample
-from xplain.learning.fact_model.model import CELL, NOISE, ChainState, Prior, SortedLabels
-from xplain.learning.fact_model.resample_transitions import (
+from xplain.learning.mixture.kernels import (
+    REACH,
     WIDE,
     TransitionScratch,
     resample_transitions,
+)
+from xplain.learning.mixture.sampler import (
+    CELL,
+    NOISE,
+    ChainState,
+    Prior,
+    SortedLabels,
+    init,
+    sample,
 )
 
 LOG_NOISE = np.log(np.arange(1.0, len(NOISE) + 1) / np.arange(1.0, len(NOISE) + 1).sum())

@@ -7,8 +7,7 @@ import pytest
 
 from tests.learning.fact_model.states import begun, counted
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.fact_model.model import Prior, SortedLabels
-from xplain.learning.fact_model.split_merge import merge_types
+from xplain.learning.mixture.sampler import Prior, SortedLabels, merge_types
 
 
 @pytest.mark.parametrize(("many", "other"), [(2, 0), (2, 1), (1, 2)])

@@ -19,8 +19,7 @@ from xplain.cli.people import configured
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.labelers import Labeler
-from xplain.learning.saved_classifiers import SavedTable
-from xplain.learning.saved_types import LearnedTypes
+from xplain.learning.saved import LearnedTypes, SavedTable
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.study.bot import StudyBot
@@ -85,6 +84,7 @@ def save_types(path: Path, feature: str, messages: tuple[str, ...] = FACTS) -> N
             ),
             3,
             **{"confidence": 0.9, "accuracy": 0.9, "n_train": 9, "n_test": 9, "calibrated": True},
+            means_truth=True,
         )
         for fact in FACTS
     ]

@@ -34,8 +34,7 @@ from xplain.learning.data.cells import (
     option,
     read_cells,
 )
-from xplain.learning.data.dataset import Dataset, query_index
-from xplain.learning.data.encoding import align, columns_of
+from xplain.learning.data.dataset import Dataset, align, columns_of, query_index
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,10 +11,10 @@ from scipy.optimize import brentq
 
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.evidence import Evidence
-from xplain.learning.fact_sets.known_transitions import KnownTransitions
-from xplain.learning.fact_sets.labels_alone import TwoWays, by_observer
-from xplain.learning.fact_sets.partition import partition
+from xplain.learning.mixture.evidence import Evidence
+from xplain.learning.mixture.labeler import TwoWays, by_observer
+from xplain.learning.mixture.likelihood import KnownTransitions
+from xplain.learning.mixture.partition import partition
 from xplain.people.collect.asking import FINISHED, STATED, CollectState
 from xplain.people.collect.plan import CollectPlan
 

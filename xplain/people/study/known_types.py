@@ -15,10 +15,10 @@ from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.pipeline import observe
 from xplain.explanation.habits import Habits
-from xplain.learning.clustering import Perfect
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import Labeler
-from xplain.learning.saved_types import LearnedTypes
+from xplain.learning.saved import LearnedTypes
+from xplain.learning.types import Perfect
 from xplain.randomness import stream
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, gammaln, softmax
 
-from xplain.learning.clustering import Clustering, shares_of
 from xplain.learning.data.dataset import Dataset
+from xplain.learning.types import Clustering, shares_of
 from xplain.randomness import stream
 
 MOST = 30

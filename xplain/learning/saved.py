@@ -1,4 +1,8 @@
-"""Learned user types in a file: arrays of numbers and text, never a pickle."""
+"""Learned user types in a file: arrays of numbers and text, never a pickle.
+
+Classifiers are kept in the format of skops, which builds none but known classes. A labeler of
+hypotheses is kept as a table of its probabilities.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +13,100 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import skops.io
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.answer_model import ErrorRates, QuestionErrors
-from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.encoding import encoded
+from xplain.learning.data.dataset import Dataset, encoded, places
 from xplain.learning.data.label_file import MAX_MASK
-from xplain.learning.labelers import Labeler
-from xplain.learning.saved_classifiers import arrays_of, classifier_of
-from xplain.learning.user_types import UserTypes, label_table
+from xplain.learning.labelers import Labeler, OfTruth
+from xplain.learning.mixture.answers import ErrorRates, QuestionErrors
+from xplain.learning.types import UserTypes, label_table
+
+TREE = "sklearn.tree._tree.Tree"
+"""What skops does not vouch for, as its arrays may be of no tree: they are checked here."""
+
+
+class SavedTable(OfTruth):
+    """Probabilities of known transitions as a table, in scikit-learn's shape.
+
+    Args:
+        rows: [U, F] float32 features.
+        table: [U, 2^n] P(label = 1); of other transitions nothing is known, ½.
+    """
+
+    def __init__(self, rows: NDArray[np.float32], table: NDArray[np.float64]) -> None:
+        self.rows, self.table = rows, table
+
+    def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """What it was made of."""
+        return self.rows, self.table
+
+    def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
+        """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
+        width = self.rows.shape[1]
+        told = x[:, width:].astype(np.int64) @ (1 << np.arange(x.shape[1] - width))
+        place = places(x[:, :width], self.rows)
+        one = np.where(place >= 0, self.table[place, told], 0.5)
+        return np.stack([1 - one, one], axis=1)
+
+
+def arrays_of(labeler: Labeler) -> dict[str, NDArray[Any]]:
+    """What to write of a labeler's classifier, by name."""
+    if labeler.means_truth:
+        return dict(zip(("rows", "table"), labeler.classifier.tabulated(), strict=True))
+    return {"skops": np.frombuffer(skops.io.dumps(labeler.classifier), dtype=np.uint8)}
+
+
+def classifier_of(
+    arrays: Mapping[str, NDArray[Any]], t: int, features: int, messages: int, trusted: Sequence[str]
+) -> Any:
+    """The classifier of type t in a file that was written by :func:`arrays_of`.
+
+    Args:
+        arrays: of the file, those of type t named ``t/…``.
+        t: number of the type.
+        features, messages: how many there are.
+        trusted: classes besides scikit-learn's own that skops may build, by full name.
+
+    Raises:
+        InputError: its arrays contradict each other, or skops may not build it.
+    """
+    if f"{t}/table" in arrays:
+        rows, table = arrays[f"{t}/rows"], arrays[f"{t}/table"]
+        if rows.shape != (len(rows), features) or table.shape != (len(rows), 1 << messages):
+            raise InputError("types", f"table of type {t}", "arrays of a table, as saved")
+        if not ((table > 0) & (table < 1)).all():
+            raise InputError("types", f"table of type {t}", "probabilities inside (0, 1)")
+        return SavedTable(rows.astype(np.float32), table.astype(np.float64))
+    data = arrays[f"{t}/skops"].tobytes()
+    unknown = {*skops.io.get_untrusted_types(data=data)} - {TREE, *trusted}
+    if unknown:
+        allowed = "classes to name in trusted=, if you trust them"
+        raise InputError("types", ", ".join(sorted(unknown)), allowed)
+    classifier = skops.io.loads(data, trusted=[TREE, *trusted])
+    inputs = features + messages
+    trees = [classifier, *np.ravel(getattr(classifier, "estimators_", []))]
+    sound = (_is_sound(one.tree_, inputs) for one in trees if hasattr(one, "tree_"))
+    if getattr(classifier, "n_features_in_", inputs) != inputs or not all(sound):
+        raise InputError("types", f"classifier of type {t}", "a fitted classifier, as saved")
+    return classifier
+
+
+def _is_sound(tree: Any, inputs: int) -> bool:
+    """Whether a walk from the root of a tree of scikit-learn's ends inside of its arrays."""
+    left, right, node = tree.children_left, tree.children_right, np.arange(tree.node_count)
+    inner = left != -1
+    ends = np.minimum(left, right)[inner] > node[inner], np.maximum(left, right) < len(node)
+    asked = (tree.feature[inner] >= 0) & (tree.feature[inner] < inputs)
+    whole = len(node) > 0 and np.array_equal(inner, right != -1) and np.isfinite(tree.value).all()
+    return bool(whole and all(map(np.all, (*ends, asked))))
+
 
 FORMAT = 1
-FIGURES = ("confidence", "accuracy", "n_train", "n_test", "calibrated")
+FIGURES = ("confidence", "accuracy", "n_train", "n_test", "calibrated", "means_truth")
 
 
 @dataclass(frozen=True)
@@ -57,7 +140,7 @@ class LearnedTypes:
         """The types that were learned from a dataset.
 
         Args:
-            types: of :func:`xplain.learning.user_types.learn_types`.
+            types: of :func:`xplain.learning.types.learn_types`.
             dataset: what they were learned from.
             sentences: what to say for each message.
         """
@@ -109,7 +192,7 @@ class LearnedTypes:
         """Writes an ``.npz`` file.
 
         Raises:
-            InputError: a labeler is no tree, and skops is not installed or cannot write it.
+            InputError: skops cannot write a classifier.
         """
         arrays: dict[str, Any] = {
             "format": FORMAT,
@@ -130,7 +213,7 @@ class LearnedTypes:
         for key in FIGURES:
             arrays[key] = np.array([getattr(labeler, key) for labeler in self.labelers])
         for t, labeler in enumerate(self.labelers):
-            arrays |= {f"{t}/{key}": own for key, own in arrays_of(labeler.classifier).items()}
+            arrays |= {f"{t}/{key}": own for key, own in arrays_of(labeler).items()}
         with Path(path).open("wb") as file:  # an open file keeps its name as it is
             np.savez_compressed(file, **arrays)
 

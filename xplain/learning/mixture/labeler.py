@@ -1,0 +1,453 @@
+"""A labeler of hypotheses: P(label = 1) of people of one type, by what they may hold wrong
+(docs/what-to-ask.md).
+
+What it knows of a type is a posterior over fact sets. Where a cell was asked about and the answers
+contradict the hypotheses, its label goes by the answers
+(:mod:`xplain.learning.mixture.likelihood`); all others stay with the hypotheses. These are weighed
+against labels alone (:mod:`xplain.learning.mixture.evidence`).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.label_table import DENSE, LabelTable
+from xplain.explanation.message_sets import bits_of, indices, names_of, subsets
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.observers import Observed
+from xplain.learning.labelers import (
+    Labeler,
+    LabelerTrainer,
+    OfTruth,
+    check_looked_at,
+    paper_tree,
+)
+from xplain.learning.mixture.answers import AnswerModel
+from xplain.learning.mixture.evidence import DOUBTED, Evidence, cheap, foretold
+from xplain.learning.mixture.likelihood import (
+    DEVIATION,
+    ERROR,
+    Answers,
+    Cells,
+    KnownTransitions,
+    by_level,
+    log_prior,
+    scaled,
+    truth,
+)
+from xplain.learning.mixture.partition import errors_of, partition
+from xplain.learning.prediction import log_likelihood
+from xplain.learning.types import Clustering
+
+KEPT = 1e-4
+"""Fact sets with a smaller share of the posterior are left out of predictions."""
+OFTEN = 0.05
+RELEVANT = 0.01
+MOST = 12
+MAX_TABLE = 1 << 24
+EDGE = 0.002
+"""Probabilities stay so far from 0 and 1. A label is shown again with every later step, so that
+larger doubts about what nothing speaks against would add up to messages that nobody needs."""
+
+
+class FactSetClassifier(OfTruth):
+    """The posterior over the fact sets of one type, with what labelers ask of a classifier.
+
+    It predicts what people find explicable, f, not what they answer: errors in answers are left
+    out. Rows of features that the hypotheses do not know are left to ``alone``.
+
+    Attributes:
+        known: the hypotheses.
+        trust: weight of the hypotheses, the rest being that of ``alone``; 1 where people think as
+            they say (:attr:`doubt`).
+        facts: [R] fact sets that are likely.
+        weight: [R, 1 + V, D] their posterior with variant and deviation.
+        cells: the answers by cell, for each fact set.
+        learned: [N] P(f = 1) of each cell, times the weight of its fact set.
+        level: [E] posterior of the levels of error.
+    """
+
+    def __init__(
+        self,
+        known: KnownTransitions,
+        answers: Answers,
+        fit_alone: Callable[[], Labeler],
+        given: NDArray[np.float64] | None = None,
+        trust: float = 1.0,
+    ) -> None:
+        """Works out the posterior over fact sets, variants and deviations.
+
+        Args:
+            known: see above.
+            fit_alone: learns from the labels alone.
+            answers: P of people of the type.
+            given: [P, 2, E] log P(answer | f) for f = 0 and 1, by levels of error that are as
+                likely; None: of answers that all err as often.
+            trust: weight of the hypotheses, where they are doubted.
+        """
+        self.known, self._fit_alone = known, fit_alone
+        given = by_level(answers.label) if given is None else given
+        facts = known.supported(answers)
+        prior = np.log(known.prior_of(facts) + 1e-300)
+        joint = Cells.of(known, answers, facts, given).log_likelihood(len(facts))
+        joint += prior[:, None, None, None] + log_prior(known.hypotheses)[:, :, None]
+        posterior = np.exp(joint - logsumexp(joint))
+        kept = posterior.sum(axis=(1, 2, 3)) > KEPT
+        posterior = posterior[kept] / posterior[kept].sum()
+        self.level = posterior.sum(axis=(0, 1, 2))
+        self.facts, self.weight = facts[kept], posterior.sum(axis=3)
+        self.trust = trust if self.doubt > DOUBTED else 1.0
+        self.cells = Cells.of(known, answers, self.facts, given)
+        zero, one = self.cells.log_joint()
+        of_cell = np.exp(one - np.logaddexp(zero, one)) * posterior[self.cells.which]
+        self.learned = of_cell.sum(axis=(1, 2, 3))
+
+    @cached_property
+    def alone(self) -> Labeler:
+        """Learned from the labels alone, when it is first asked."""
+        return self._fit_alone()
+
+    @property
+    def doubt(self) -> float:
+        """P(the hypotheses are wrong at one transition in twenty, or more)."""
+        return float(self.weight[:, :, DEVIATION >= OFTEN].sum())
+
+    @property
+    def unwritten(self) -> float:
+        """P(people of the type hold wrong what no hypothesis does)."""
+        return float(self.weight[(self.facts & self.known.unwritten) > 0].sum())
+
+    def log_answered(self, answers: Answers) -> NDArray[np.float64]:
+        """log P of further answers [P], which err by the levels of
+        :func:`~xplain.learning.mixture.likelihood.by_level`: [P]."""
+        one = self.known_rows(answers.transition, answers.message_set)
+        error = self.level @ ERROR
+        same = np.where(answers.label == 1, one, 1 - one)
+        return np.asarray(np.log(same * (1 - error) + (1 - same) * error))
+
+    @property
+    def looked_at(self) -> int:
+        """The facts that people of the type may hold wrong. Where facts are many, those they do
+        with a probability of RELEVANT, the likeliest MOST of them; other messages are
+        taken to be never given."""
+        if self.known.hypotheses.complete:
+            return int(np.bitwise_or.reduce(self.facts, initial=0))
+        bits = bits_of(self.facts, self.known.hypotheses.n_messages)
+        share = self.weight.sum(axis=(1, 2)) @ bits
+        likely = np.argsort(-share, kind="stable")[:MOST]
+        return sum(1 << int(j) for j in likely if share[j] >= RELEVANT)
+
+    @property
+    def wrong(self) -> NDArray[np.float64]:
+        """[n] P(a person of the type holds a fact wrong); as labels, never certain."""
+        bits = bits_of(self.facts, self.known.hypotheses.n_messages)
+        share: NDArray[np.float64] = self.weight.sum(axis=(1, 2)) @ bits
+        return np.clip(share, EDGE, 1 - EDGE)
+
+    def known_rows(
+        self, transition: NDArray[np.int64], told: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(f = 1) of known transitions [P] under message sets [P]: [P]."""
+        known, result = self.known, np.zeros(len(transition))
+        for r, facts in enumerate(self.facts.tolist()):
+            key = known.hypotheses.row(facts & ~told) * known.share.shape[2] + transition
+            cells, place = np.unique(key, return_inverse=True)
+            one = (truth(known.by_cell[cells], known.hypotheses.sizes) * self.weight[r]).sum(
+                axis=(1, 2)
+            )
+            own = np.flatnonzero(self.cells.which == r)
+            _, here, there = np.intersect1d(
+                cells, self.cells.key[own], assume_unique=True, return_indices=True
+            )
+            one[here] = self.learned[own][there]
+            result += one[place.ravel()]
+        return self._weighed(result, known.features[transition], told)
+
+    def exactly(
+        self, transitions: NDArray[np.int64], told: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(f = 1) by the hypotheses alone, of their transitions [P]: [P]. Where transitions
+        share their features, nobody knows which of them an answer was about."""
+        result = np.zeros(len(transitions))
+        for r, facts in enumerate(self.facts.tolist()):
+            share = self.known.share_of(facts & ~told, transitions)
+            result += (truth(share, self.known.hypotheses.sizes) * self.weight[r]).sum(axis=(1, 2))
+        features = self.known.hypotheses.features
+        assert features is not None
+        return self._weighed(result, features[transitions], told)
+
+    def _weighed(
+        self, one: NDArray[np.float64], features: NDArray[Any], told: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(f = 1) of rows of features [P, F] under message sets [P], where the hypotheses' is
+        ``one`` [P]: [P]."""
+        if self.trust < 1:
+            alone = self.alone.probability(features, told)
+            one = self.trust * one + (1 - self.trust) * alone
+        return np.clip(one, EDGE, 1 - EDGE)
+
+    def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
+        """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
+        n = self.known.hypotheses.n_messages
+        told = x[:, -n:].astype(np.int64) @ (1 << np.arange(n, dtype=np.int64))
+        transition = self.known.find(x[:, :-n])
+        rows, one = transition >= 0, np.empty(len(x))
+        one[rows] = self.known_rows(transition[rows], told[rows])
+        if not rows.all():
+            one[~rows] = self.alone.probability(x[~rows, :-n].astype(np.float64), told[~rows])
+        return np.stack([1 - one, one], axis=1)
+
+    def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """All it knows: rows of features [U, F], and P(label = 1) of each by message set
+        [U, 2^n].
+
+        Raises:
+            TooLargeError: more than MAX_TABLE numbers.
+        """
+        count, n = len(self.known.features), self.known.hypotheses.n_messages
+        if count << n > MAX_TABLE:
+            raise TooLargeError(f"types: a table of {count} × 2^{n} labels is too large for a file")
+        told = np.tile(np.arange(1 << n), count)
+        table = self.known_rows(np.repeat(np.arange(count), 1 << n), told)
+        return self.known.features, table.reshape(count, 1 << n)
+
+
+@dataclass(frozen=True)
+class TwoWays:
+    """To foretell answers about transitions that the hypotheses know.
+
+    Attributes:
+        known: the hypotheses.
+        place: [T] where these know the transitions of a dataset.
+    """
+
+    known: KnownTransitions
+    place: NDArray[np.int64]
+
+    def hypotheses(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
+        """log P of each label of ``test``: [Q]."""
+        return self.learned(train).log_answered(answers_of(self.place, test))
+
+    def labels(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
+        """The same, without hypotheses."""
+        return log_likelihood(cheap().fit(train, 0), test)
+
+    def learned(self, data: Dataset) -> FactSetClassifier:
+        """Of people of one type, who err all as often."""
+        answers = answers_of(self.place, data)
+        return FactSetClassifier(self.known.grown(answers), answers, partial(cheap().fit, data, 0))
+
+    def evidence(self, dataset: Dataset, assignment: NDArray[np.int64]) -> Evidence:
+        """Of a dataset whose observers' types [O] are given."""
+        dataset = dataset.take(np.flatnonzero(self.place[dataset.transition] >= 0))
+        rows, *logs = foretold(dataset, assignment, (self.hypotheses, self.labels))
+        members = (np.flatnonzero(assignment == t) for t in range(int(assignment.max()) + 1))
+        types = [self.learned(dataset.of(own)) for own in members]
+        doubt, unwritten = np.array([(one.doubt, one.unwritten) for one in types]).T
+        of_type = assignment[dataset.observer[rows]]
+        return Evidence(logs[0], logs[1], of_type, doubt, unwritten)
+
+
+def by_observer(place: NDArray[np.int64], dataset: Dataset) -> list[Answers]:
+    """:func:`answers_of` each observer, those about transitions that the hypotheses know."""
+    every, known = answers_of(place, dataset), place[dataset.transition] >= 0
+    observers = range(len(dataset.observers))
+    return [every.take(np.flatnonzero(known & (dataset.observer == o))) for o in observers]
+
+
+def answers_of(place: NDArray[np.int64], dataset: Dataset) -> Answers:
+    """The labels of a dataset, about transitions that the hypotheses have at ``place`` [T]."""
+    label = dataset.label.astype(np.int64)
+    return Answers(place[dataset.transition], dataset.message_set, label)
+
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class HypothesisLabeler(Labeler):
+    """A labeler that tells transitions apart that share their features."""
+
+    classifier: FactSetClassifier
+
+    def table(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
+    ) -> LabelTable:
+        """As :meth:`Labeler.table`. Where messages are many, those matter that are about facts that
+        people of the type likely hold wrong."""
+        relevant, table = self._looked_at(features)
+        if transitions is not None:
+            known, every = self.classifier.known, subsets(relevant)
+            place = known.find(features)
+            rows = np.flatnonzero((place >= 0) & known.ambiguous[place])
+            found = known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
+            for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
+                table[row] = self.classifier.exactly(np.full(len(every), t), every)
+        return LabelTable.joined_types([relevant], [table])
+
+    @property
+    def wrong(self) -> NDArray[np.float64] | None:
+        """As :attr:`Labeler.wrong`."""
+        return self.classifier.wrong
+
+    def _looked_at(
+        self, features: NDArray[np.float64]
+    ) -> tuple[Sequence[int], NDArray[np.float64]]:
+        if self.n_messages <= DENSE:
+            return super()._looked_at(features)
+        looked_at = self.classifier.looked_at
+        alone = (self.classifier.known.find(features) < 0) | (self.classifier.trust < 1)
+        if alone.any():
+            looked_at |= sum(1 << j for j in self.classifier.alone._looked_at(features[alone])[0])
+        relevant = indices(looked_at)
+        check_looked_at(len(relevant), self.n_messages)
+        return relevant, self._by_sets(features, subsets(relevant))
+
+
+@dataclass(frozen=True)
+class HypothesisTrainer(LabelerTrainer):
+    """Fits labelers that know what people might hold wrong.
+
+    Labels of another task (with other features or messages) say nothing about the hypotheses, and
+    are learned without them; so are transitions that the hypotheses do not know. Where people of a
+    type think otherwise than the hypotheses say, these are weighed against what is learned without
+    them (:mod:`xplain.learning.mixture.evidence`).
+
+    Attributes:
+        classifier: learns from labels alone; any of scikit-learn that gives probabilities.
+        holdout: share of the distinct points held out to measure the accuracy.
+        path: an ``.npz`` file of hypotheses with features; None: the observers' domain's.
+        hypotheses: in place of both.
+        answers: how the dataset's people err when they answer; None: all as often.
+        evidence: how well the dataset's answers were foretold; None: hypotheses are believed.
+        types: [O] of the dataset's observers, as in ``evidence``.
+    """
+
+    classifier: Any = field(default_factory=paper_tree)
+    path: str | None = None
+    hypotheses: Hypotheses | None = None
+    answers: AnswerModel | None = None
+    evidence: Evidence | None = None
+    types: NDArray[np.int64] | None = None
+
+    labeler = HypothesisLabeler
+    means_truth = True
+
+    def given(self, observed: Observed) -> LabelerTrainer:
+        """With the hypotheses of the observers' domain, and the fact sets that their questions
+        found likely, where it has no others."""
+        if self.hypotheses is not None or self.path is not None:
+            return self
+        return replace(self, hypotheses=observed.hypotheses)
+
+    @cached_property
+    def known(self) -> KnownTransitions:
+        """The hypotheses by rows of features.
+
+        Raises:
+            InputError: there are none, or none with features.
+        """
+        hypotheses = self.hypotheses or hypotheses_of(None, self.path)
+        if hypotheses.features is None:
+            raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
+        return KnownTransitions.of(hypotheses)
+
+    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> Labeler:
+        """As :meth:`LabelerTrainer.fit`; without hypotheses, where the labels are of another
+        task."""
+        if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
+            return self._alone.fit(dataset, seed, measured)
+        return super().fit(dataset, seed, measured)
+
+    def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:
+        """A classifier fitted to the labels of a dataset, whose rows are x [P, F + n]."""
+        place = self.known.find(dataset.features)
+        own = dataset.take(np.flatnonzero(place[dataset.transition] >= 0))
+        answers = answers_of(place, own)
+        given, trust = None, 1.0
+        if self.answers is not None:
+            label = answers.label
+            given = scaled(self.answers.log_given(own.transition, own.observer, label), label)
+        if self.evidence is not None and self.types is not None:
+            trust = float(self.evidence.trust[self.types[own.observer]].mean())
+        trainer = self._alone if dataset.n_messages <= DENSE else cheap()
+        alone = partial(trainer.fit, dataset, seed)
+        return FactSetClassifier(self.known.grown(answers), answers, alone, given, trust)
+
+    @property
+    def _alone(self) -> LabelerTrainer:
+        """Learns from labels alone."""
+        return LabelerTrainer(self.classifier, self.holdout, "leaf")
+
+    def with_errors(
+        self, dataset: Dataset, assignment: NDArray[np.int64]
+    ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
+        """With how these people err when they answer, their types [O] being given."""
+        found = self._known_answers(dataset)
+        if found is None:
+            return self, self.answers, self.evidence
+        place, known, observers = found
+        made = errors_of(known, observers, assignment)
+        answers = replace(made, slip=made.slip[[*place, -1]], guess=made.guess[[*place, -1]])
+        evidence = TwoWays(self.known, place).evidence(dataset, assignment)
+        heeding = replace(self, answers=answers, types=assignment, evidence=evidence)
+        return heeding, answers, evidence
+
+    def find_types(self, dataset: Dataset, concentration: float) -> Clustering | None:
+        """The types by a Dirichlet process over fact sets; None where the hypotheses know nothing
+        of the dataset.
+
+        Args:
+            dataset: labels of O observers.
+            concentration: α of the process.
+        """
+        found = self._known_answers(dataset)
+        if found is None:
+            return None
+        place, known, observers = found
+        facts, _, expected = partition(known, observers, concentration)
+        same = np.unique(facts, return_inverse=True)[1]
+        if TwoWays(self.known, place).evidence(dataset, same).beaten:
+            return None
+        if surprise := int(np.bitwise_or.reduce(facts & known.unwritten)):
+            names = ", ".join(names_of(surprise, dataset.messages))
+            log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
+        if expected is not None:
+            ones = np.bincount(dataset.transition, dataset.label, len(place))
+            mean = (ones + 1) / (np.bincount(dataset.transition, minlength=len(place)) + 2)
+            expected = np.where(place >= 0, expected[:, place], mean)
+        return Clustering.by_facts(facts, "hypotheses", expected=expected)
+
+    def _known_answers(
+        self, dataset: Dataset
+    ) -> tuple[NDArray[np.int64], KnownTransitions, list[Answers]] | None:
+        """Where the dataset's features [T] are among those that hypotheses know (−1 nowhere), these
+        with all that any observer's answers make likely, and the answers of each observer; None
+        where they know nothing of the dataset."""
+        known = self.known
+        if not _same_task(known.hypotheses, dataset.feature_names, dataset.messages):
+            return None
+        place = known.find(dataset.features)
+        if (place < 0).all():
+            return None
+        observers = by_observer(place, dataset)
+        for own in observers:
+            known = known.with_sets(self.known.grown(own).supported(own))
+        return place, known, observers
+
+
+def _same_task(
+    hypotheses: Hypotheses, feature_names: tuple[str, ...], messages: tuple[str, ...]
+) -> bool:
+    names = hypotheses.feature_names or feature_names
+    return names == feature_names and hypotheses.messages == messages

@@ -1,0 +1,555 @@
+r"""A generative model of labels: people hold some facts wrong, and each message sets one right.
+
+An observer is of a type R, the set of facts (= messages) held wrong. Asked about transition τ
+under message set H, it still holds M = R \ H wrong, and the label depends on τ and M alone::
+
+    label(τ, H) = f_τ(M ∩ S_τ), flipped with probability ε_τ
+
+f_τ is a table of 0 and 1 over the few facts S_τ that matter at τ. Nothing of this is given: f, S
+and ε are learned from everybody's labels together, so that independent questions, which hardly
+ever coincide, still speak of the same things. Assumed is what the paper assumes: a message that
+tells what one knows changes nothing, and people who hold the same facts wrong expect the same.
+
+Inference is collapsed Gibbs sampling (f integrated out, cell by cell: a Beta-like two-point prior
+makes the predictive probability a function of ones − zeros): R of each observer given the
+others' answers, then (S_τ, ε_τ) of each transition. Types are shared by a Chinese restaurant
+process (Neal 2000, "Markov chain sampling methods for Dirichlet process mixture models"), its
+base measure uniform over fact sets.
+
+A sweep draws (S, ε) of every transition, then R of every observer, then tries to split and merge
+whole types where observers are many: after Jain & Neal (2004), "A split-merge Markov chain Monte
+Carlo procedure for the Dirichlet process mixture model", in its plain form: who is split off is
+drawn at random, without Gibbs scans in between. Without such moves two types that answer alike
+become one, observer by observer, only in as many sweeps as they have observers.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from itertools import combinations
+from math import comb, exp, lgamma
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import Count, Positive, Range, TooLargeError, checks
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.mixture.answers import AnswerModel, CellAnswers, learned
+from xplain.learning.mixture.classes import answer_classes
+from xplain.learning.mixture.kernels import (
+    ADDED,
+    REACH,
+    TAKEN,
+    WIDE,
+    InUse,
+    count_rows,
+    resample_facts,
+    resample_transitions,
+    table_row,
+)
+from xplain.learning.mixture.kernels import FactScratch as ObserverScratch
+from xplain.learning.mixture.kernels import TransitionScratch as TransitionScratch
+from xplain.learning.types import Clustering, shares_of
+from xplain.numba_kernels import kernel
+from xplain.randomness import derived_seed, stream
+
+NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
+"""ε_τ is one of these; how often each occurs is learned."""
+CELL = np.array([0.25, 0.98])
+"""P(f_τ = 1) before any answer: where a fact that matters is held wrong, which mostly makes people
+wonder, and where none is."""
+SUBSET = 0.5
+"""Each further fact that matters at a transition halves the prior of S_τ."""
+
+
+class SortedLabels(NamedTuple):
+    """The labels of a dataset, sorted by observer and, of each observer, by transition.
+
+    P labels by O observers on T transitions.
+
+    Attributes:
+        start: [O + 1] int64 first row of each observer.
+        transition, message_set, label, owner: [P] int64; ``owner`` is the observer.
+        rows: [P] int64 the rows of everybody in the order of their transition.
+        transition_start: [T + 1] int64 where each transition starts in ``rows``.
+        n_messages: n.
+    """
+
+    start: NDArray[np.int64]
+    transition: NDArray[np.int64]
+    message_set: NDArray[np.int64]
+    label: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    transition_start: NDArray[np.int64]
+    n_messages: int
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> SortedLabels:
+        """Sorts the labels of a dataset."""
+        order = np.lexsort((dataset.transition, dataset.observer))
+        owner, transition = dataset.observer[order], dataset.transition[order]
+        rows = np.argsort(transition, kind="stable")
+        return cls(
+            start=np.searchsorted(owner, np.arange(len(dataset.observers) + 1)).astype(np.int64),
+            transition=transition,
+            message_set=dataset.message_set[order],
+            label=dataset.label[order].astype(np.int64),
+            owner=owner,
+            rows=rows,
+            transition_start=np.searchsorted(
+                transition[rows], np.arange(len(dataset.features) + 1)
+            ),
+            n_messages=dataset.n_messages,
+        )
+
+
+class Prior(NamedTuple):
+    """What is known of f, S and ε before any answer, as tables to look up.
+
+    Z subsets of at most ``depth`` facts, E levels of noise.
+
+    Attributes:
+        subsets: [Z, depth] int64 positions of the facts of each possible S_τ, −1 where fewer.
+        size: [Z] int64 how many facts each has.
+        members: [Z] int64 the same facts as a bitmask.
+        log_subset: [Z] log prior.
+        log_block: [depth + 1] log P(the facts among which S_τ is sought | S_τ), by its size.
+        predictive: [2, E, 2 · REACH + 1, 2] log P(next label | is M ∩ S empty, ε, ones − zeros).
+        marginal: [2, E, 2 · REACH + 1] log marginal likelihood of a cell beyond that of f = 1.
+        log_flip: [E, 2] log(1 − ε) and log ε.
+    """
+
+    subsets: NDArray[np.int64]
+    size: NDArray[np.int64]
+    members: NDArray[np.int64]
+    log_subset: NDArray[np.float64]
+    log_block: NDArray[np.float64]
+    predictive: NDArray[np.float64]
+    marginal: NDArray[np.float64]
+    log_flip: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, n: int, depth: int) -> Prior:
+        """For n messages, of which at most ``depth`` matter at a transition."""
+        depth = min(depth, n)
+        chosen = [one for size in range(depth + 1) for one in combinations(range(n), size)]
+        subsets = np.full((len(chosen), max(depth, 1)), -1, dtype=np.int64)
+        for z, one in enumerate(chosen):
+            subsets[z, : len(one)] = one
+        prior = np.array([SUBSET ** len(one) / comb(n, len(one)) for one in chosen])
+        ahead = np.arange(-REACH, REACH + 1)[None, None, :]
+        cell, noise = CELL[:, None, None], NOISE[None, :, None]
+        odds = np.log(cell / (1 - cell)) + ahead * np.log((1 - noise) / noise)
+        is_one = 1 / (1 + np.exp(-odds))
+        next_one = is_one * (1 - noise) + (1 - is_one) * noise
+        return cls(
+            subsets=subsets,
+            size=np.array([len(one) for one in chosen]),
+            members=np.array([sum(1 << j for j in one) for one in chosen]),
+            log_subset=np.log(prior / prior.sum()),
+            log_block=np.array(
+                [-np.log(comb(max(n - k, 0), max(WIDE - k, 0)) or 1) for k in range(depth + 1)]
+            ),
+            predictive=np.log(np.stack([1 - next_one, next_one], axis=-1)),
+            marginal=np.log(cell) + np.logaddexp(0, -odds),
+            log_flip=np.log(np.stack([1 - NOISE, NOISE], axis=1)),
+        )
+
+
+class ChainState(NamedTuple):
+    """One state of a chain, and what is counted of it. A step overwrites the arrays.
+
+    Attributes:
+        facts: [O] int64, R of each observer.
+        subset: [T] int64, S_τ as an index into :attr:`Prior.subsets`.
+        noise: [T] int64, ε_τ as an index into :data:`NOISE`.
+        log_noise: [E] log share of each level of noise.
+        messages_given: [P] int64 the messages about S_τ that each answer was given, packed into
+            the lowest bits.
+        counts: [T, 2^depth, 2] int64 labels 0 and 1 by cell (τ, M ∩ S_τ).
+        order: [n] int64 the messages, those that were tried last for an observer first.
+    """
+
+    facts: NDArray[np.int64]
+    subset: NDArray[np.int64]
+    noise: NDArray[np.int64]
+    log_noise: NDArray[np.float64]
+    messages_given: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    order: NDArray[np.int64]
+
+    def copy(self) -> ChainState:
+        """The same state in arrays of its own."""
+        return ChainState._make(array.copy() for array in self)
+
+
+def facts_that_matter(prior: Prior, state: ChainState) -> int:
+    """The facts that matter at some transition, as a bitmask: types that differ in others only
+    are behaviourally one."""
+    return int(np.bitwise_or.reduce(prior.members[state.subset]))
+
+
+class Chain(NamedTuple):
+    """One run of the sampler.
+
+    Attributes:
+        best: its state of the highest score.
+        score: log of that state's joint probability with the labels, f integrated out, and up to
+            12 messages S and ε summed out.
+        types: [sweeps / 2] int64, types that differ, after each sweep that counts (heated ones do
+            not).
+    """
+
+    best: ChainState
+    score: float
+    types: NDArray[np.int64]
+
+
+def sample(
+    answers: SortedLabels,
+    prior: Prior,
+    concentration: float,
+    first: NDArray[np.int64],
+    sweeps: int,
+    initial_temperature: float,
+    rng: np.random.Generator,
+) -> Chain:
+    """Runs a chain from R = ``first`` [O].
+
+    Over the first half of the sweeps probabilities are taken to the power 1 / temperature, the
+    temperature falling from ``initial_temperature`` to 1.
+    """
+    n, depth = answers.n_messages, prior.subsets.shape[1]
+    log_new = math.log(concentration) - n * math.log(2)
+    of_transition = TransitionScratch.of(
+        answers.transition_start, len(prior.size), depth, len(prior.log_flip)
+    )
+    of_observer = ObserverScratch.of(n, depth)
+    state = init(answers, prior, first)
+    best, best_score = state, -np.inf
+    types = np.zeros(sweeps, dtype=np.int64)
+    for sweep in range(sweeps):
+        # From the initial temperature straight down to 1 over the first half, 1 from there on.
+        heat = max(1.0 - sweep / max(sweeps // 2, 1), 0.0)
+        temperature = 1.0 + (initial_temperature - 1.0) * heat
+        held = state.facts[answers.owner] & ~answers.message_set
+        score = resample_transitions(answers, prior, state, held, temperature, rng, of_transition)
+        used, members = np.unique(state.facts, return_counts=True)
+        score += _log_restaurant(members, log_new)
+        types[sweep] = len(set((used & facts_that_matter(prior, state)).tolist()))
+        if score > best_score:
+            best, best_score = state.copy(), score
+        in_use = InUse.of(used, members, len(first))
+        about = answers, prior, state, in_use, len(used), log_new, temperature
+        resample_facts(*about, rng, of_observer)
+        if len(first) >= MANY_OBSERVERS:
+            split_merge(answers, prior, state, log_new, temperature, rng)
+    if len(first) >= MANY_OBSERVERS:
+        best_score += merge_types(answers, prior, best, log_new)
+        if n <= WIDE:  # merges compare with S and ε fixed; chains are compared with both summed out
+            held = best.facts[answers.owner] & ~answers.message_set
+            merged = answers, prior, best.copy(), held, 1.0, rng, of_transition
+            members = np.unique(best.facts, return_counts=True)[1]
+            best_score = resample_transitions(*merged) + _log_restaurant(members, log_new)
+    return Chain(best, best_score, types[sweeps // 2 :])
+
+
+def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> ChainState:
+    """The state in which observers hold ``first`` [O] wrong, no fact matters anywhere, and all
+    levels of noise are as likely; nothing is counted yet."""
+    transitions, levels = len(answers.transition_start) - 1, len(prior.log_flip)
+    return ChainState(
+        facts=first.copy(),
+        subset=np.zeros(transitions, dtype=np.int64),
+        noise=np.zeros(transitions, dtype=np.int64),
+        log_noise=np.full(levels, -np.log(levels)),
+        messages_given=np.zeros(len(answers.label), dtype=np.int64),
+        counts=np.zeros((transitions, 1 << prior.subsets.shape[1], 2), dtype=np.int64),
+        order=np.arange(answers.n_messages),
+    )
+
+
+def _log_restaurant(members: NDArray[np.int64], log_new: float) -> float:
+    """log P(who shares a type, and each type's fact set) of types with ``members`` [K]."""
+    return sum(log_new + lgamma(size) for size in members.tolist())
+
+
+MANY_OBSERVERS = 100
+"""Observers from which types are moved whole too."""
+MOVES = 20
+"""So many of these moves are tried in a sweep."""
+
+
+class Move(NamedTuple):
+    """Observers who may take another fact set.
+
+    Attributes:
+        members: their indices.
+        old, new: the fact set they all hold, and the one they may take.
+        log_prior: log of the ratio of the prior probabilities after and before.
+        log_proposal: log of the ratio of the probabilities to propose the way back, and this.
+    """
+
+    members: NDArray[np.int64]
+    old: int
+    new: int
+    log_prior: float
+    log_proposal: float
+
+
+def split_merge(
+    answers: SortedLabels,
+    prior: Prior,
+    state: ChainState,
+    log_new: float,
+    temperature: float,
+    rng: np.random.Generator,
+) -> None:
+    """Tries MOVES moves by Metropolis-Hastings; ``state`` is overwritten.
+
+    Args:
+        answers, prior, state: of the sampler.
+        log_new: log weight of a fact set that nobody holds, in the Chinese restaurant process.
+        temperature: of the target.
+        rng: the chain's stream.
+    """
+    before = _log_likelihood(prior, state)
+    for _ in range(MOVES):
+        move = _propose(state.facts, answers.n_messages, exp(log_new), rng)
+        if move is None:
+            continue
+        count = state.counts.copy()
+        relabel(move.members, move.new, answers, prior, state)
+        after = _log_likelihood(prior, state)
+        gain = move.log_prior - before + after
+        if math.log(rng.random()) < gain / temperature + move.log_proposal:
+            before = after
+        else:
+            state.facts[move.members] = move.old
+            state.counts[:] = count
+
+
+def merge_types(answers: SortedLabels, prior: Prior, state: ChainState, log_new: float) -> float:
+    """Lets a type take the fact set of another wherever that makes ``state`` likelier.
+
+    Returns:
+        By how much all of it does (log).
+    """
+    gained, urn, facts = 0.0, exp(log_new), state.facts
+    before = _log_likelihood(prior, state)
+    used = np.unique(facts)
+    for old in used:
+        members = np.flatnonzero(facts == old)
+        size = len(members)
+        for new in used:
+            others = int((facts == new).sum())
+            if new == old or others == 0:
+                continue
+            count = state.counts.copy()
+            relabel(members, new, answers, prior, state)
+            after = _log_likelihood(prior, state)
+            change = _log_merged(size, others, urn) - before + after
+            if change > 0:
+                gained += change
+                before = after
+                break
+            facts[members] = old
+            state.counts[:] = count
+    return gained
+
+
+def _propose(facts: NDArray[np.int64], n: int, urn: float, rng: np.random.Generator) -> Move | None:
+    """A merge, by which all of a type take the fact set of another, or a split, by which a part of
+    it, of random size, takes one that nobody holds. None: there is no such type or part."""
+    used = np.unique(facts)
+    a = rng.integers(0, len(used))
+    old = int(used[a])
+    members = np.flatnonzero(facts == old)
+    size = len(members)
+    if rng.random() < 0.5:
+        if len(used) == 1:
+            return None
+        new = int(used[(a + rng.integers(1, len(used))) % len(used)])
+        others = int((facts == new).sum())
+        back = math.log(len(used)) - n * math.log(2) - _log_ways(size + others, size)
+        return Move(members, old, new, _log_merged(size, others, urn), back)
+    new = int(rng.integers(0, 1 << n))
+    if size == 1 or (facts == new).any():
+        return None
+    part = int(rng.integers(1, size))
+    rng.shuffle(members)
+    back = _log_ways(size, part) + n * math.log(2) - math.log(len(used) + 1)
+    return Move(members[:part], old, new, -_log_merged(part, size - part, urn), back)
+
+
+def _log_merged(size: int, others: int, urn: float) -> float:
+    """log P(one type) − log P(two) of Pólya's urn, with ``urn`` balls of the colour of each fact
+    set at first."""
+    return lgamma(size + others + urn) + lgamma(urn) - lgamma(size + urn) - lgamma(others + urn)
+
+
+def _log_ways(whole: int, part: int) -> float:
+    """log of the ways to choose a part of 1 … whole − 1, all sizes equally likely."""
+    choose = lgamma(whole + 1) - lgamma(part + 1) - lgamma(whole - part + 1)
+    return math.log(whole - 1) + choose
+
+
+def _log_likelihood(prior: Prior, state: ChainState) -> float:
+    return float(log_likelihood(state.counts, state.noise, prior.marginal, prior.log_flip))
+
+
+@kernel
+def log_likelihood(count, noise, marginal, log_flip):  # type: ignore[no-untyped-def]
+    """log P(all labels | M of every answer, S, ε), f integrated out."""
+    total = 0.0
+    for t in range(len(count)):
+        right, wrong = log_flip[noise[t], 0], log_flip[noise[t], 1]
+        for c in range(count.shape[1]):
+            zeros, ones = count[t, c, 0], count[t, c, 1]
+            if zeros + ones > 0:
+                total += ones * right + zeros * wrong
+                total += marginal[int(c == 0), noise[t], table_row(ones - zeros)]
+                if ones - zeros < -REACH:
+                    total += (ones - zeros + REACH) * (wrong - right)
+    return total
+
+
+@kernel
+def relabel(members, new, answers, prior, state):  # type: ignore[no-untyped-def]
+    """Gives the observers ``members`` the fact set ``new``; ``state.counts`` follows."""
+    for o in members:
+        count_rows(o, TAKEN, answers, prior, state)
+        state.facts[o] = new
+        count_rows(o, ADDED, answers, prior, state)
+
+
+log = logging.getLogger(__name__)
+
+FEWEST_SWEEPS = 20
+MANY = 38
+"""Messages of which there are too many sets of four."""
+MAX_SUBSETS = 1 << 15
+"""Fact sets S that may matter at a transition; all are weighed in every sweep."""
+
+
+@checks("clusterer")
+@dataclass(frozen=True)
+class DirichletMixture:
+    """Finds types by Gibbs sampling; the state of the highest joint probability is the answer.
+
+    Attributes:
+        concentration: α > 0 of the Chinese restaurant process; more makes new types likelier.
+        depth: facts that may matter together at one transition; None: 5, or 4 where there are
+            more than 12 messages, or so many observers that chains stop early (``updates``):
+            among more sets of facts they have not settled by then; 3 beyond 38 messages.
+        chains: independent runs; half start from one type, half from types at random.
+        sweeps: of each chain, the first half of them heated. Large data need few:
+        updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
+        heat: initial temperature.
+        jobs: chains run at a time (threads); no result depends on it.
+    """
+
+    concentration: Positive = 1.0
+    depth: Count | None = None
+    chains: Count = 4
+    sweeps: Annotated[int, Range(FEWEST_SWEEPS)] = 100
+    updates: Count = 300_000
+    heat: Annotated[float, Range(1)] = 4.0
+    jobs: int = 1
+
+    def cluster(
+        self,
+        dataset: Dataset,
+        trainer: LabelerTrainer,
+        seed: int,
+        truth: NDArray[np.int64] | None,
+    ) -> Clustering:
+        """Types, what each needs to be told, and the posterior over their number.
+
+        Where nobody was told anything, types are classes of answers
+        (:mod:`xplain.learning.mixture.classes`). A trainer that knows what people might
+        hold wrong finds the types itself: its hypotheses take the place of the prior over which
+        facts matter where.
+
+        Raises:
+            TooLargeError: ``depth`` is too large for so many messages.
+        """
+        seed = derived_seed(seed, "clusterer")
+        known = trainer.find_types(dataset, self.concentration)
+        if known is not None:
+            return known
+        if dataset.message_set.any():
+            found = self._sampled(dataset, seed)
+        else:
+            found = answer_classes(dataset, self.concentration, self.chains, seed)
+        assert found.posterior is not None
+        share = 100 * found.posterior.get(found.n_types, 0.0)
+        types = "%d user types by the rule posterior: %.0f%% of the samples have as many"
+        log.info(types, found.n_types, share)
+        return found
+
+    def _sampled(self, dataset: Dataset, seed: int) -> Clustering:
+        """By fact sets, of labels for which somebody was told something."""
+        from joblib import Parallel, delayed
+
+        observers, n = len(dataset.observers), dataset.n_messages
+        long = observers * self.sweeps <= self.updates
+        usual = 5 if n <= WIDE and long else 4 if n <= MANY else 3
+        depth = min(self.depth or usual, n)
+        if n**depth > 64 * MAX_SUBSETS:
+            raise TooLargeError(
+                f"clusterer.depth={depth}: too many sets of {n} messages; use a smaller depth"
+            )
+        answers, prior = SortedLabels.of(dataset), Prior.of(n, depth)
+        sweeps = min(self.sweeps, max(self.updates // observers, FEWEST_SWEEPS))
+        chains: list[Chain] = Parallel(n_jobs=self.jobs, prefer="threads")(
+            delayed(sample)(
+                answers,
+                prior,
+                self.concentration,
+                self._first(observers, n, chain, seed),
+                sweeps,
+                self.heat,
+                stream(seed, "dirichlet", chain),
+            )
+            for chain in range(self.chains)
+        )
+        best = max(chains, key=lambda chain: chain.score).best
+        return Clustering.by_facts(
+            best.facts & facts_that_matter(prior, best),
+            "posterior",
+            posterior=shares_of(np.concatenate([chain.types for chain in chains])),
+            answers=_errors(dataset, prior, best),
+        )
+
+    def _first(self, observers: int, n: int, chain: int, seed: int) -> NDArray[np.int64]:
+        everything = np.full(observers, (1 << n) - 1, dtype=np.int64)
+        if chain % 2 == 0:
+            return everything
+        return stream(seed, "dirichlet", "first", chain).integers(0, 1 << n, observers)
+
+
+def _errors(dataset: Dataset, prior: Prior, state: ChainState) -> AnswerModel:
+    """Slips, guesses and error rates, were the cells of all answers those of ``state``.
+
+    The sampler itself has one rate of errors a transition: an observer's own would make labels of a
+    cell differ in weight, where its tables know their difference alone.
+    """
+    held = state.facts[dataset.observer] & ~dataset.message_set
+    matters = held & prior.members[state.subset[dataset.transition]]
+    both = np.stack([dataset.transition, matters])
+    cells, cell = np.unique(both, axis=1, return_inverse=True)
+    label = dataset.label.astype(np.int64)
+    about = CellAnswers(cell.ravel(), dataset.transition, dataset.observer, label)
+    wrong = float(np.exp(state.log_noise) @ NOISE)
+    # How many cells are 1 is seen in the answers: where few answers share a cell, a share that is
+    # too low would pass for guesses.
+    kind = (matters > 0).astype(np.int64)
+    ones = np.bincount(kind, label, 2) / np.bincount(kind, minlength=2).clip(1)
+    one = ((ones - wrong) / (1 - 2 * wrong)).clip(0.02, 0.98)[(cells[1] > 0).astype(np.int64)]
+    return learned(about, one, len(dataset.features), len(dataset.observers), wrong)

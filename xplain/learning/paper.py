@@ -1,0 +1,242 @@
+"""The paper's way to the user types (docs/method.md, section 4; Soni et al. 2021, section 4.1).
+
+Each observer is a point: the smallest set of messages that makes every transition explicable to
+their own labeler. The points are partitioned into k = 1, 2, … groups, and k is where the curve of
+disagreements bends (docs/choices.md, "no elbow").
+
+Two labels disagree when they are of one cluster, transition and message set, and differ (paper,
+Definition 1). Within a *cell* (transition, message set) a cluster with z zeros and o ones has z · o
+such pairs.
+
+The smallest set is exact: fewest inexplicable transitions first (0 where possible), then fewest
+messages, then the order of the messages (of {0, 5} and {1, 2} the first, for it has the first
+message).
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import Count, Range, checks
+from xplain.explanation.message_sets import bits_of, subsets
+from xplain.learning.data.dataset import Dataset, inputs, query_index
+from xplain.learning.labelers import LabelerTrainer, by_sets, looked_at
+from xplain.learning.types import Clustering
+from xplain.randomness import derived_seed
+
+log = logging.getLogger(__name__)
+
+
+def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
+    """The number of clusters at the elbow, and the rule that gave it (also logged).
+
+    Kneedle (Satopää et al. 2011, the paper's choice) looks for the bend of a convex, decreasing
+    curve. Its knee stands, also where it is wrong: the first drop of the curve is the largest (it
+    parts most pairs of types at once), so that the knee often comes too early. The first rule that
+    applies:
+
+    1. ``flat zero``: nobody ever disagrees, k = 1.
+    2. ``kneedle``: its knee. Where it reports an end of the curve, as of concave ones, it found
+       none: a curve cannot bend at its end.
+    3. ``no knee, few``: the smallest k that leaves at most ``few`` of the disagreements at k = 1.
+    4. ``no knee, lowest``: no k does; the smallest k of the fewest disagreements.
+
+    Args:
+        curve: [K] disagreements for k = 1 … K.
+        few: a share in [0, 1), for where there is no knee.
+    """
+    # A partition into more clusters may be worse by chance; what counts is the best so far.
+    lowest = np.minimum.accumulate(curve)
+    if curve[0] == 0:
+        return _chosen(1, "flat zero", "no two observers disagree on any label")
+    knee = _kneedle(lowest)
+    if knee is not None:
+        return _chosen(
+            knee,
+            "kneedle",
+            f"there the curve of disagreements within types bends, from {curve[0]} with one type "
+            f"to {lowest[knee - 1]}",
+        )
+    why = "the curve of disagreements within types has no knee"
+    reached = np.flatnonzero(lowest <= few * lowest[0])
+    if len(reached):
+        k = int(reached[0]) + 1
+        why += f"; {k} is the first number of types that leaves at most {few:.2%}"
+        return _chosen(k, "no knee, few", why)
+    k = int(lowest.argmin()) + 1
+    why += f"; no number of types leaves only {few:.2%}, {k} the fewest"
+    return _chosen(k, "no knee, lowest", why)
+
+
+def _chosen(k: int, rule: str, why: str) -> tuple[int, str]:
+    log.info("%d user types by the rule %s: %s", k, rule, why)
+    return k, rule
+
+
+def _kneedle(curve: NDArray[np.int64]) -> int | None:
+    """The knee of a curve that never rises, strictly between its ends; None where it has none."""
+    from kneed import KneeLocator  # heavy: it imports pyplot
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # "no knee" is an answer here, not a warning
+        k = range(1, len(curve) + 1)
+        found = KneeLocator(k, curve.tolist(), curve="convex", direction="decreasing").knee
+    return int(found) if found is not None and 1 < found < len(curve) else None
+
+
+def disagreements(dataset: Dataset, assignments: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Of each of K clusterings [O]: [K]."""
+    cell = query_index(dataset)
+    ones, size = np.bincount(cell, weights=dataset.label), np.bincount(cell)
+    rows = np.flatnonzero(((ones > 0) & (ones < size))[cell])  # all others agree, and never count
+    cell, observer, label = cell[rows], dataset.observer[rows], dataset.label[rows]
+    found = []
+    for assignment in assignments:
+        both = cell * len(assignment) + assignment[observer]
+        own = np.unique(both, return_inverse=True)[1]
+        one = np.bincount(own, weights=label)
+        found.append(int(one @ (np.bincount(own) - one)))
+    return np.array(found, dtype=np.int64)
+
+
+def minimal_message_sets(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> NDArray[np.int64]:
+    """The vector of each observer, as a message set: [O].
+
+    Each observer's classifier is fitted to all of the observer's own labels; it is only asked
+    about them, so nothing is held out. All are fitted with the same seed: observers who answered
+    alike get the same vector. An observer without labels gets the empty set.
+
+    Raises:
+        TooLargeError: as :func:`minimal_message_set`.
+    """
+    x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
+    found = np.zeros(len(dataset.observers), dtype=np.int64)
+    order = np.argsort(dataset.observer, kind="stable")
+    edges = np.searchsorted(dataset.observer[order], np.arange(len(found) + 1))
+    for o in range(len(found)):
+        own = order[edges[o] : edges[o + 1]]
+        if len(own):
+            classifier = trainer.fitted(x[own], dataset.label[own], seed)
+            features = dataset.features[np.unique(dataset.transition[own])]
+            found[o] = minimal_message_set(classifier, features, dataset.n_messages)
+    return found
+
+
+def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messages: int) -> int:
+    """The smallest message set that makes every transition [T, F] explicable, as a bitmask.
+
+    Args:
+        classifier: fitted on :func:`xplain.learning.data.dataset.inputs`.
+        features: of the distinct transitions.
+        n_messages: n.
+
+    Raises:
+        TooLargeError: the classifier looks at too many messages.
+    """
+    messages = looked_at(classifier, features, n_messages)
+    sets = subsets(messages)
+    inexplicable = (by_sets(classifier.predict, features, sets, n_messages) == 0).sum(axis=0)
+    # Of {0, 5} and {1, 2} the first: the first message weighs most.
+    first = bits_of(np.arange(len(sets)), len(messages)) @ (1 << np.arange(len(messages)))[::-1]
+    return int(sets[np.lexsort((-first, np.bitwise_count(sets), inexplicable))[0]])
+
+
+class Partitioner(Protocol):
+    """The plug-in of :class:`Elbow`: any clustering into a given number of groups."""
+
+    def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
+        """Groups [O] of the vectors [O, n], at most k of them, equal vectors together."""
+        ...
+
+
+@checks("clusterer")
+@dataclass(frozen=True)
+class Elbow:
+    """The paper's learner: observers as minimal message sets, partitioned into k = 1, 2, …
+    groups, k at the elbow of the disagreements.
+
+    Attributes:
+        partition: how the vectors are grouped.
+        few: what may be left where there is no elbow (:func:`xplain.learning.paper.elbow`).
+        max_types: largest k tried; None is the number of observers (the paper).
+    """
+
+    partition: Partitioner
+    few: Annotated[float, Range(0, 1, "[)")] = 0.01
+    max_types: Count | None = None
+
+    def cluster(
+        self,
+        dataset: Dataset,
+        trainer: LabelerTrainer,
+        seed: int,
+        truth: NDArray[np.int64] | None,
+    ) -> Clustering:
+        """The partition at the elbow, with the curve of disagreements and the message sets.
+
+        Raises:
+            TooLargeError: as :func:`~xplain.learning.paper.minimal_message_set`.
+        """
+        seed = derived_seed(seed, "clusterer")
+        masks = minimal_message_sets(dataset, trainer, seed)
+        bits = bits_of(masks, dataset.n_messages)
+        longest = min(len(masks), self.max_types or len(masks))
+        distinct = min(len(np.unique(masks)), longest)
+        found = [
+            self.partition.partition(bits, k, derived_seed(seed, "partition", k) & 0xFFFFFFFF)
+            for k in range(1, distinct + 1)
+        ]
+        # More groups than distinct vectors cannot be told apart: the last partition stays.
+        curve = disagreements(dataset, found)
+        curve = np.concatenate([curve, np.full(longest - distinct, curve[-1])])
+        k, rule = elbow(curve, self.few)
+        name = type(self.partition).__name__.lower()
+        return Clustering(found[min(k, distinct) - 1], name, rule, curve, masks)
+
+
+@checks("clusterer.partition")
+@dataclass(frozen=True)
+class KMeans:
+    """Lloyd's k-means on the vectors (the paper), best of several starts."""
+
+    starts: Count = 10
+
+    def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
+        """Groups [O] of the vectors [O, n]."""
+        from sklearn.cluster import KMeans as Lloyd
+        from threadpoolctl import threadpool_limits
+
+        # Equal vectors are one point with a weight: the same answer at the size of the distinct.
+        distinct, where, weight = np.unique(
+            vectors, axis=0, return_inverse=True, return_counts=True
+        )
+        model = Lloyd(min(k, len(distinct)), n_init=self.starts, random_state=seed)
+        with threadpool_limits(1):  # a few points: threads would cost more than the work
+            groups = model.fit_predict(distinct.astype(np.float64), sample_weight=weight)
+        return np.asarray(groups[where.ravel()], dtype=np.int64)
+
+
+@checks("clusterer.partition")
+@dataclass(frozen=True)
+class Agglomerative:
+    """Hierarchical clustering of the vectors by Hamming distance."""
+
+    linkage: Literal["average", "complete", "single"] = "average"
+
+    def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
+        """Groups [O] of the vectors [O, n]."""
+        from scipy.cluster.hierarchy import fcluster, linkage
+
+        distinct, where = np.unique(vectors, axis=0, return_inverse=True)
+        if len(distinct) == 1:
+            return np.zeros(len(vectors), dtype=np.int64)
+        tree = linkage(distinct.astype(np.float64), method=self.linkage, metric="hamming")
+        groups = fcluster(tree, min(k, len(distinct)), criterion="maxclust") - 1
+        return np.asarray(groups[where.ravel()], dtype=np.int64)
