@@ -52,7 +52,8 @@ from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import sample_trace
 from xplain.learning.labelers import LabelerTrainer, split
 from xplain.learning.prediction import log_likelihoods
-from xplain.learning.types import Clustering, Perfect, UserTypes, label_table, learn_types
+from xplain.learning.types import Clustering
+from xplain.learning.user_types import Perfect, UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP

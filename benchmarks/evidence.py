@@ -46,7 +46,7 @@ from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent, Queries
 from xplain.learning.known_types import learn
 from xplain.learning.mixture import labeler as hypothesis_labeler
-from xplain.learning.types import label_table
+from xplain.learning.user_types import label_table
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
 from xplain.solvers.qmdp import QMDP

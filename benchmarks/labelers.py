@@ -46,7 +46,7 @@ from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import sample_trace
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.types import Perfect, UserTypes, label_table, learn_types
+from xplain.learning.user_types import Perfect, UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import series_style
 from xplain.solvers.qmdp import QMDP

@@ -73,7 +73,7 @@ from xplain.learning.data.observers import Observed, SimulatedObservers
 from xplain.learning.data.queries import Independent, Queries
 from xplain.learning.known_types import References, learn, learn_references
 from xplain.learning.mixture.labeler import HypothesisTrainer
-from xplain.learning.types import UserTypes, label_table
+from xplain.learning.user_types import UserTypes, label_table
 from xplain.questions.designs import Adaptive, Battery
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES

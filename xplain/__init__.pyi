@@ -21,13 +21,13 @@ from xplain.interaction.explainees import SimulatedUser as SimulatedUser
 from xplain.interaction.explainer import Explainer as Explainer
 from xplain.interaction.explainer import GivenTypes as GivenTypes
 from xplain.interaction.session import Session as Session
-from xplain.learning.clustering import Clusterer as Clusterer
-from xplain.learning.clustering import Clustering as Clustering
 from xplain.learning.data.dataset import Dataset as Dataset
 from xplain.learning.data.queries import Answer as Answer
 from xplain.learning.data.queries import Queries as Queries
 from xplain.learning.labelers import LabelerTrainer as LabelerTrainer
-from xplain.learning.saved_types import LearnedTypes as LearnedTypes
+from xplain.learning.saved import LearnedTypes as LearnedTypes
+from xplain.learning.types import Clustering as Clustering
+from xplain.learning.user_types import Clusterer as Clusterer
 from xplain.questions.questionnaire import Questionnaire as Questionnaire
 from xplain.randomness import stream as stream
 from xplain.runs.api import Run as Run

@@ -11,7 +11,7 @@ from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.classes import SHRINKAGE, answer_classes
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import held_out
-from xplain.learning.types import Single
+from xplain.learning.user_types import Single
 
 
 def answered(labels: np.ndarray, asked: np.ndarray | None = None) -> Dataset:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from xplain.errors import InputError
-from xplain.learning.mixture.answers import (
+from xplain.learning.answers import (
     RATE_PRIOR,
     RATES,
     AnswerModel,

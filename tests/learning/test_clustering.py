@@ -12,10 +12,10 @@ from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.paper import Agglomerative, Elbow, KMeans, Partitioner, disagreements
-from xplain.learning.types import (
+from xplain.learning.types import Clustering
+from xplain.learning.user_types import (
     AskedOnce,
     Clusterer,
-    Clustering,
     Perfect,
     Single,
     UserTypes,

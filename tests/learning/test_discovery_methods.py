@@ -24,8 +24,8 @@ from xplain.learning.mixture.sampler import (
     sample,
 )
 from xplain.learning.prediction import held_out
-from xplain.learning.types import (
-    Clustering,
+from xplain.learning.types import Clustering
+from xplain.learning.user_types import (
     Perfect,
     Single,
     base_rate,

@@ -9,7 +9,8 @@ from tests.learning.conftest import made
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.prediction import calibration, held_out, predicted
-from xplain.learning.types import Clustering, Single, learn_types
+from xplain.learning.types import Clustering
+from xplain.learning.user_types import Single, learn_types
 
 
 def test_an_observer_is_predicted_by_the_types_that_their_labels_speak_for(

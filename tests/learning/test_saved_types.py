@@ -11,11 +11,12 @@ from sklearn.tree import DecisionTreeClassifier
 
 from xplain import Explainer, LearnedTypes
 from xplain.errors import InputError
+from xplain.learning.answers import ErrorRates, QuestionErrors
 from xplain.learning.data.dataset import Dataset, encoded
 from xplain.learning.data.label_file import read_table
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.mixture.answers import ErrorRates, QuestionErrors
-from xplain.learning.types import Clustering, learn_types
+from xplain.learning.types import Clustering
+from xplain.learning.user_types import learn_types
 
 
 def dataset(seed=0, points=400, messages=3):

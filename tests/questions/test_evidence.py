@@ -8,9 +8,7 @@ import pytest
 
 from tests.questions.test_people_who_err import asked, erring, hypotheses
 from xplain.learning.data.observers import Observed
-from xplain.learning.known_types import learn
-from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.mixture.evidence import (
+from xplain.learning.evidence import (
     BEATEN,
     BEFORE,
     COIN,
@@ -20,9 +18,11 @@ from xplain.learning.mixture.evidence import (
     parts,
     stacked,
 )
+from xplain.learning.known_types import learn
+from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
-from xplain.learning.types import Single, learn_types
+from xplain.learning.user_types import Single, learn_types
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -15,7 +15,8 @@ from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import held_out, predicted
 from xplain.learning.saved import LearnedTypes
-from xplain.learning.types import Clustering, Single, learn_types
+from xplain.learning.types import Clustering
+from xplain.learning.user_types import Single, learn_types
 
 
 def hypotheses(seed=1, facts=4, transitions=30):

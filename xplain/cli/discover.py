@@ -46,7 +46,7 @@ from xplain.learning.known_types import learn
 from xplain.learning.paper import minimal_message_set
 from xplain.learning.prediction import Tenth, held_out, predicted
 from xplain.learning.saved import LearnedTypes
-from xplain.learning.types import UserTypes, with_none_of_these
+from xplain.learning.user_types import UserTypes, with_none_of_these
 from xplain.randomness import run_seed
 
 Row = dict[str, Any]

@@ -17,7 +17,7 @@ from xplain.errors import InputError
 from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.message_sets import subsets
-from xplain.learning.known_types import TablesOf
+from xplain.learning.types import TablesOf
 from xplain.randomness import stream
 
 TOLD = 0.01

@@ -6,76 +6,21 @@ Observed ── find_types ── KnownTypes (tables of any trace)
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, TooLargeError, XplainError
-from xplain.explanation.habits import Habits
-from xplain.explanation.label_table import LabelTable
+from xplain.errors import InputError, XplainError
 from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.prediction import fresh_accuracy
-from xplain.learning.types import AskedOnce, Clusterer, Perfect, UserTypes, learn_types
+from xplain.learning.types import KnownTypes, TraceTables, unless_too_large
+from xplain.learning.user_types import AskedOnce, Clusterer, Perfect, UserTypes, learn_types
 
 log = logging.getLogger(__name__)
-
-
-class TraceTables(NamedTuple):
-    """P(label is 1) of a trace's m transitions under every message set.
-
-    Attributes:
-        learned: of N types that solvers plan with.
-        everyone: of one labeler for everybody; None where it looks at too many messages.
-        perfect: of M true types, what the oracle knows of each; None where there is no oracle.
-    """
-
-    learned: LabelTable
-    everyone: LabelTable | None
-    perfect: LabelTable | None
-
-
-def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:
-    """The table, or None where it would be too large: a labeler for everybody looks at what any
-    type looks at, and few runs ask for it."""
-    try:
-        return make()
-    except TooLargeError:
-        return None
-
-
-TablesOf = Callable[[NDArray[np.float64], NDArray[np.int64]], TraceTables]
-
-
-@dataclass(frozen=True)
-class KnownTypes:
-    """What agents know of the users.
-
-    Attributes:
-        names: N of the types.
-        matched_true_type: [N] for each the ``distinct`` number of the true type it stands for,
-            −1 unknown.
-        shares: [N] of the observers.
-        figures: of the learning stage, by name.
-        curve: disagreements for k = 1 … (empty where there are none).
-        rule: what decided the number of types.
-        tables: what follows for a trace, by the features [m, F] of its transitions [m, 3].
-        habits: how people err, as far as their answers tell.
-        wrong: [N, n] P(a user of the type holds a fact wrong); None where that is unknown.
-    """
-
-    names: tuple[str, ...]
-    matched_true_type: NDArray[np.int64]
-    shares: NDArray[np.float64]
-    figures: dict[str, float]
-    curve: NDArray[np.float64]
-    rule: str
-    tables: TablesOf
-    habits: Habits | None = None
-    wrong: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -160,7 +105,7 @@ def learn(
         trainer: fits labelers.
         clusterer: finds the types.
         seed: of the run.
-        known: see :func:`xplain.learning.types.learn_types`.
+        known: see :func:`xplain.learning.user_types.learn_types`.
     """
     trainer, dataset = trainer.given(observed), observed.dataset
     clustering = clusterer.cluster(dataset, trainer, seed, observed.behaviour)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 from xplain.errors import InputError, Range, TooLargeError, checks
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import subsets
+from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset, inputs, query_index
 from xplain.learning.data.observers import Observed
+from xplain.learning.evidence import Evidence
+from xplain.learning.types import Clustering, KnownTypes
 from xplain.randomness import derived_seed, stream
-
-if TYPE_CHECKING:
-    from xplain.learning.known_types import KnownTypes
-    from xplain.learning.mixture.answers import AnswerModel
-    from xplain.learning.mixture.evidence import Evidence
-    from xplain.learning.types import Clustering
 
 MOST_LOOKED_AT = 16
 """Messages that may change a labeler's predictions about one trace."""
@@ -282,6 +279,14 @@ class LabelerTrainer:
         names = [name for name in model.get_params() if name.split("__")[-1] == "random_state"]
         model.set_params(**dict.fromkeys(names, state))
         return model.fit(x, y)
+
+
+def cheap() -> LabelerTrainer:
+    """Learns from labels alone at little cost: a pruned tree foretells about as well as boosting
+    (benchmarks/README.md)."""
+    from sklearn.tree import DecisionTreeClassifier
+
+    return LabelerTrainer(DecisionTreeClassifier(ccp_alpha=0.004), confidence="leaf")
 
 
 def looked_at(classifier: Any, features: NDArray[np.float64], n_messages: int) -> Sequence[int]:

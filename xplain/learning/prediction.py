@@ -10,16 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
+from xplain.learning.answers import truth
 from xplain.learning.data.dataset import Dataset, places, query_index
 from xplain.learning.labelers import Labeler, LabelerTrainer, by_question, split
-from xplain.learning.mixture.answers import truth
-from xplain.learning.types import (
-    Clusterer,
-    Clustering,
-    Single,
-    UserTypes,
-    learn_types,
-)
+from xplain.learning.types import Clustering
+from xplain.learning.user_types import Clusterer, Single, UserTypes, learn_types
 from xplain.randomness import derived_seed, stream
 
 EDGE = 0.002

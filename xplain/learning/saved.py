@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
+from xplain.learning.answers import ErrorRates, QuestionErrors
 from xplain.learning.data.dataset import Dataset, encoded, places
 from xplain.learning.data.label_file import MAX_MASK
 from xplain.learning.labelers import Labeler, OfTruth
-from xplain.learning.mixture.answers import ErrorRates, QuestionErrors
-from xplain.learning.types import UserTypes, label_table
+from xplain.learning.user_types import UserTypes, label_table
 
 TREE = "sklearn.tree._tree.Tree"
 """What skops does not vouch for, as its arrays may be of no tree: they are checked here."""
@@ -140,7 +140,7 @@ class LearnedTypes:
         """The types that were learned from a dataset.
 
         Args:
-            types: of :func:`xplain.learning.types.learn_types`.
+            types: of :func:`xplain.learning.user_types.learn_types`.
             dataset: what they were learned from.
             sentences: what to say for each message.
         """

@@ -4,7 +4,7 @@
 What it knows of a type is a posterior over fact sets. Where a cell was asked about and the answers
 contradict the hypotheses, its label goes by the answers
 (:mod:`xplain.learning.mixture.likelihood`); all others stay with the hypotheses. These are weighed
-against labels alone (:mod:`xplain.learning.mixture.evidence`).
+against labels alone (:mod:`xplain.learning.evidence`).
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import bits_of, indices, names_of, subsets
+from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
+from xplain.learning.evidence import DOUBTED, Evidence, foretold
 from xplain.learning.labelers import (
     Labeler,
     LabelerTrainer,
     OfTruth,
+    cheap,
     check_looked_at,
     paper_tree,
 )
-from xplain.learning.mixture.answers import AnswerModel
-from xplain.learning.mixture.evidence import DOUBTED, Evidence, cheap, foretold
 from xplain.learning.mixture.likelihood import (
     DEVIATION,
     ERROR,
@@ -321,7 +322,7 @@ class HypothesisTrainer(LabelerTrainer):
     Labels of another task (with other features or messages) say nothing about the hypotheses, and
     are learned without them; so are transitions that the hypotheses do not know. Where people of a
     type think otherwise than the hypotheses say, these are weighed against what is learned without
-    them (:mod:`xplain.learning.mixture.evidence`).
+    them (:mod:`xplain.learning.evidence`).
 
     Attributes:
         classifier: learns from labels alone; any of scikit-learn that gives probabilities.

@@ -3,7 +3,7 @@ it compares.
 
 Who holds the facts R wrong and was told H is in the *cell* (τ, R \ H) when asked about τ. Its
 label f is that of the hypotheses but with probability δ, and an answer is not a label
-(:mod:`xplain.learning.mixture.answers`)::
+(:mod:`xplain.learning.answers`)::
 
     P(answers in a cell) = Σ_f P(f | hypotheses, δ) Π P(answer | f)
 
@@ -32,8 +32,8 @@ from scipy.special import logsumexp
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import DomainError, TooLargeError
+from xplain.learning.answers import summed
 from xplain.learning.data.dataset import numbered, places
-from xplain.learning.mixture.answers import summed
 
 log = logging.getLogger(__name__)
 

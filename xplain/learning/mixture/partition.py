@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, gammaln, logsumexp, softmax
 
-from xplain.learning.mixture import answers as answer_model
-from xplain.learning.mixture.answers import AnswerModel, summed
+from xplain.learning import answers as answer_model
+from xplain.learning.answers import AnswerModel, summed
 from xplain.learning.mixture.likelihood import (
     ERROR,
     Answers,

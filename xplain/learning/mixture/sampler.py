@@ -36,9 +36,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, Range, TooLargeError, checks
+from xplain.learning.answers import AnswerModel, CellAnswers, learned
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.mixture.answers import AnswerModel, CellAnswers, learned
 from xplain.learning.mixture.classes import answer_classes
 from xplain.learning.mixture.kernels import (
     ADDED,

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.mixture.evidence import Evidence
+from xplain.learning.evidence import Evidence
 from xplain.learning.mixture.labeler import TwoWays, by_observer
 from xplain.learning.mixture.likelihood import KnownTransitions
 from xplain.learning.mixture.partition import partition

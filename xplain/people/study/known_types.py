@@ -18,7 +18,7 @@ from xplain.explanation.habits import Habits
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import Labeler
 from xplain.learning.saved import LearnedTypes
-from xplain.learning.types import Perfect
+from xplain.learning.user_types import Perfect
 from xplain.randomness import stream
 
 

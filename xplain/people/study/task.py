@@ -18,7 +18,7 @@ from xplain.explanation.asking import Pool, alike_first, nearest_first
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.learning.data.queries import sample_trace
-from xplain.learning.types import label_table
+from xplain.learning.user_types import label_table
 from xplain.people.own_table import Source
 from xplain.people.plan import Task, Told, Way
 from xplain.people.study import content

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.labelers import LabelerTrainer
 
 PARTS = 4
 """Of each observer's answers; the first is learned from, and not foretold."""
@@ -104,14 +103,6 @@ class Evidence:
             f"{fit}: each next answer takes {own:.2f} nats by hypotheses, {others:.2f} by labels "
             f"alone, {COIN:.2f} by a coin (less is better)"
         )
-
-
-def cheap() -> LabelerTrainer:
-    """Learns from labels alone at little cost: a pruned tree foretells about as well as boosting
-    (benchmarks/README.md)."""
-    from sklearn.tree import DecisionTreeClassifier
-
-    return LabelerTrainer(DecisionTreeClassifier(ccp_alpha=0.004), confidence="leaf")
 
 
 def stacked(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
