@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from xplain.domains.pddl.domain import PDDL
-from xplain.domains.pddl.translator import read_task
+from xplain.domains.pddl.task import read_task
 from xplain.errors import TooLargeError, XplainError
 
 UNSUPPORTED = r"a condition with \w+ is not|derived predicates"

@@ -69,7 +69,7 @@ class TestQueries(QueriesConformance):
 
 
 class TestLabelers(LabelerConformance):
-    @pytest.fixture(params=shipped("labeler", "true"))
+    @pytest.fixture(params=shipped("labeler", "truth"))
     def component(self, request: pytest.FixtureRequest) -> Any:
         made = request.param.component
         if isinstance(made, HypothesisTrainer):

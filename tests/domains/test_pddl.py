@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, given, setting_of
-from xplain.domains.pddl.beliefs import explore
 from xplain.domains.pddl.domain import PDDL
-from xplain.domains.pddl.translator import Source
+from xplain.domains.pddl.grounding import explore
+from xplain.domains.pddl.task import Source
 from xplain.errors import TooLargeError
 
 up = pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")

@@ -13,10 +13,8 @@ import pytest
 
 from tests.domains.configs import given
 from xplain.domains.pddl.domain import PDDL
-from xplain.domains.pddl.facts import describe, find_differences, read_changes
-from xplain.domains.pddl.task import changed, texts
-from xplain.domains.pddl.translator import Source, read_task
-from xplain.domains.pddl.words import Words, gerund
+from xplain.domains.pddl.facts import Words, describe, find_differences, gerund, read_changes
+from xplain.domains.pddl.task import Source, changed, read_task, texts
 
 pytest.importorskip("fast_downward", reason="pip install 'xplain-hri[pddl]'")
 

@@ -13,7 +13,7 @@ from hydra.utils import instantiate
 from tests.domains.configs import given
 from tests.domains.downward import plan_cost
 from xplain.domains.pddl.domain import PDDL
-from xplain.domains.pddl.translator import Source
+from xplain.domains.pddl.task import Source
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import XplainError
 from xplain.experiment.config import composed
@@ -272,6 +272,6 @@ def test_a_type_whose_beliefs_leave_no_plan_is_named() -> None:
 
 
 def test_without_the_translator_the_error_names_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("xplain.domains.pddl.translator.lifted", None)
+    monkeypatch.setattr("xplain.domains.pddl.task.lifted", None)
     with pytest.raises(XplainError, match=r"pip install 'xplain-hri\[pddl\]'"):
         PDDL(**given("blocks"))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.questions.tables import random_hypotheses
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
-from xplain.questions.battery import battery
+from xplain.questions.designs import battery
 
 
 def separated(hypotheses, transitions, told):

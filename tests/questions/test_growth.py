@@ -18,8 +18,7 @@ from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.mixture.labeler import MOST, HypothesisTrainer
 from xplain.learning.mixture.likelihood import LIKELY, grown, posterior_by
 from xplain.learning.mixture.sampler import DirichletMixture
-from xplain.questions.battery import battery
-from xplain.questions.designs import Adaptive
+from xplain.questions.designs import Adaptive, battery
 
 FACTS = 7
 

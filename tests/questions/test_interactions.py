@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.questions.interactions import Interactions
-from xplain.questions.matrix import QuestionMatrix, questions_of
+from xplain.questions.matrix import Interactions, QuestionMatrix, questions_of
 
 seeds = st.integers(0, 10_000)
 FACTS, TRANSITIONS = 5, 6

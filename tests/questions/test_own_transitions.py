@@ -99,3 +99,8 @@ def test_files_that_are_no_tables_are_one_line(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=said) as caught:
             read_transitions(tmp_path / name)
         assert "\n" not in str(caught.value)
+
+
+def test_a_missing_fact_is_none(tmp_path):
+    own = read_transitions(written(tmp_path, "text,inexplicable_if\nb,x\na,NA\nc,\nd,null\n"))
+    assert own.facts == (("x",), (), (), ())

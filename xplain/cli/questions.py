@@ -23,8 +23,7 @@ from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
-from xplain.questions.battery import battery
-from xplain.questions.designs import Battery
+from xplain.questions.designs import Battery, battery
 from xplain.questions.own_transitions import read_transitions
 from xplain.randomness import run_seed
 from xplain.storage import written_whole

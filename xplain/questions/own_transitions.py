@@ -13,7 +13,7 @@ from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
-from xplain.learning.data.cells import one_hot, read_cells
+from xplain.learning.data.cells import MISSING, one_hot, read_cells
 from xplain.learning.data.label_file import read_features
 
 TEXT, IMAGE, ALT, WHEN = "text", "image", "alt", "inexplicable_if"
@@ -96,8 +96,8 @@ def read_transitions(path: str | Path) -> OwnTransitions:
         raise InputError("transitions", TEXT, f"a text in every row; missing in row {row}")
     facts = None
     if WHEN in words:
-        cells = (map(str.strip, cell.split(";")) for cell in words[WHEN])
-        facts = tuple(tuple(filter(None, cell)) for cell in cells)
+        cells = ("" if cell in MISSING else cell for cell in words[WHEN])
+        facts = tuple(tuple(filter(None, map(str.strip, cell.split(";")))) for cell in cells)
     described = table.drop(columns=[TEXT, IMAGE, ALT, WHEN], errors="ignore")
     named = len(described.columns) > 0
     features, names = read_features(described, key="transitions") if named else (None, ())

@@ -21,11 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.domains.users.hypotheses import Hypotheses
-from xplain.domains.users.label_tables import prior_over
+from xplain.domains.users.hypotheses import Hypotheses, prior_over
 from xplain.errors import InputError, Range, number, whole_number
-from xplain.questions.information import Posterior
-from xplain.questions.matrix import WeighedQuestions, questions_of
+from xplain.questions.matrix import Posterior, WeighedQuestions, questions_of
 from xplain.randomness import stream
 
 NONE_ERROR = 1 / 3

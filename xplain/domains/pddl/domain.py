@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import chain, combinations, islice
+from itertools import chain, combinations, islice, product
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,9 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Parameter
 from xplain.domains.goal_task import GoalTask
-from xplain.domains.pddl.beliefs import BelievedTask
-from xplain.domains.pddl.facts import describe, find_differences, read_changes
-from xplain.domains.pddl.features import count
-from xplain.domains.pddl.grounding import Wrong
-from xplain.domains.pddl.task import Items
-from xplain.domains.pddl.translator import read_task
-from xplain.domains.pddl.words import Words
+from xplain.domains.pddl.facts import Words, describe, find_differences, read_changes
+from xplain.domains.pddl.grounding import BelievedTask, Wrong
+from xplain.domains.pddl.task import Item, Items, Source, Task, read_task, read_text, substitute
 from xplain.errors import (
     Count,
     DomainError,
@@ -31,6 +28,45 @@ from xplain.errors import (
     one_of,
     sentence,
 )
+
+
+def count(
+    key: str,
+    patterns: str | Sequence[str],
+    task: Task,
+    atoms: Sequence[str],
+    table: NDArray[np.bool_],
+) -> NDArray[np.int64]:
+    """[S] the number of ways to replace the variables so that all patterns hold.
+
+    Args:
+        key: of the feature in the configuration, for errors.
+        patterns: atoms such as (on ?x b).
+        task: the robot's.
+        atoms: those that can change.
+        table: [S, atoms] whether each holds.
+
+    Raises:
+        InputError: a pattern is not an atom of the task.
+    """
+    listed = [patterns] if isinstance(patterns, str) else patterns
+    if not isinstance(listed, Sequence) or not listed:
+        raise InputError(key, patterns, "an atom such as (on ?x b), or a list of them")
+    variables = sorted(set(re.findall(r"\?[^\s()?]+", str(listed).lower())))
+    wanted = []
+    for pattern in listed:
+        source = Source(key, pattern, str(pattern).lower())
+        wanted.append(read_text(task, [(name, "object") for name in variables], source))
+    column = {atom: i for i, atom in enumerate(atoms)}
+    result = np.zeros(len(table), dtype=np.int64)
+    for objects in product(task.objects, repeat=len(variables)):
+        binding = dict(zip(variables, objects, strict=True))
+        held = [substitute(text, binding) for text in wanted]
+        if all(atom in column or Item("initial", "", atom) in task.items for atom in held):
+            # Atoms that never change are here only if they hold in all states.
+            result += table[:, [column[atom] for atom in held if atom in column]].all(axis=1)
+    return result
+
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +93,7 @@ class PDDL:
             (:mod:`xplain.domains.pddl.facts`). Without it, the fact is the difference of this
             name, or those that ``join`` lists, as one fact. Sentences that are not given are made
             from the change.
-        words: see :class:`~xplain.domains.pddl.words.Words`.
+        words: see :class:`~xplain.domains.pddl.facts.Words`.
         features: counts for a labeler, in addition to the atoms: ``{name: pattern, or a list of
             them}``, the number of ways to replace ``?x`` so that all patterns hold, such as
             (at ?package airport).

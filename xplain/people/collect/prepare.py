@@ -26,8 +26,7 @@ from xplain.people.collect.plan import (
 from xplain.people.own_table import Source, own_table
 from xplain.people.plan import Fact, Told, lab_questions
 from xplain.people.wording import each, fixed, of_states, parts, way_of
-from xplain.questions.battery import battery
-from xplain.questions.designs import Adaptive, Battery
+from xplain.questions.designs import Adaptive, Battery, battery
 from xplain.randomness import derived_seed, run_seed, stream
 
 
