@@ -18,6 +18,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.data.queries import Queries, Shared
+from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import Clustering
 
 TRUTH = np.array([2, 0, 0, 1, 2, 2, 1, 2])
@@ -51,12 +52,11 @@ class Rate:
         return np.full(len(features), self.rate >= 0.5)
 
 
-@dataclass
-class Rates:
+@dataclass(frozen=True)
+class Rates(LabelerTrainer):
     """Fits :class:`Rate`, and writes its seeds down."""
 
     n_test: int = 1
-    holdout: float = 0.25
     seeds: list[int] = field(default_factory=list)
 
     def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> Rate:
@@ -64,9 +64,6 @@ class Rates:
         # Where a test asks for it, the labelers of small clusters are left untested.
         untested = self.n_test == 0 and len(set(dataset.observer.tolist())) == 1
         return Rate(float(dataset.label.mean()), 0 if untested else 1)
-
-    def given(self, observed: Observed) -> Rates:
-        return self
 
 
 @dataclass(frozen=True)

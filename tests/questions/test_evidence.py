@@ -64,7 +64,7 @@ TYPES = np.repeat([0, 1], 3)
 
 
 def evidence_of(known, data):
-    return HypothesisTrainer(hypotheses=known).with_errors(data, TYPES).evidence
+    return HypothesisTrainer(hypotheses=known).with_errors(data, TYPES)[2]
 
 
 def test_no_answer_is_foretold_by_itself_or_a_later_one_or_by_other_types():
@@ -128,11 +128,11 @@ def test_where_labels_alone_foretell_better_their_labels_are_mixed_in():
     rng, known = np.random.default_rng(1), hypotheses(transitions=60)
     data = asked(known, [3] * 6, 50, rng, lambda label, t: known.features[t, 0] >= 30)
     trainer = HypothesisTrainer(hypotheses=known)
-    weighed = trainer.with_errors(data, np.zeros(6, dtype=np.int64))
-    assert weighed.evidence.lost
-    assert weighed.evidence.trust[0] < 0.9
+    weighed, _, evidence = trainer.with_errors(data, np.zeros(6, dtype=np.int64))
+    assert evidence.lost
+    assert evidence.trust[0] < 0.9
     told = np.zeros(60, dtype=np.int64)
-    trust = weighed.evidence.trust[0]
+    trust = evidence.trust[0]
     own = replace(weighed, evidence=None).fit(data, 0).probability(known.features, told)
     alone = LabelerTrainer(trainer.classifier, confidence="leaf").fit(data, 0)
     mixed = trust * own + (1 - trust) * alone.probability(known.features, told)

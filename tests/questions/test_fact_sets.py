@@ -317,5 +317,5 @@ def test_what_nobody_wrote_down_is_told_of(tmp_path, caplog):
         data = dataset_of(known, said)
         trainer.find_types(data, 1.0)
         assert ("fact_3" in caplog.text) == warned
-        evidence = trainer.with_errors(data, np.zeros(3, dtype=np.int64)).evidence
+        evidence = trainer.with_errors(data, np.zeros(3, dtype=np.int64))[2]
         assert (evidence.unwritten[0] > 0.5, evidence.otherwise, evidence.lost) == (warned,) * 3
