@@ -97,3 +97,18 @@ def test_rounding_makes_beliefs_equal_whatever_the_order_of_evidence() -> None:
     assert np.array_equal(rounded(beliefs[0]), rounded(beliefs[1]))
     assert rounded(beliefs[0]) == pytest.approx(beliefs[0], abs=1e-12)
     assert not np.array_equal(rounded(np.array([0.5])), rounded(np.array([0.5 + 1e-11])))
+
+
+@settings(deadline=None, max_examples=50)
+@given(tiny_problems(), st.data())
+def test_who_cannot_tell_says_nothing(problem: Problem, data: st.DataObject) -> None:
+    """A label 2 leaves the belief where the other labels alone lead it."""
+    labels = np.array(data.draw(st.lists(st.sampled_from((0, 1, 2)), min_size=1, max_size=1)))
+    shown = data.draw(st.integers(0, (1 << problem.n_messages) - 1))
+    after = update(problem, problem.start, shown, labels.astype(np.uint8))
+    known = np.flatnonzero(labels < 2)
+    alone = update(problem, problem.start, shown, labels.astype(np.uint8), labels < 2)
+    assert after == pytest.approx(alone, abs=1e-12)
+    assert len(known) or after == pytest.approx(
+        update(problem, problem.start, shown, labels.astype(np.uint8), slice(0, 0)), abs=1e-12
+    )

@@ -53,6 +53,8 @@ def test_bots_take_part_and_the_data_goes_all_the_way(
         archive = tmp_path / "study.zip"
         arguments = ["--url", server.url, "--key", server.key, "--count", "24", "--at-once", "6"]
         main(["study", "bots", *arguments, "--leaving", "0.01", "--save", str(archive)])
+        backup = tmp_path / "backup.sqlite"  # made while the server runs
+        main(["study", "backup", str(database), str(backup)])
         with pytest.raises(SystemExit) as ended:
             main(["study", "bots", "--url", server.url, "--key", "wrong"])
         assert ended.value.code == 2
@@ -60,7 +62,7 @@ def test_bots_take_part_and_the_data_goes_all_the_way(
     with zipfile.ZipFile(archive) as out:
         out.extractall(tmp_path)
     capsys.readouterr()
-    for path in (tmp_path / "study" / "snapshot.sqlite", database):
+    for path in (backup, database):
         main(["study", "replay", str(path)])
         assert "all equal" in capsys.readouterr().out
     main(["study", "analyse", str(tmp_path / "study"), "--stream", "bot"])
@@ -150,10 +152,12 @@ def test_from_bots_to_types(
         habits = ["--error", "0.05", "--lapse", "0.02"]
         main(["collect", "bots", *arguments, *habits, "--save", str(archive)])
         assert "24 done" in capsys.readouterr().out
+        backup = tmp_path / "backup.sqlite"
+        main(["collect", "backup", str(database), str(backup)])
     with zipfile.ZipFile(archive) as out:
         out.extractall(tmp_path)
     data = tmp_path / "study"
-    for path in (data / "snapshot.sqlite", database):
+    for path in (backup, database):
         everything_replays("collect", path, capsys)
     main(["collect", "export", str(database), "again"])
     assert (tmp_path / "again/labels_bot.csv").read_text() == (data / "labels_bot.csv").read_text()

@@ -96,7 +96,7 @@ def test_what_is_missing_or_cannot_be_is_refused(kind: str) -> None:
     for state in states(kind)[:-1]:
         if flow.waits_for(state) in ("read", "answers"):
             continue  # reading and answering nothing are both allowed
-        for wrong in ({}, {"labels": [2]}, {"labels": [None]}, {"labels": [1] * 9, "stated": [0]}):
+        for wrong in ({}, {"labels": [3]}, {"labels": [None]}, {"labels": [1] * 9, "stated": [0]}):
             with pytest.raises(Refused):
                 flow.advance(state, flow.waits_for(state), wrong)
 

@@ -243,7 +243,7 @@ def backup(name: str, arguments: list[str]) -> None:
     given = parsed(f"xplain {name} backup", arguments, "database", "file")
     from xplain.people.analysis.stored import copied
 
-    copied(given.database, given.file)
+    copied(given.database, Path(given.file))
     print(f"backup in {given.file}, its key in {given.file}.key: keep both secret")
 
 

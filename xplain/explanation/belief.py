@@ -113,7 +113,8 @@ def update(
         problem: of N hidden types.
         belief: [N], or [rows · N] where users may miss or forget messages.
         message_set: H, all messages given so far.
-        labels: [k + 1] of 0 and 1, the user's labels of the prefix.
+        labels: [k + 1] the user's labels of the prefix, 0 or 1; 2 where they cannot tell, which is
+            no evidence.
         evidence: which of them count.
 
     Returns:
@@ -153,7 +154,8 @@ def _after(
         p = table.answered[: len(labels)].reshape(len(labels), -1).T[:, evidence]
     else:
         p = table.answer_probabilities(len(labels), message_set)[:, evidence]
-    likelihood = np.where(labels[evidence] == 1, p, 1 - p)
+    given = labels[evidence]
+    likelihood = np.where(given == 1, p, np.where(given == 0, 1 - p, 1.0))
     with np.errstate(divide="ignore"):
         log_posterior = np.log(belief) + np.log(likelihood).sum(axis=1)
     top = log_posterior.max()

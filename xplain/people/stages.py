@@ -10,6 +10,9 @@ from xplain.errors import Refused
 from xplain.people.flow import F, Form, S, Stage
 from xplain.people.plan import LabQuestion
 
+CANNOT_TELL = 2
+"""The answer of somebody who cannot tell whether a step makes sense: no evidence of anything."""
+
 
 class Consent(Stage[F, S]):
     """The consent, to the text as it is now."""
@@ -42,13 +45,13 @@ class OneLabel(Stage[F, S]):
         """The label."""
         return {"label": small(form.get("label"))}
 
-    def label(self, flow: F, payload: Mapping[str, Any]) -> int:
-        """What was chosen.
+    def label(self, flow: F, payload: Mapping[str, Any], count: int = 2) -> int:
+        """What was chosen, of so many answers.
 
         Raises:
             Refused: nothing.
         """
-        return choice(payload.get("label"), 2, flow.words[self.missing])
+        return choice(payload.get("label"), count, flow.words[self.missing])
 
 
 class Practice(OneLabel[F, S]):

@@ -28,10 +28,12 @@ from xplain.people.collect.asking import (
 )
 from xplain.people.collect.bot import Habits, Observer, take_part
 from xplain.people.collect.flow import Collection
+from xplain.people.collect.labels import dataset_of
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.collect.site import CollectSite
 from xplain.people.server.store import Store
 from xplain.people.simulation.bots import answer
+from xplain.people.stages import CANNOT_TELL
 from xplain.questions.designs import Adaptive, Battery
 
 COLLECTION = street_collection()
@@ -340,3 +342,20 @@ def test_changed_code_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     monkeypatch.setattr(flow, "derived_seed", lambda *names: 7)
     with pytest.raises(XplainError, match="decides differently"):
         Store(tmp_path / "c.sqlite", CollectSite.of(site_of("collect").plan))
+
+
+def test_who_cannot_tell_gives_no_evidence_and_is_not_asked_the_same_again() -> None:
+    """Every answer is "I cannot tell": what is thought of them stays as it was before."""
+    begun = COLLECTION.advance(CollectState(), "consent", consent(COLLECTION))
+    person, state = Observer(COLLECTION.plan, 3, FAULTLESS, np.random.default_rng(5)), begun
+    while state.stage != "beliefs":
+        kind, payload = answer(COLLECTION, person, state)
+        if state.clip:
+            payload = {"labels": [CANNOT_TELL] * state.clip.size}
+        state = COLLECTION.advance(state, kind, payload)
+    asked = [(one.transitions, one.told) for one in state.questions()]
+    possible = COLLECTION.questionnaire(begun).alternatives(200)
+    assert len(set(asked)) == min(len(asked), len(possible))
+    assert state.belief == belief(COLLECTION.questionnaire(begun))
+    assert (state.attentive, state.consistency) == (True, None)
+    assert len(dataset_of(COLLECTION.plan, {"ann": state}).label) == 0

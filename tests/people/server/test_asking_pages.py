@@ -46,7 +46,7 @@ def test_a_question_comes_with_the_messages_and_moves_no_progress(store: Store) 
                 assert {*page.messages} == told
                 assert "New message" not in html
                 assert page.headings == ["One step in between"]
-                assert re.findall('name="label" value="(.)" required>', html) == ["1", "0"]
+                assert re.findall('name="label" value="(.)" required>', html) == ["1", "0", "2"]
                 assert "checked" not in html
                 seen += 1
             told = {*page.messages}

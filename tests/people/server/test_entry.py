@@ -122,7 +122,7 @@ def test_an_invitation_with_the_full_stop_of_a_sentence_is_found(store: Store) -
 def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -> None:
     """Whether the proxy in front takes the path off or not."""
     client = create_app(store, replace(GENEROUS, address=ADDRESS, https=False)).test_client()
-    entrance = client.get(f"{given}/?invitation=x")
+    entrance = client.get(f"{given}/?invitation=x", headers={"X-Forwarded-Prefix": "/robots"})
     assert 'action="/robots/enter"' in entrance.text
     assert 'href="/robots/static/study.css"' in entrance.text
     with client.get(f"{given}/static/study.css") as style:

@@ -33,7 +33,7 @@ _WHOLE = {
     *("inexplicable_transitions", "quiz_score", "timed_out", "window_width", "attention_missed"),
     *("k", "i", "label", "step", "sequence", "source_sequence", "number", "correct", "ticked"),
     *("questions_asked", "clip"),
-    *("in_labels", "observers.labels", "attentive", "practice_errors"),
+    *("in_labels", "observers.labels", "attentive", "practice_errors", "cannot_tell", "fast_pages"),
 }
 _JSON = {"belief_before", "belief_after", "action_values", "steps.labels", "payload"}
 _JSON |= {"state"}

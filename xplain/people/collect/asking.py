@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from xplain.people import flow as core
 from xplain.people.collect.plan import CollectPlan
+from xplain.people.stages import CANNOT_TELL
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import stream
 
@@ -45,7 +46,7 @@ class AskedClip:
         purpose: QUESTION, REPEAT, ATTENTION (which has no transitions, one label), or of HEEDED.
         transitions: rows of the hypotheses.
         told: bitmask of the messages shown.
-        labels: one a transition; empty before the answer.
+        labels: one a transition, which may be CANNOT_TELL; empty before the answer.
         bits: how much a question's answer was expected to tell.
     """
 
@@ -59,6 +60,14 @@ class AskedClip:
     def size(self) -> int:
         """Steps on the page."""
         return max(len(self.transitions), 1)
+
+    @property
+    def judged(self) -> AskedClip:
+        """The clip without the transitions of which they cannot tell whether they make sense."""
+        pairs = zip(self.transitions, self.labels, strict=True)
+        kept = [pair for pair in pairs if pair[1] != CANNOT_TELL]
+        transitions, labels = zip(*kept, strict=True) if kept else ((), ())
+        return replace(self, transitions=transitions, labels=labels)
 
 
 @dataclass(frozen=True)
@@ -95,9 +104,10 @@ class CollectState(core.State):
 
     @property
     def attentive(self) -> bool | None:
-        """Whether the obvious step was labelled as anybody would; None before it was seen."""
+        """Whether nobody can say that they did not look: the obvious step was not called sensible;
+        None before it was seen."""
         seen = [clip.labels[0] for clip in self.answered if clip.purpose == ATTENTION]
-        return None if not seen else seen[0] == 0
+        return None if not seen else seen[0] != 1
 
     @property
     def consistency(self) -> float | None:
@@ -108,6 +118,7 @@ class CollectState(core.State):
             for clip in self.answered
             if clip.purpose == REPEAT
             for pair in zip(clip.labels, first[clip.transitions, clip.told], strict=True)
+            if CANNOT_TELL not in pair
         ]
         return sum(a == b for a, b in pairs) / len(pairs) if pairs else None
 
@@ -205,6 +216,8 @@ def clip(
         about, told = _varied(plan, questions, near, asking)
         return AskedClip(QUESTION, (about,), told)
     about, told = asking.next()
+    if (tuple(np.atleast_1d(about).tolist()), told) in _unknown(questions):
+        about, told = _varied(plan, questions, near, asking)
     return AskedClip(QUESTION, tuple(np.atleast_1d(about)[:left].tolist()), told)
 
 
@@ -213,13 +226,20 @@ def _varied(
 ) -> tuple[int, int]:
     """The best question about a step unlike all before, if it tells about as much as the best one;
     else the best about a step unlike those next to it."""
-    phrases, found = plan.hypotheses.phrases, asking.alternatives(ALTERNATIVES)
+    phrases, every = plan.hypotheses.phrases, asking.alternatives(ALTERNATIVES)
+    unknown = _unknown(before)
+    found = [one for one in every if ((one[0],), one[1]) not in unknown] or every
     seen = {phrases[t] for one in before for t in one.transitions}
     apart = [one for one in found if phrases[one[0]] not in {phrases[t] for t in near}]
     for one in [one for one in apart if phrases[one[0]] not in seen][:1]:
         if asking.information(one) >= AS_MUCH * asking.information(found[0]):
             return one
     return (apart or found)[0]
+
+
+def _unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int]]:
+    """Questions that they could not answer: no evidence came, so they would be best for ever."""
+    return {(one.transitions, one.told) for one in before if CANNOT_TELL in one.labels}
 
 
 def _heeded(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:

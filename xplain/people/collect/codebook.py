@@ -15,6 +15,7 @@ CODEBOOK = {
         "left_out": "why not: unfinished, withdrawn, timed_out, declined, or inattentive (the "
         "obvious step made sense to them)",
         "labels": "number of their labels",
+        "cannot_tell": "steps of which they could not tell whether they make sense",
         "attentive": "1 if the obvious step made no sense to them; empty if it was not reached",
         "consistency": "share of the labels of repeated questions that were as before, 0 … 1",
         "likeliest": "facts that they most probably hold wrong, by their own answers, joined by ;",
@@ -25,6 +26,7 @@ CODEBOOK = {
         "clock": "by which that is: monotonic, or wall where the machine was restarted in between; "
         "impossible where the wall clock was set back, and the time is left out",
         "label_s": "median seconds a label, page shown to answer, server's clock",
+        "fast_pages": "pages answered in less than a second a step, which nobody can have read",
         "practice_errors": "answers of the practice that were not as expected",
         "entered": "server's wall clock, seconds since 1970-01-01 UTC",
         "entry": "invitation, platform, open or preview",
@@ -41,7 +43,7 @@ CODEBOOK = {
         "(said again)",
         "steps": "what the robot did, as shown, joined by |",
         "messages": "what they were told on the page, joined by ;",
-        "labels": "1 = made sense, 0 = did not; one a step, joined by ;",
+        "labels": "1 = made sense, 0 = did not, 2 = they cannot tell; one a step, joined by ;",
         "bits": "information that the answer was expected to give about what they hold wrong",
         "seconds": "page shown to answer, server's clock",
         "browser_ms": "milliseconds since the page began to load, browser's clock; empty without "

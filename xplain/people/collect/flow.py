@@ -23,7 +23,15 @@ from xplain.people.collect.asking import (
 )
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import Flow, Form, Stage
-from xplain.people.stages import Consent, LookingAhead, Practice, QuestionStage, choices, small
+from xplain.people.stages import (
+    CANNOT_TELL,
+    Consent,
+    LookingAhead,
+    Practice,
+    QuestionStage,
+    choices,
+    small,
+)
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derived_seed, stream
 
@@ -83,7 +91,8 @@ class ClipStage(Stage["Collection", CollectState]):
         """To the next clip, or on from the last one."""
         clip = state.clip
         assert clip is not None, "a clip is on the page"
-        chosen = choices(payload.get("labels"), [2] * clip.size, flow.words["choose_each"])
+        answers = CANNOT_TELL + 1
+        chosen = choices(payload.get("labels"), [answers] * clip.size, flow.words["choose_each"])
         state = replace(state, answered=(*state.answered, replace(clip, labels=chosen)), clip=None)
         return self._next(flow, state)
 
@@ -187,7 +196,8 @@ class Collection(Flow[CollectPlan, CollectState]):
 
     def questionnaire(self, state: CollectState) -> Questionnaire:
         """That of a participant, with all that they answered."""
-        answers = tuple((one.labels, one.transitions, one.told) for one in state.questions())
+        judged = [one.judged for one in state.questions()]
+        answers = tuple((one.labels, one.transitions, one.told) for one in judged if one.labels)
         known: Questionnaire = self.kept(state.person, frozenset(state.others.items()), answers)
         return copy.copy(known)
 

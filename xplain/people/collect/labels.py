@@ -33,13 +33,14 @@ def why_left_out(state: CollectState) -> str:
 
 def dataset_of(plan: CollectPlan, people: Mapping[str, CollectState]) -> Dataset:
     """The labels of the questions of these people, as :mod:`xplain.learning.data.label_file` writes
-    them. Second looks and the obvious step are no questions."""
+    them. Second looks and the obvious step are no questions,
+    and "I cannot tell" is no label."""
     known = plan.hypotheses
     assert known.features is not None, "a plan's hypotheses have features"
     rows = [
         (o, transition, clip.told, label)
         for o, state in enumerate(people.values())
-        for clip in state.questions()
+        for clip in (one.judged for one in state.questions())
         for transition, label in zip(clip.transitions, clip.labels, strict=True)
     ]
     observer, transition, told, label = np.array(rows, dtype=np.int64).reshape(-1, 4).T

@@ -71,7 +71,8 @@ class Asked:
         for clip in clips:
             for j in indices(clip.told):
                 belief = say(belief, relevant, j, accept)
-            for transition, label in zip(clip.transitions, clip.labels, strict=True):
+            judged = clip.judged
+            for transition, label in zip(judged.transitions, judged.labels, strict=True):
                 one = habits.answered(self.known.labels[table, transition].astype(float))
                 belief = belief * (one if label else 1 - one)
             belief = forget(belief, relevant, lose)

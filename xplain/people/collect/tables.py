@@ -21,7 +21,10 @@ from xplain.people.collect.asking import STATED, CollectState
 from xplain.people.collect.codebook import CODEBOOK
 from xplain.people.collect.labels import dataset_of, why_left_out
 from xplain.people.collect.plan import CollectPlan
+from xplain.people.stages import CANNOT_TELL
 
+FAST = 1.0
+"""Seconds a step below which nobody has read it."""
 Participant = ParticipantRow[CollectState]
 
 
@@ -80,7 +83,8 @@ def _observer(plan: CollectPlan, one: Participant) -> Row:
         "stage": state.stage,
         "in_labels": int(not why),
         "left_out": why,
-        "labels": sum(len(clip.labels) for clip in state.questions()),
+        "labels": sum(len(clip.judged.labels) for clip in state.questions()),
+        "cannot_tell": sum(clip.labels.count(CANNOT_TELL) for clip in state.answered),
         "attentive": None if state.attentive is None else int(state.attentive),
         "consistency": state.consistency,
         "likeliest": best and ";".join(names_of(int(best), plan.hypotheses.messages)),
@@ -90,6 +94,7 @@ def _observer(plan: CollectPlan, one: Participant) -> Row:
         "clips_s": took,
         "clock": clock,
         "label_s": float(np.median(each)) if each else None,
+        "fast_pages": sum(took < FAST for took in each),
         "practice_errors": max(len(one.answers("example")) - 2, 0)
         + sum(not event["payload"]["label"] for event in one.answers("ahead")),
         "entered": one.events[0]["wall"],

@@ -18,7 +18,7 @@ from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError
 from xplain.people.analysis.export import ParticipantRow
-from xplain.people.server.security import SESSION, Keys, RateLimit
+from xplain.people.server.security import COOKIE_PATH, SESSION, Keys, RateLimit
 from xplain.people.server.store import LETTERS, Store
 
 ENDINGS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full")
@@ -259,6 +259,6 @@ def set_cookie(response: AnyResponse, name: str, value: str, samesite: str = "La
         httponly=True,
         samesite=samesite,
         secure=own.https or bool(own.frames),
-        path=f"{own.path}/",
+        path=request.environ.get(COOKIE_PATH, "/"),
         max_age=14 * 86400,
     )

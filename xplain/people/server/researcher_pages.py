@@ -37,7 +37,7 @@ from xplain.people.server.http import (
     session,
     set_cookie,
 )
-from xplain.people.server.security import SESSION
+from xplain.people.server.security import COOKIE_PATH, SESSION
 from xplain.people.stages import small
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
@@ -128,7 +128,8 @@ def logout() -> AnyResponse:
     """Ends this browser's session, here and in the browser."""
     context().sessions.discard(session() or "")
     response = _back()
-    response.delete_cookie(context().cookie(RESEARCHER))
+    path = request.environ.get(COOKIE_PATH, "/")
+    response.delete_cookie(context().cookie(RESEARCHER), path=path)
     return response
 
 

@@ -17,6 +17,7 @@ from itsdangerous import BadSignature, Signer
 MAX_BODY = 64 * 1024
 """Bytes of a request; the largest honest one has a few thousand."""
 
+COOKIE_PATH = "xplain.cookie_path"
 POLICY = (
     "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; img-src 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors "
@@ -55,8 +56,11 @@ class BelowPath:
     def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Any:
         """As WSGI has it."""
         inner = environ["PATH_INFO"].removeprefix(self.path)
+        outside = inner != environ["PATH_INFO"] or "HTTP_X_FORWARDED_PREFIX" in environ
         if inner.startswith("/"):
             environ["PATH_INFO"] = inner
+        # Whoever comes past the proxy is not below the path, and would get no cookie of it back.
+        environ[COOKIE_PATH] = f"{self.path}/" if outside else "/"
         environ["SCRIPT_NAME"] = self.path
         return self.application(environ, start_response)
 

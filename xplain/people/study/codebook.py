@@ -28,6 +28,7 @@ CODEBOOK = {
         "counted once",
         "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: "
         "measure 2",
+        "cannot_tell": "transitions of which they could not tell, at the last step",
         "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
         "interaction_time_s": "seconds, server's clock, first rendering of step 1, or of a "
         "question before it, to the last accepted label; paper: measure 1",
@@ -59,7 +60,7 @@ CODEBOOK = {
         "belief_after": "the same after the labels of the step",
         "action_values": "the policy's value of each next message set (JSON, bitmask: value; "
         "0 = explain at once; larger is better)",
-        "labels": "labels of transitions 0 … k (JSON list), 1 = makes sense",
+        "labels": "labels of transitions 0 … k (JSON list), as in the table of labels",
         "seconds": "from the first rendering of the step to its accepted labels, server's clock",
     },
     "pages": {
@@ -77,7 +78,7 @@ CODEBOOK = {
         "i": "transition that was labelled, 0 … k",
         "transition": "what the robot did, as shown",
         "messages_shown": "all messages on the page, joined by ;",
-        "label": "1 = makes sense, 0 = makes no sense",
+        "label": "1 = makes sense, 0 = makes no sense, 2 = they cannot tell",
     },
     "questions": {
         "participant": "key",
@@ -91,7 +92,7 @@ CODEBOOK = {
         "question's own cost taken off); empty where the policy does not tell",
         "belief_before": "probability of each user type (JSON list), before the answer",
         "belief_after": "the same after it; empty if it was not answered",
-        "label": "1 = makes sense, 0 = makes no sense; empty if it was not answered",
+        "label": "as in the table of labels; empty if it was not answered",
         "seconds": "from the first rendering of the page to its accepted answer, server's clock",
     },
     "eligibility": {

@@ -18,7 +18,7 @@ from xplain.explanation.message_sets import indices
 from xplain.interaction.interaction import Interaction
 from xplain.people import flow as core
 from xplain.people.flow import Flow, Form, Stage
-from xplain.people.stages import OneLabel, choices, small
+from xplain.people.stages import CANNOT_TELL, OneLabel, choices, small
 from xplain.people.study.plan import StudyPlan, StudyRole
 from xplain.solvers.base import Policy
 
@@ -36,7 +36,7 @@ class AskedQuestion:
         worth: by how much the policy took it to be better than saying or showing something;
             None where it tells none.
         before: [M] belief over user types.
-        answer: 1 if the step made sense to them, else 0; None before they answered.
+        answer: 1 if the step made sense to them, 0 if not, CANNOT_TELL; None before they answered.
         after: [M] the belief then.
     """
 
@@ -233,7 +233,7 @@ class Evaluation(Stage["Explaining", StudyState]):
         self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
     ) -> StudyState:
         """To the next step, or on from the last one."""
-        count = [2] * (state.step + 1)
+        count = [CANNOT_TELL + 1] * (state.step + 1)
         chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
         talk = flow.talk(state)
         talk.hear(np.array(chosen, dtype=np.uint8))
@@ -269,9 +269,11 @@ class Asking(OneLabel["Explaining", StudyState]):
     def advance(
         self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
     ) -> StudyState:
-        """To another question, or to the next step."""
-        label, talk = self.label(flow, payload), flow.talk(state)
-        talk.hear_answer(state.asked[-1].question, label)
+        """To another question, or to the next step. Of somebody who cannot tell nothing is
+        learned."""
+        label, talk = self.label(flow, payload, CANNOT_TELL + 1), flow.talk(state)
+        if label != CANNOT_TELL:
+            talk.hear_answer(state.asked[-1].question, label)
         belief = tuple(talk.belief.tolist())
         answered = replace(state.asked[-1], answer=label, after=flow.of_types(belief))
         return flow.next_step(replace(state, belief=belief, asked=(*state.asked[:-1], answered)))

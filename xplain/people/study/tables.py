@@ -13,6 +13,7 @@ from pathlib import Path
 
 from xplain.explanation.message_sets import names_of
 from xplain.people.analysis.export import ParticipantRow, Row, events_of, seconds, write
+from xplain.people.stages import CANNOT_TELL
 from xplain.people.study.codebook import CODEBOOK
 from xplain.people.study.flow import StudyState
 from xplain.people.study.plan import StudyPlan
@@ -104,6 +105,7 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "steps_labelled": len(state.labels),
         "messages_given": state.given.bit_count(),
         "inexplicable_transitions": state.labels.count(0) if finished else None,
+        "cannot_tell": state.labels.count(CANNOT_TELL) if finished else None,
         "quiz_score": state.score,
         **interaction(one.events if finished else ()),
         "entered": one.events[0]["wall"],

@@ -18,6 +18,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
 from xplain.people.plan import LabQuestion, typed
+from xplain.people.stages import CANNOT_TELL
 from xplain.people.study.bot import take_part
 from xplain.people.study.flow import Study, StudyState
 from xplain.solvers.qmdp import QMDP
@@ -288,3 +289,15 @@ def test_messages_stay_in_the_order_in_which_they_came(study: Study) -> None:
             assert view["old"] == told
             told += view["new"]
             assert len(told) == state.given.bit_count()
+
+
+def test_who_cannot_tell_is_told_as_if_nothing_was_answered() -> None:
+    """The belief stays where it began, and such a label is not counted as senseless."""
+    study = street_study()
+    state = study.after(StudyState(stage="eligibility", user_type=0, condition="personalized"))
+    first = state.belief
+    while state.stage == "evaluation":
+        state = study.advance(state, "labels", {"labels": [CANNOT_TELL] * (state.step + 1)})
+        assert state.belief == pytest.approx(first, abs=1e-12)
+    assert state.labels.count(0) == 0
+    assert set(state.labels) == {CANNOT_TELL}
