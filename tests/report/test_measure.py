@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import itertools
+import math
 import random
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.stats
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from tests.report import handmade
 from xplain.errors import InputError
 from xplain.experiment.results import Figure, load_results, save_results
-from xplain.report.comparison import answer, main_table, verdicts
+from xplain.interaction.statistics import Estimate
+from xplain.report.comparison import answer, main_table, seeds_to_decide, undecided, verdicts
 from xplain.report.comparison import table as comparison_table
+from xplain.report.console import print_sweep
 from xplain.report.run_summary import print_summary
 from xplain.report.summary import Summary
 from xplain.report.table import BEST, TIE
@@ -244,3 +250,49 @@ def test_the_first_is_the_cheapest_on_the_same_problems_whatever_the_references(
     (found,) = verdicts(summary)
     assert [one.way[0] for one in found.order] == sorted(costs, key=lambda name: costs[name])
     assert comparison_table(summary).rows[0][0].words
+
+
+@given(
+    mean=st.floats(0.05, 5),
+    deviation=st.floats(0.1, 2),
+    seeds=st.integers(2, 30),
+)
+@settings(max_examples=40, deadline=None)
+def test_so_many_seeds_decide_and_fewer_do_not(mean: float, deviation: float, seeds: int) -> None:
+    """Against the interval that so many seeds of the same spread have."""
+
+    def half(count: int, level: float) -> float:
+        return float(scipy.stats.t.ppf(level, count - 1)) * deviation / math.sqrt(count)
+
+    own = half(seeds, 0.975)
+    found = seeds_to_decide(Estimate(mean, mean - own, mean + own), seeds)
+    assume(found is not None)
+    assert found is not None
+    assert half(found, 0.975) + half(found, 0.8) <= mean * (1 + 1e-9)
+    if found > seeds:
+        assert half(found - 1, 0.975) + half(found - 1, 0.8) > mean * (1 - 1e-9)
+    assert seeds_to_decide(Estimate(-mean, -mean - own, -mean + own), seeds) == found
+
+
+def test_what_these_seeds_cannot_say_is_not_said() -> None:
+    assert seeds_to_decide(Estimate(0.0, -1.0, 1.0), 5) is None  # no difference
+    assert seeds_to_decide(Estimate(1.0, math.nan, math.nan), 1) is None  # one seed
+    assert seeds_to_decide(Estimate(0.001, -9.0, 9.0), 5) is None  # too many
+
+
+def test_each_difference_that_is_not_decided_has_its_seeds_and_the_command(tmp_path, capsys):
+    jobs = product(solver="qmdp,qhr,baseline", seed="0,1,2")
+    own = {"qmdp": 1.0, "qhr": 1.1, "baseline": 9.0}
+    noise = {"0": 0.5, "1": -0.4, "2": 0.1}
+
+    def regret(values):
+        return own[values["solver"]] + (values["solver"] == "qhr") * noise[values["seed"]]
+
+    summary = made(tmp_path, jobs, lambda v: 3.0, regret)
+    table = undecided(summary)
+    (row,) = table.rows  # the baseline's difference is decided
+    assert row[0].words == "QHR − QMDP"
+    assert int(row[-2].words) > 3
+    assert table.caption.endswith("python -m xplain 'seed=range(N)'")
+    print_sweep(summary)
+    assert "1 undecided difference: the report says" in capsys.readouterr().out

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
-from xplain.interaction.statistics import Estimate
+from xplain.interaction.statistics import Estimate, half_width
 from xplain.report import paper_table
 from xplain.report.combinations import (
     apart,
@@ -20,7 +22,7 @@ from xplain.report.combinations import (
     where,
 )
 from xplain.report.layout import shown_keys, table_layout
-from xplain.report.measure import NEGATIVE, TITLES, is_choice
+from xplain.report.measure import NEGATIVE, is_choice
 from xplain.report.story import counted
 from xplain.report.summary import Summary, Value
 from xplain.report.table import BEST, TIE, Cell, Table, number
@@ -29,6 +31,9 @@ Way = tuple[Value, ...]
 
 FEW = 5
 """Fewer replicates than this are said to be few: their intervals are wide, and rightly so."""
+
+MOST_SEEDS = 1000
+"""A difference that needs more is too small to be decided."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,7 @@ def table(summary: Summary) -> Table:
             told = summary.reference(frame, known)
             cells.insert(0, Cell(estimate=summary.estimate(told, known)))
         rows.append((*_headings(values), *cells))
-    heads = [*map(heading, layout.down), *([TITLES[known]] if known else [])]
+    heads = [*map(heading, layout.down), *([summary.title(known)] if known else [])]
     heads += [label(dict(zip(layout.across, way, strict=True))) for way in columns]
     return _table(summary, heads, rows, len(layout.down), marked=True)
 
@@ -120,7 +125,7 @@ def _list(summary: Summary, keys: tuple[str, ...], compete: bool) -> Table:
         if way in marks:
             cells[0] = Cell(estimate=marks[way].estimate, mark=marks[way].mark)
         rows.append((*_headings(dict(zip(keys, way, strict=True))), *cells))
-    heads = [*map(heading, keys), *(TITLES[name] for name in shown)]
+    heads = [*map(heading, keys), *map(summary.title, shown)]
     return _table(summary, heads, rows, len(keys), compete)
 
 
@@ -251,6 +256,64 @@ def answer(summary: Summary) -> str:
         for way, won in sorted(first.items(), key=lambda item: -len(item[1]))
     ]
     return f"Least cost: {'; '.join(parts)}.{_few(summary)}"
+
+
+def seeds_to_decide(difference: Estimate, seeds: int) -> int | None:
+    """The least number of seeds with which an interval leaves out 0 in four of five sweeps, if the
+    difference is as large and varies as much as these seeds say; None where they say neither.
+
+    Args:
+        difference: with its 95 % interval over seeds.
+        seeds: that it is known from.
+    """
+    from scipy.special import stdtrit
+
+    half = (difference.high - difference.low) / 2
+    if seeds < 2 or not difference.mean or not half >= 0:
+        return None
+    deviation = half * math.sqrt(seeds) / half_width(1.0, seeds - 1)
+    for count in range(max(seeds, 2), MOST_SEEDS + 1):
+        needed = half_width(1.0, count - 1) + float(stdtrit(count - 1, 0.8))
+        if needed * deviation <= abs(difference.mean) * math.sqrt(count):
+            return count
+    return None
+
+
+def undecided(summary: Summary) -> Table:
+    """The differences to the best way that are not decided: how many seeds would decide each, how
+    long they would take, and by which command."""
+    by = [key for key in shown_keys(summary) if is_choice(key)]
+    names = {tuple(way.values()): label(way) for way, _ in grouped(summary, by)}
+    seconds = [sum(results.seconds.values()) for _, results in summary.results]
+    of_a_seed = sum(seconds) / max(summary.seeds, 1)
+    found = verdicts(summary)
+    rows = []
+    for one in found:
+        best, *others = one.order
+        for other in others:
+            if other.decided or other.behind is None:
+                continue
+            seeds = seeds_to_decide(other.behind, summary.seeds)
+            wanted = seeds or (FEW if summary.seeds < FEW else None)
+            more = max(0, (wanted or 0) - summary.seeds) * of_a_seed / 60
+            rows.append(
+                (
+                    *_headings(one.problem),
+                    Cell(f"{names[other.way]} − {names[best.way]}"),
+                    Cell(estimate=other.behind),
+                    Cell(str(seeds) if seeds else f"{wanted} tell more" if wanted else "too many"),
+                    Cell(f"{more:.1f}" if wanted else ""),
+                )
+            )
+    posed = map(heading, found[0].problem) if found else ()
+    heads = (*posed, "Difference", "Cost", "Seeds that would decide it", "Minutes of one core")
+    words = [w for w in shlex.split(summary.about["command"]) if not w.startswith("seed=")]
+    caption = (
+        "Seeds with which the 95 % interval leaves out 0 in four of five sweeps, if the difference "
+        "is as large and varies as much as here. Minutes are those of this sweep's own jobs, for "
+        f"the seeds that are new. Command, with N seeds: {shlex.join(words)} 'seed=range(N)'"
+    )
+    return Table(heads, tuple(rows), len(heads) - 3, caption)
 
 
 def _how_sure(summary: Summary, second: Ranked) -> str:

@@ -7,7 +7,8 @@ import sys
 from rich.console import Console
 
 from xplain.experiment.progress import is_terminal
-from xplain.report.comparison import answer, main_table
+from xplain.report.comparison import answer, main_table, undecided
+from xplain.report.story import counted
 from xplain.report.summary import Summary
 
 WIDTH = 100
@@ -19,7 +20,9 @@ def print_sweep(summary: Summary) -> None:
     table = main_table(summary)
     shown = table.shown()
     needed = Console(width=10_000).measure(shown).maximum
-    below = ((answer(summary), WIDTH), (table.caption, WIDTH))
+    count = len(undecided(summary).rows)
+    more = f"{counted(count, 'undecided difference')}: the report says what would decide each."
+    below = ((answer(summary), WIDTH), (more if count else "", WIDTH), (table.caption, WIDTH))
     for text, width in ((table.about, needed), (shown, needed), *below):
         columns = None if is_terminal(sys.stdout) else max(WIDTH, width)
         if text:

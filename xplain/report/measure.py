@@ -56,6 +56,9 @@ RIGHT = 0.98
 """The paper's oracle has right labels. Where labelers are right on a smaller share of fresh labels,
 the oracle's cost is no reference."""
 
+NO_REFERENCE = "†"
+"""Mark of an oracle's cost that is no reference, and of regrets to it."""
+
 _WHAT = {
     "regret": "Regret is cost minus the oracle's on the same trace and user.",
     "above_floor": "The clairvoyant knows the true labels: nothing can cost less.",
@@ -80,8 +83,8 @@ def warning_about_oracle(learning: Mapping[str, float]) -> str:
     if share >= RIGHT:
         return ""
     return (
-        f"The oracle is no reference: the labelers are right on {share:.1%} of fresh labels, less "
-        f"than {RIGHT:.0%}. Compare costs with the clairvoyant's instead."
+        f"{NO_REFERENCE} The oracle is no reference: the labelers are right on {share:.1%} of fresh "
+        f"labels, less than {RIGHT:.0%}. Compare costs with the clairvoyant's instead."
     )
 
 

@@ -69,6 +69,7 @@ def page(summary: Summary, pictures: Pictures) -> str:
         size=_size(summary),
         is_table1=is_table1,
         table=comparison.main_table(summary),
+        undecided=comparison.undecided(summary),
         **(_beside_table1(summary) if is_table1 else {}),
         figures=pictures,
         learning=learning.table(summary),

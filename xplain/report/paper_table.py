@@ -10,11 +10,12 @@ import pandas as pd
 
 from xplain.interaction.statistics import Estimate
 from xplain.report.combinations import csv_text
+from xplain.report.measure import NO_REFERENCE
 from xplain.report.paper import table1, title
 from xplain.report.summary import Summary
 from xplain.report.table import Cell, Table
 
-REFERENCES = ("oracle", "clairvoyant")
+REFERENCES = ("clairvoyant", "oracle")
 """Whose costs stand before the solvers' regrets."""
 
 
@@ -82,7 +83,8 @@ def table(summary: Summary, by_setting: bool = False, measure: str = "regret") -
         }
         name = f"{title(domain)} {setting if by_setting else ''}".rstrip()
         rows.append((Cell(name), Cell(trade_off), *(cells.get(key, Cell()) for key in keys)))
-    heads = ("Domain", "λ", *map(title, keys))
+    mark = {"oracle": f" {NO_REFERENCE}"} if summary.warning else {}
+    heads = ("Domain", "λ", *(title(key) + mark.get(key, "") for key in keys))
     return Table(heads, tuple(rows), 2, _caption(summary, measure))
 
 
@@ -107,4 +109,5 @@ def _caption(summary: Summary, measure: str) -> str:
         f"Costs of the references, and {whose[measure]} of each method; 95 % intervals over "
         f"{summary.unit} in brackets{paper if measure == 'regret' else ''}.{summary.told_missing}"
         + "".join(pooled)
+        + (f" {summary.warning}" if summary.warning else "")
     )

@@ -9,26 +9,24 @@ from rich.console import Console
 
 from xplain.experiment.progress import is_terminal
 from xplain.experiment.results import Figure, Results
-from xplain.report.measure import NEGATIVE, warning_about_oracle
+from xplain.report.measure import NEGATIVE, NO_REFERENCE, warning_about_oracle
 from xplain.report.paper import table1
 from xplain.report.story import counted
 from xplain.report.table import Cell, Table
 
 TITLES = {
     "cost": "cost",
-    "oracle_cost": "oracle's cost",
-    "regret": "regret (cost − oracle's)",
     "clairvoyant_cost": "clairvoyant's cost",
     "regret_to_clairvoyant": "cost − clairvoyant's",
+    "oracle_cost": "oracle's cost",
+    "regret": "regret (cost − oracle's)",
     "messages": "messages given",
-    "messages_again": "… again",
     "inexplicable_labels": "inexplicable labels",
     "questions": "questions asked",
     "questions_cost": "… their cost",
-    "steps_until_sure": "steps until belief > 0.9",
     "final_belief": "final belief in true type",
-    "decision_ms": "decision time (ms a step)",
 }
+"""Figures that are printed; results.json has more."""
 
 BY_CHANCE = ", above the optimum by sampling error"
 """Of a simulated value that lies beyond a proven bound: no policy is worth more."""
@@ -46,16 +44,18 @@ def print_summary(results: Results) -> None:
         "oracle_cost": published.get("oracle"),
         "regret": None if results.solver == "oracle" else published.get(results.solver),
     }
-    rows = []
+    rows, warning = [], warning_about_oracle(results.learning)
     for name in (name for name in TITLES if name in results.metrics):
+        marked = warning and name in ("oracle_cost", "regret")
+        title = TITLES[name] + (f" {NO_REFERENCE}" if marked else "")
         figure, value = results.metrics[name], paper.get(name)
         said = "" if value is None else f"{value:.2f}"
-        words = (TITLES[name], f"{figure.mean:.3f}", _interval(figure), said)
+        words = (title, f"{figure.mean:.3f}", _interval(figure), said)
         rows.append(tuple(map(Cell, words[: len(heads)])))
     console.print(Table(heads, tuple(rows), 1).shown())
     if "regret" in results.metrics and results.metrics["regret"].mean < 0:
         console.print(NEGATIVE)
-    if "regret" in results.metrics and (warning := warning_about_oracle(results.learning)):
+    if "regret" in results.metrics and warning:
         console.print(warning)
 
 

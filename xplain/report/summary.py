@@ -20,7 +20,15 @@ from xplain.errors import InputError
 from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.interaction.metrics import possible
 from xplain.interaction.statistics import Estimate, clustered_mean
-from xplain.report.measure import Measure, is_setting, measure_of, setting_of, warning_about_oracle
+from xplain.report.measure import (
+    NO_REFERENCE,
+    TITLES,
+    Measure,
+    is_setting,
+    measure_of,
+    setting_of,
+    warning_about_oracle,
+)
 
 ORDER = (
     "qmdp",
@@ -213,6 +221,11 @@ class Summary:
         """What is to be known of the oracle whose labelers err most."""
         every = [results.learning for _, results in self.results]
         return warning_about_oracle(min(every, key=lambda own: own.get("fresh_accuracy", 1.0)))
+
+    def title(self, measure: str) -> str:
+        """A measure for people, marked where it is taken to an oracle that is no reference."""
+        marked = measure in ("regret", "oracle") and self.warning
+        return TITLES[measure] + (f" {NO_REFERENCE}" if marked else "")
 
     @cached_property
     def domains(self) -> list[str]:

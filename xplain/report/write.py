@@ -47,6 +47,7 @@ def _tables(summary: Summary) -> Iterator[tuple[str, str]]:
     yield CSV_OF_COMBINATIONS, regret_csv(summary)
     yield "differences.csv", differences_csv(summary)
     yield "table.md", comparison.table(summary).markdown()
+    yield "undecided.md", comparison.undecided(summary).markdown()
     yield "table.tex", comparison.table(summary).latex()
     if summary.report == "table1":
         for name, measure in (("table1", "regret"), ("table1_clairvoyant", "above_floor")):
