@@ -10,7 +10,10 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
+RUN = $(VENV)/.run
+PEOPLE = $(VENV)/.people
 READY = $(VENV)/.ready
+PIP = $(BIN)/python -m pip install --disable-pip-version-check
 CORES := $(shell getconf _NPROCESSORS_ONLN)
 # A file at a time, in the order of tests/conftest.py: the longest first. Some tests wait more than
 # they compute, so there is a process more than cores; those in a browser mostly wait.
@@ -18,7 +21,7 @@ SPREAD = --dist loadfile --no-loadscope-reorder --numprocesses
 
 .PHONY: run test style types tests test-docs test-slow browser-test mutants lint docs outputs bench bench-quick study ui clean
 
-run: $(READY)
+run: $(RUN)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
 
 # mypy needs one core for a while: the tests begin beside it.
@@ -43,7 +46,7 @@ SAMPLE ?= 60
 SEED ?= 1
 JOBS ?= 2
 mutants: $(READY)
-	$(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable ".[mutants]"
+	$(PIP) --constraint constraints.txt --editable ".[mutants]"
 	$(BIN)/python -m pytest -q tests/mutants
 	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
 
@@ -76,19 +79,28 @@ bench-quick: $(READY)
 bench: $(READY)
 	for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file || exit 1; done
 
-study: $(READY)
+study: $(PEOPLE)
 	$(BIN)/python -m xplain study
 
-ui: $(READY)
+ui: $(RUN)
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db
 
-$(READY): pyproject.toml constraints.txt
+# What a run needs, what people's pages need besides, and what tests and docs need.
+$(RUN): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "xplain needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
 	@echo "setting up $(VENV) (a minute or two, once)"
 	$(PYTHON) -m venv --without-pip $(VENV)
 	$(BIN)/python -m ensurepip  # what venv would do in silence
-	$(BIN)/python -m pip install --disable-pip-version-check --upgrade "pip>=25.1"  # shows its progress
-	$(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable ".[test,gym,docs]"
+	$(PIP) --upgrade "pip>=25.1"  # shows its progress
+	$(PIP) --constraint constraints.txt --editable .
+	touch $(RUN)
+
+$(PEOPLE): $(RUN)
+	$(PIP) --constraint constraints.txt --editable ".[people]"
+	touch $(PEOPLE)
+
+$(READY): $(RUN)
+	$(PIP) --constraint constraints.txt --editable ".[test,gym,docs]"
 	touch $(READY)
 
 clean:

@@ -33,10 +33,10 @@ _WHERE = {
     "LearnedTypes": "xplain.learning.saved",
     "Questionnaire": "xplain.questions.questionnaire",
     "stream": "xplain.randomness",
-    **dict.fromkeys(("Run", "Sweep", "load", "run", "sweep"), "xplain.runs.api"),
+    **dict.fromkeys(("Run", "Sweep", "discover", "load", "run", "sweep"), "xplain.runs.api"),
     **dict.fromkeys(("Policy", "Solver"), "xplain.solvers.base"),
 }
-__all__ = sorted(["__version__", *_WHERE])
+__all__ = sorted(_WHERE)
 
 
 def __getattr__(name: str) -> Any:

@@ -32,6 +32,7 @@ from xplain.questions.questionnaire import Questionnaire as Questionnaire
 from xplain.randomness import stream as stream
 from xplain.runs.api import Run as Run
 from xplain.runs.api import Sweep as Sweep
+from xplain.runs.api import discover as discover
 from xplain.runs.api import load as load
 from xplain.runs.api import run as run
 from xplain.runs.api import sweep as sweep

@@ -11,11 +11,12 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 from sklearn.metrics import adjusted_rand_score
 
+import xplain
 from tests.conftest import Command
-from xplain.cli.discover import sentences_of
 from xplain.cli.main import main
-from xplain.errors import InputError
+from xplain.errors import InputError, XplainError
 from xplain.learning.saved import LearnedTypes
+from xplain.runs.discovery import sentences_of
 
 
 @pytest.fixture
@@ -255,3 +256,23 @@ def test_questions_that_do_not_fit_the_labels_are_refused(
     assert said in err
     assert "Traceback" not in err
     assert not (tmp_path / "outputs" / "discover").exists()
+
+
+def test_python_is_given_what_the_command_writes(run, tmp_path: Path, monkeypatch) -> None:
+    assert run("observe", "domain=rescue", "output=labels.csv", "points=30")[0] == 0
+    code, out, _ = run("discover", "data=labels.csv", "output=there", "seed=3")
+    assert code == 0
+    monkeypatch.chdir(tmp_path)
+    found = xplain.discover("labels.csv", seed=3, output=tmp_path / "here")
+    row = json.loads(out.splitlines()[-1])
+    assert found.row["assignment"] == row["assignment"]
+    assert json.loads(json.dumps(found.row["held_out"])) == row["held_out"]
+    names = {path.name for path in (tmp_path / "there").iterdir()}
+    assert {path.name for path in (tmp_path / "here").iterdir()} == names
+    assert {f"{name}.png" for name in found.plot()} == {n for n in names if n.endswith("png")}
+    assert found.frame()["observers"].sum() == len(row["assignment"])
+    frame = pd.read_csv("labels.csv", dtype=str, keep_default_na=False)
+    same = xplain.discover(frame, seed=3, held_out=False, clusterer="kmeans")
+    assert same.types.clustering.method == "kmeans"
+    with pytest.raises(XplainError, match=r"data='absent\.csv': no such file"):
+        xplain.discover("absent.csv")

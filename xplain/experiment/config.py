@@ -57,6 +57,9 @@ MOVED = {
 RESUME = ("missing", "failed", "none")
 """Which jobs of a sweep run: those not finished, those that failed, or all of them anew."""
 
+OF_PEOPLE = ("flask", "gunicorn", "itsdangerous", "jwt", "lxml", "pydantic", "requests")
+"""Modules that the extra ``people`` brings."""
+
 NO_PACKAGE = (
     "domain: the file of this choice has to begin with the line '# @package _global_', since it "
     "sets keys beside domain"
@@ -156,7 +159,10 @@ def report_errors() -> Iterator[None]:
         sys.exit(1)
     except KeyboardInterrupt as error:
         _say_interrupted(error)
-    except (XplainError, HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
+    except (
+        *(XplainError, HydraException, OmegaConfBaseException),
+        *(YAMLError, OSError, ModuleNotFoundError),
+    ) as error:
         text = one_line(error)
         if text is None or os.environ.get("XPLAIN_TRACEBACK"):
             raise
@@ -195,6 +201,8 @@ def one_line(error: BaseException) -> str | None:
             return f"{key}: {first_line(cause)}"
         if isinstance(cause, MarkedYAMLError) and (mark := cause.problem_mark) is not None:
             return f"{mark.name}: line {mark.line + 1}: {cause.problem}"
+        if isinstance(cause, ModuleNotFoundError) and cause.name in OF_PEOPLE:
+            return f"{cause.name} is not installed: pip install 'xplain-hri[people]'"
         if isinstance(cause, OSError) and cause.strerror is not None:
             where = "" if cause.filename is None else f"{cause.filename}: "
             return f"{where}{cause.strerror}"
@@ -281,10 +289,10 @@ def _unknown_inside(key: str, parent: Any) -> str:
 
 
 @cache
-def known_keys() -> dict[str, dict[str, list[str]]]:
-    """``{key of the experiment: {key inside: choices of the group that have it}}``."""
-    content = _yaml(CONF / "config.yaml")
-    keys: dict[str, dict[str, list[str]]] = {str(key): {} for key in schema()}
+def known_keys(of: str = "config") -> dict[str, dict[str, list[str]]]:
+    """``{key of conf/<of>.yaml: {key inside: choices of the group that have it}}``."""
+    content = _yaml(CONF / f"{of}.yaml")
+    keys: dict[str, dict[str, list[str]]] = {str(key): {} for key in schema() if of == "config"}
     for key, value in content.items():
         if key not in ("defaults", "hydra"):
             keys[key] = {name: [] for name in value} if isinstance(value, dict) else {}

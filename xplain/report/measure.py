@@ -83,8 +83,8 @@ def warning_about_oracle(learning: Mapping[str, float]) -> str:
     if share >= RIGHT:
         return ""
     return (
-        f"{NO_REFERENCE} The oracle is no reference: the labelers are right on {share:.1%} of fresh "
-        f"labels, less than {RIGHT:.0%}. Compare costs with the clairvoyant's instead."
+        f"{NO_REFERENCE} The oracle is no reference: the labelers are right on {share:.1%} of "
+        f"fresh labels, less than {RIGHT:.0%}. Compare costs with the clairvoyant's instead."
     )
 
 

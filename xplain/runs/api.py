@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -43,13 +44,13 @@ from xplain.experiment.config import (
     one_line,
     register,
     require_names,
-    unknown_key,
 )
 from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.report.comparison import answer, main_table
 from xplain.report.measure import TITLES
 from xplain.report.stages import stages
 from xplain.report.summary import SWEEP, Summary
+from xplain.runs.discovery import Discovery, discovery, require_writable
 from xplain.runs.folder import Listed
 from xplain.runs.job import Job, run_alone
 from xplain.runs.sweep import Plan, finish, run_in_sweep, run_missing, set_values
@@ -255,6 +256,37 @@ def sweep(
         return Sweep(plan.folder.path, measure)
 
 
+def discover(
+    data: str | Path | pd.DataFrame, *overrides: str, config_dir: str | None = None, **keys: Any
+) -> Discovery:
+    """Finds the user types in people's labels.
+
+    Args:
+        data: a table with the columns observer, messages, label and features: a file, or a frame.
+        overrides, config_dir, keys: of conf/discover.yaml, as of :func:`run`. Files are written
+            where ``output`` is given.
+
+    Raises:
+        XplainError: a table, key or value that is not allowed, in one line.
+    """
+    with _started(), tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "labels.csv"
+        if isinstance(data, pd.DataFrame):
+            data.to_csv(path, index=False)
+        words, objects = _split(keys, "discover")
+        known = _composing([*overrides, *words], config_dir, "discover")
+        with known as composed:
+            cfg = composed([*overrides, *words])
+        given = path if isinstance(data, pd.DataFrame) else data
+        set_values(cfg, {"data": str(given), **{key: own[0] for key, own in objects.items()}})
+        if "output" in objects:
+            require_writable(Path(cfg.output))
+        found = discovery(cfg)
+        if "output" in objects:
+            found.save(Path(cfg.output))
+        return found
+
+
 def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
     """A run or sweep that is on disk.
 
@@ -300,7 +332,7 @@ def _started() -> Iterator[None]:
 
 
 @contextmanager
-def _composing(words: Sequence[str], config_dir: str | None) -> Iterator[Any]:
+def _composing(words: Sequence[str], config_dir: str | None, name: str = "config") -> Iterator[Any]:
     """Hydra's composition, from overrides to a configuration with the ``hydra`` node."""
     where = []
     if config_dir is not None:
@@ -310,18 +342,18 @@ def _composing(words: Sequence[str], config_dir: str | None) -> Iterator[Any]:
     register()
     require_names(words)
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        yield lambda own: compose("config", [*where, *own], return_hydra_config=True)
+        yield lambda own: compose(name, [*where, *own], return_hydra_config=True)
 
 
 def _parsed(word: str) -> Any:
     return OverridesParser.create().parse_override(word)
 
 
-def _split(keys: Mapping[str, Any]) -> tuple[list[str], dict[str, list[Any]]]:
+def _split(keys: Mapping[str, Any], of: str = "config") -> tuple[list[str], dict[str, list[Any]]]:
     """Choices by name, as overrides, and values that Python gives, a list each."""
     words, objects = list[str](), dict[str, list[Any]]()
     for name, given in keys.items():
-        key = _key(name)
+        key = _key(name, of)
         value = given.tolist() if isinstance(given, np.ndarray | np.generic) else given
         several = list(value) if isinstance(value, list | tuple | range) else [value]
         groups = (*GROUPS, "tracking", "sweeps")
@@ -332,9 +364,9 @@ def _split(keys: Mapping[str, Any]) -> tuple[list[str], dict[str, list[Any]]]:
     return words, objects
 
 
-def _key(name: str) -> str:
+def _key(name: str, of: str) -> str:
     """A keyword as a key of the configuration: ``users_count`` is ``users.count``."""
-    known = known_keys()
+    known = known_keys(of)
     group, _, inside = name.partition("_")
     if name in PYTHON:
         return PYTHON[name]
@@ -343,7 +375,7 @@ def _key(name: str) -> str:
     if name.partition(".")[0] not in (*known, "hydra"):
         names = [*PYTHON, *known, *(f"{key}_{one}" for key in known for one in known[key])]
         hint = did_you_mean(name, names)
-        raise XplainError(f"{name}: no such key;{hint}" if hint else unknown_key(name))
+        raise XplainError(f"{name}: no such key;{hint or ' allowed: ' + ', '.join(known)}")
     return name
 
 

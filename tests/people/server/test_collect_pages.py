@@ -17,7 +17,6 @@ import pytest
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan, telling
 from tests.people.study.stand_in import PLACES
 from tests.people.visitors import GENEROUS, Visitor, enter, field
-from xplain.cli.discover import sentences_of
 from xplain.people.collect.asking import CollectState, belief, schedule
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
@@ -29,6 +28,7 @@ from xplain.people.server.security import Keys
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page
 from xplain.questions.questionnaire import Questionnaire
+from xplain.runs.discovery import sentences_of
 
 
 @pytest.fixture(scope="module")
