@@ -29,14 +29,12 @@ from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import Assumed
 from xplain.interaction.explainees import Exact, Explainee, Heedless, Slips
 from xplain.interaction.metrics import Record
-from xplain.solvers.ask_first import AskFirst
 from xplain.solvers.base import Solver
+from xplain.solvers.greedy import QMDP, KnownType
 from xplain.solvers.hsvi.solver import Certified
-from xplain.solvers.known_type import KnownType
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.qhr import QHR
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.simple import QHR, AskFirst
 
 PRICES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
 TRACES = {"rescue": 5, "four_rooms": 6}

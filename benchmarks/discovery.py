@@ -56,7 +56,7 @@ from xplain.learning.types import Clustering
 from xplain.learning.user_types import Perfect, UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP
 
 RESULTS = Path(__file__).parent / "results"
 ROWS = Path("outputs/benchmarks/discovery_grid.csv")

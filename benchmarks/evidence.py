@@ -49,7 +49,7 @@ from xplain.learning.mixture import labeler as hypothesis_labeler
 from xplain.learning.user_types import label_table
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP
 
 KEPT = Path(__file__).parent / "results/evidence.csv"
 PEOPLE = ("as assumed", "half", "opposite", "x .3 to 3", "unwritten", "half a bonus", "scrambled")

@@ -37,9 +37,9 @@ from xplain.interaction.explainees import Exact, Explainee, Heedless, Person, Sl
 from xplain.interaction.metrics import Record
 from xplain.interaction.statistics import clustered_mean
 from xplain.solvers.base import Solver
+from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.qmdp import QMDP
 
 DOMAINS = ("rescue", "four_rooms")
 SEEDS = range(9300, 9312)

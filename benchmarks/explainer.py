@@ -17,9 +17,9 @@ import numpy as np
 
 from xplain import Explainer, GivenTypes
 from xplain.solvers.base import Solver
+from xplain.solvers.greedy import QMDP
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.qhr import QHR
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.simple import QHR
 
 STEPS, TYPES = 20, 5
 SOLVERS: dict[str, tuple[Solver, float]] = {

@@ -49,7 +49,7 @@ from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import Perfect, UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import series_style
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP
 
 LABELERS = {
     "tree (paper)": LabelerTrainer(),

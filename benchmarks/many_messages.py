@@ -22,14 +22,15 @@ from rich.console import Console
 from rich.table import Table
 
 from xplain.errors import TooLargeError
+from xplain.explanation.actions import Action, VisibleState
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Solver
+from xplain.solvers.base import Solver, messages_of
+from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp.solver import POMCP, Search
 from xplain.solvers.pomcp.tree import SearchRoot
-from xplain.solvers.qmdp import QMDP
 from xplain.solvers.restriction import Restricted
 
 
@@ -77,8 +78,8 @@ def mebibytes(work: Callable[[], object]) -> float:
 def cells(solver: Solver, problem: Problem, repeats: int) -> tuple[str, str]:
     """Milliseconds to plan and take the first decision, and MiB; or that it is refused."""
 
-    def work() -> int:
-        return solver.plan(problem).messages(0, 0, problem.prior)
+    def work() -> Action:
+        return solver.plan(problem).decide(VisibleState(), problem.prior)
 
     try:
         return f"{1e3 * seconds(work, repeats):.2f}", f"{mebibytes(work):.2f}"
@@ -139,7 +140,7 @@ def pomcp_decisions(quick: bool) -> Table:
         policy = POMCP(simulations=3_000).plan(problem)
         assert isinstance(policy, Restricted)
         assert isinstance(policy.policy, Search)
-        policy.messages(0, 0, problem.prior)
+        policy.decide(VisibleState(), problem.prior)
         rng = np.random.default_rng(0)
         said, searches, decisions = [], [], []
         for k in range(3 if quick else 12):
@@ -148,7 +149,7 @@ def pomcp_decisions(quick: bool) -> Table:
             policy.policy.search(SearchRoot(k, 0, belief))
             searches.append(time.process_time() - began)
             began = time.process_time()
-            said.append(policy.messages(k, 0, belief).bit_count())
+            said.append(messages_of(policy.decide(VisibleState(k), belief)).bit_count())
             decisions.append(time.process_time() - began)
         shown.add_row(
             f"up to {bearing}", str(len(policy.kept)), f"{np.median(said):g}",

@@ -20,12 +20,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from xplain.explanation.actions import VisibleState
 from xplain.explanation.problem import Problem
+from xplain.solvers.evaluate import evaluate
+from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.solvers.known_type import known_bytes, known_values
 from xplain.solvers.memory import GIB
-from xplain.solvers.model import model_of, optimal_values, table_bytes
-from xplain.solvers.policy_evaluation import evaluate
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.process import make_process
 
 
 def facts_problem(m: int, n: int, types: int, seed: int = 0, trade_off: float = 1.0) -> Problem:
@@ -61,13 +63,13 @@ def tables(quick: bool, repeats: int) -> Table:
     for m, n, types in sizes:
         problem = facts_problem(m, n, types)
         seconds = median_seconds(
-            lambda p=problem: optimal_values(model_of(p)), 1 if n > 16 else repeats
+            lambda p=problem: known_values(make_process(p)), 1 if n > 16 else repeats
         )
         policy = QMDP().plan(problem)
         decision = median_seconds(
-            lambda q=policy, p=problem: q.messages(0, 0, p.prior), 5 * repeats
+            lambda q=policy, p=problem: q.decide(VisibleState(), p.prior), 5 * repeats
         )
-        gib = table_bytes(problem) / GIB
+        gib = known_bytes(problem) / GIB
         shown.add_row(
             str(m), str(n), str(types), f"{seconds:.4f}", f"{gib:.3f}", f"{1e3 * decision:.2f}"
         )

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from xplain.explanation.actions import VisibleState
 from xplain.explanation.problem import Problem
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.pomcp.tree import SearchRoot
@@ -225,7 +226,7 @@ def short_searches(problem: Problem, rounds: int) -> None:
 
 
 def decisions(rounds: int) -> None:
-    """A decision at our default, as `Policy.messages` takes it: a search after each message."""
+    """A decision at our default, as `Policy.decide` takes it: a search after each message."""
     print("\nour default: milliseconds to plan (tables), and for the first decision")
     print("messages  steps  types       plan   decision")
     for messages, steps, types in ((6, 10, 5), (6, 20, 5), (10, 20, 5), (10, 20, 8), (14, 20, 5)):
@@ -236,7 +237,7 @@ def decisions(rounds: int) -> None:
             policy = POMCP().plan(problem, seed)
             planned.append(time.process_time() - start)
             start = time.process_time()
-            policy.messages(0, 0, problem.prior)
+            policy.decide(VisibleState(), problem.prior)
             decided.append(time.process_time() - start)
         print(
             f"{messages:8d} {steps:6d} {types:6d} {1e3 * median(planned):10.1f} "
@@ -248,11 +249,12 @@ def decisions(rounds: int) -> None:
 FRESH = """
 import time; start = time.perf_counter()
 import numpy as np
+from xplain.explanation.actions import VisibleState
 from xplain.explanation.problem import Problem
 from xplain.solvers.pomcp.solver import POMCP
 rng = np.random.default_rng(0)
 problem = Problem(rng.random((5, 20, 1024)), np.ones(10))
-POMCP(simulations=2000).plan(problem).messages(0, 0, problem.prior)
+POMCP(simulations=2000).plan(problem).decide(VisibleState(), problem.prior)
 print(time.perf_counter() - start, time.process_time())
 """
 

@@ -22,12 +22,14 @@ from omegaconf import OmegaConf
 from pomcp import problem_of
 
 from xplain.experiment.config import CONF
+from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.problem import Problem
 from xplain.interaction.statistics import clustered_mean
 from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge, Solver
 from xplain.solvers.bounds import bounds
 from xplain.solvers.count_lattice import branch, make_answers
+from xplain.solvers.evaluate import evaluate
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.model import (
     Model,
@@ -38,7 +40,6 @@ from xplain.solvers.model import (
     one_by_one,
     optimal_values,
 )
-from xplain.solvers.policy_evaluation import evaluate
 
 ANSWERS = 4096
 """Most distinguishable answers that a look at one *explain* follows."""
@@ -68,12 +69,17 @@ class LimitPolicy:
     optimal: NDArray[np.float64]
     cost: NDArray[np.float64]
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         """See :class:`xplain.solvers.base.Policy`."""
-        return one_by_one(lambda shown: best_set(self.values(step, shown, belief)), given)
+        step, given, _ = visible
+        return give(one_by_one(lambda said: best_set(self._values(step, said, belief)), given))
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """By message (its bit), and of *explain* (0)."""
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """Of *explain*, and of each message alone."""
+        step, given, _ = visible
+        return {give(new): value for new, value in self._values(step, given, belief).items()}
+
+    def _values(self, step: int, given: int, belief: NDArray[np.float64]) -> dict[int, float]:
         tables = self.model, self.optimal, self.cost
         room = [make_answers(ANSWERS, self.model.n_steps, self.model.n_types) for _ in "12"]
         values = _two_actions(*tables, step, given, belief.copy(), *room)

@@ -77,7 +77,7 @@ from xplain.learning.user_types import UserTypes, label_table
 from xplain.questions.designs import Adaptive, Battery
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP
 
 RESULTS = Path(__file__).parent / "results"
 ROWS = Path("outputs/benchmarks/questions_grid.csv")

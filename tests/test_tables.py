@@ -139,7 +139,7 @@ def test_what_changes_no_figure_makes_no_table_older(repository: Repository) -> 
         ("conf/domain/rescue.yaml", "message: ", "message: By the way, "),
         ("conf/solver/lookahead.yaml", "candidates: 16", "candidates: 17"),  # not in this sweep
         ("conf/clusterer/dirichlet.yaml", "chains: ", "chains: 1"),  # the default is not taken
-        ("conf/solver/qmdp.yaml", "xplain.solvers.qmdp.QMDP", "xplain.plans.QMDP"),
+        ("conf/solver/qmdp.yaml", "xplain.solvers.greedy.QMDP", "xplain.plans.QMDP"),
         (FIXED, '{"cost": 3.5, "bounds": 2}', '{\n  "bounds": 3,\n  "cost": 3.50}'),
     ):
         repository.change(file, old, new)

@@ -18,7 +18,7 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP
 
 QUICK = ["points=150", "lambda=1.5", "clusterer=dirichlet", "labeler=tree"]
 

@@ -28,8 +28,8 @@ from xplain.explanation.asking import Limits, Pool
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.explainees import Exact, Heedless, Slips
-from xplain.solvers.ask_first import AskFirst
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP
+from xplain.solvers.simple import AskFirst
 
 OVERRIDES = ("domain=four_rooms", "labeler=truth", "clusterer=perfect", "discount=1", "traces=3")
 

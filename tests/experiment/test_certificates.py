@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from tests.configurations import composed
+from tests.decisions import messages_given
 from tests.handmade import a_prepared, with_cases
 from tests.solvers.test_again import worth_of
 from tests.solvers.test_policy_evaluation import worth_by_enumeration
@@ -17,19 +18,16 @@ from xplain.errors import InputError, TooLargeError
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs, trace_seed
 from xplain.experiment.pipeline import Case, Prepared
-from xplain.explanation.again import Again
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, update
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value, reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import policy_evaluation as policy_value
 from xplain.solvers.base import Policy
-from xplain.solvers.known_type import Baseline, KnownType
+from xplain.solvers.greedy import QMDP, Baseline, KnownType
 from xplain.solvers.memory import GIB
 from xplain.solvers.model import table_bytes
-from xplain.solvers.open_loop import Silent
-from xplain.solvers.qhr import QHR
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.simple import QHR, Silent
 
 COSTS = Costs(0.8, 0.6, 1.5, 0.9, "action", "observers")
 PREPARED = a_prepared(steps=(2, 3))
@@ -218,12 +216,10 @@ def test_effort_is_checked(key, value):
 
 @pytest.mark.parametrize("solver", [QMDP(), Baseline()])
 def test_where_messages_may_be_missed_all_is_of_that_model(solver):
-    """Optimum and values by every action and every answer, a price and a limit of saying again
-    among them."""
-    costs = replace(COSTS, again=Again(0.5, most=2))
+    """Optimum and values by every action and every answer."""
     belief, first = Independent(accept=0.7, forget=0.2), PREPARED.cases[0]
-    found = Certify(**{**EFFORT, "traces": 1}).certificates(PREPARED, costs, solver, belief, 4)
-    problem = replace(problem_of(first), again=costs.again).with_habits(belief.habits())
+    found = Certify(**{**EFFORT, "traces": 1}).certificates(PREPARED, COSTS, solver, belief, 4)
+    problem = problem_of(first).with_habits(belief.habits())
     optimum = literal_optimal_value(problem)
     assert found["optimal_lower"] - 1e-9 <= optimum <= found["optimal_upper"] + 1e-9
     assert found["optimal_upper"] - found["optimal_lower"] <= EFFORT["gap"] + 1e-9
@@ -274,7 +270,7 @@ def worth_to_users(problem: Problem, policy: Policy, belief: BeliefUpdate, repea
         """From a step on: ``chances`` [N] of the types with the labels so far."""
         if step == problem.n_steps:
             return 0.0
-        new, value, factor = policy.messages(step, given, b), 0.0, 1.0
+        new, value, factor = messages_given(policy, step, given, b), 0.0, 1.0
         costs = problem.trade_off * problem.message_cost
         for price in sorted(costs[j] for j in range(problem.n_messages) if new >> j & 1):
             value -= factor * price * chances.sum()

@@ -15,8 +15,7 @@ from xplain.experiment.progress import SILENT
 from xplain.explanation.belief import Independent
 from xplain.interaction.explainees import Exact
 from xplain.solvers.base import Solver
-from xplain.solvers.known_type import Baseline
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP, Baseline
 
 
 def learned_again() -> NoReturn:

@@ -12,12 +12,12 @@ from tests.handmade import a_prepared, with_cases
 from xplain.errors import InputError
 from xplain.experiment.explanations import Costs, evaluate, problem_for, with_true_labels
 from xplain.experiment.pipeline import Prepared
+from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.problem import Problem
 from xplain.interaction.explainees import Exact
 from xplain.solvers.base import Knowledge
-from xplain.solvers.known_type import Baseline, KnownType
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP, Baseline, KnownType
 
 COSTS = Costs(
     trade_off=1.5,
@@ -127,10 +127,10 @@ class Script:
 
     after: int = 0
 
-    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
-        return 3 & ~given if step == self.after else 0
+    def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
+        return give(3 & ~visible.given if visible.step == self.after else 0)
 
-    def values(self, step: int, given: int, belief: np.ndarray) -> Mapping[int, float]:
+    def values(self, visible: VisibleState, belief: np.ndarray) -> Mapping[Action, float]:
         return {}
 
 

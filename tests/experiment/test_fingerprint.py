@@ -171,7 +171,7 @@ def test_an_installed_package_counts_without_reading_it():
 
 
 def test_our_own_and_the_standard_library_are_covered_elsewhere():
-    config = {"a": {"_target_": "xplain.solvers.qmdp.QMDP"}, "b": {"_target_": "sklearn.tree.X"}}
+    config = {"a": {"_target_": "xplain.solvers.greedy.QMDP"}, "b": {"_target_": "sklearn.tree.X"}}
     assert component_code(config) == {}
     assert component_code({"_target_": "collections.OrderedDict"}) == {}
     brought = {name: of for name, of in metadata.packages_distributions().items() if name.isalpha()}

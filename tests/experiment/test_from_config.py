@@ -12,7 +12,6 @@ from tests.configurations import composed
 from xplain.errors import InputError
 from xplain.experiment.fingerprint import configuration
 from xplain.experiment.from_config import check, costs_of
-from xplain.explanation.again import Again
 
 GOOD = configuration(composed("domain=four_rooms"))
 BAD: dict[str, Any] = {
@@ -67,8 +66,6 @@ def test_every_cost_is_the_one_of_its_key() -> None:
         "discount": 0.75,
         "discount_per": "step",
         "prior": "observers",
-        "again.price": 2.5,
-        "again.most": 3,
     }
     costs = costs_of(composed("domain=four_rooms", *(f"{k}={v}" for k, v in given.items())))
     assert costs.trade_off == 0.25
@@ -77,4 +74,3 @@ def test_every_cost_is_the_one_of_its_key() -> None:
     assert costs.discount == 0.75
     assert costs.discount_per == "step"
     assert costs.prior == "observers"
-    assert costs.again == Again(2.5, most=3)

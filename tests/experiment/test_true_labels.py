@@ -26,14 +26,12 @@ from xplain.learning.data.observers import FileObservers
 from xplain.learning.known_types import TrueLabels
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
+from xplain.solvers.evaluate import evaluate as policy_value
+from xplain.solvers.greedy import QMDP, Baseline, KnownType
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.hsvi.solver import Certified
-from xplain.solvers.known_type import Baseline, KnownType
-from xplain.solvers.open_loop import SayAll, Silent
-from xplain.solvers.policy_evaluation import evaluate as policy_value
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.qhr import QHR
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.simple import QHR, SayAll, Silent
 
 SOLVERS: dict[str, Solver] = {
     "qmdp": QMDP(),

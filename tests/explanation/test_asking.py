@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xplain.errors import InputError
+from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleState
 from xplain.explanation.asking import (
-    NO_QUESTION,
     Limits,
     Questions,
     alike_first,
@@ -21,7 +20,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.interaction.interaction import Interaction
+from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
 from xplain.testing.problems import random_problem, with_questions
 
 
@@ -137,17 +136,14 @@ class AsksAll:
         self.problem = problem
         self.heard: list[int] = []
 
-    def question(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> int:
+    def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
         assert self.problem.questions is not None
-        self.heard.append(asked)
-        left = self.problem.questions.open(step, given, asked)
-        return left[0] if left else NO_QUESTION
+        self.heard.append(visible.asked)
+        left = self.problem.questions.open(*visible)
+        return AskQuestion(left[0]) if left else EXPLAIN
 
-    def messages(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> int:
-        return 0
-
-    def values(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> dict[int, float]:
-        return {0: 0.0}
+    def values(self, visible: VisibleState, belief: np.ndarray) -> dict[Action, float]:
+        return {EXPLAIN: 0.0}
 
 
 def clip_of_the_second_transition() -> Problem:
@@ -162,52 +158,37 @@ def test_a_clip_is_the_label_of_its_transition_where_people_repeat_themselves() 
     """Persistent: the belief after clip and labels is that after the labels alone. Afresh: the
     clip counts as a label more."""
     problem = clip_of_the_second_transition()
-    labels = [np.array([1], np.uint8), np.array([1, 0], np.uint8), np.array([1, 0, 1], np.uint8)]
+    labels = [(1,), (1, 0), (1, 0, 1)]
     for update in (Persistent(), Independent()):
         ends = []
         for asks in (True, False):
-            talk = Interaction(problem, AsksAll(problem), update)
+            talk = Dialogue(problem, AsksAll(problem), update)
             if asks:
-                assert talk.ask() == 0
-                talk.hear_answer(0, 0)
-            for answer in labels:
-                talk.hear(answer)
-            ends.append(talk.belief)
+                assert talk.decide() == AskQuestion(0)
+                talk.hear(Asked(0), Answered(0))
+            talk.hear(*map(Labelled, labels))
+            ends.append(talk.state.belief)
         assert np.allclose(*ends) == isinstance(update, Persistent)
 
 
 def test_what_was_answered_as_a_label_is_not_asked_again() -> None:
     problem = clip_of_the_second_transition()
-    for update, again in ((Persistent(), NO_QUESTION), (Independent(), 0)):
-        talk = Interaction(problem, AsksAll(problem), update)
-        talk.hear(np.array([1], np.uint8))
-        assert talk.ask() == 0  # the second transition was not shown yet
-        talk.hear(np.array([1, 0], np.uint8))
-        assert talk.ask() == again
-        talk.give(1)
-        assert talk.ask() == 0  # after a message it is another question
+    for update, again in ((Persistent(), EXPLAIN), (Independent(), AskQuestion(0))):
+        talk = Dialogue(problem, AsksAll(problem), update)
+        talk.hear(Labelled((1,)))
+        assert talk.decide() == AskQuestion(0)  # the second transition was not shown yet
+        talk.hear(Labelled((1, 0)))
+        assert talk.decide() == again
+        talk.hear(Given(1))
+        assert talk.decide() == AskQuestion(0)  # after a message it is another question
 
 
 def test_nothing_is_asked_twice() -> None:
     problem = asking_problems(5, 1)[0]
-    talk = Interaction(problem, AsksAll(problem), Independent())
+    talk = Dialogue(problem, AsksAll(problem), Independent())
     asked = []
-    while (question := talk.ask()) != NO_QUESTION:
-        asked.append(question)
-        talk.hear_answer(question, 1)
+    while isinstance(action := talk.decide(), AskQuestion):
+        asked.append(action.question)
+        talk.hear(Asked(action.question), Answered(1))
     assert asked
-    assert indices(talk.asked) == sorted(asked)
-
-
-def test_who_never_asks_is_refused_in_one_line() -> None:
-    class Silent:
-        def messages(self, *_: object) -> int:
-            return 0
-
-        def values(self, *_: object) -> dict[int, float]:
-            return {0: 0.0}
-
-    problem = clip_of_the_second_transition()
-    talk = Interaction(problem, Silent(), Independent())
-    with pytest.raises(InputError, match="ask=never"):
-        talk.ask()
+    assert indices(talk.state.visible.asked) == sorted(asked)

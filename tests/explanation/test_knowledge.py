@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.decisions import messages_given, worths
 from xplain.explanation import knowledge
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, told, update
 from xplain.explanation.habits import Habits, habits_of
@@ -21,9 +22,11 @@ from xplain.explanation.literal_pomdp import (
 )
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.interaction.interaction import Interaction
-from xplain.solvers.qmdp import QMDP
-from xplain.solvers.reminding import PATIENCE, Reminding
+from xplain.interaction.dialogue import Dialogue, Given, Labelled
+from xplain.solvers.greedy import QMDP
+from xplain.solvers.known_type import known_values
+from xplain.solvers.process import make_process
+from xplain.solvers.voi import PATIENCE
 from xplain.testing.problems import random_problem
 
 seeds = st.integers(0, 2**32 - 1)
@@ -134,10 +137,8 @@ def worth(problem: Problem, step: int, mask: int, belief: np.ndarray) -> float:
     if step == problem.n_steps:
         return 0.0
     policy = QMDP().plan(problem)
-    new = policy.messages(step, mask, belief)
-    per_message = problem.discount if problem.discount_per == "action" else 1.0
-    prices = [problem.trade_off * float(problem.message_cost[j]) for j in range(8) if new >> j & 1]
-    value = -sum(p * per_message**i for i, p in enumerate(sorted(prices)))
+    new = messages_given(policy, step, mask, belief)
+    value = -float(problem.prices[indices(new)].sum())
     belief, mask = told(problem, belief, new), mask | new
     count = step + 1
     p, answered = (
@@ -150,8 +151,7 @@ def worth(problem: Problem, step: int, mask: int, belief: np.ndarray) -> float:
         chance = float(belief @ np.where(answer == 1, answered, 1 - answered).prod(axis=1))
         if chance > 0:
             later += chance * worth(problem, count, mask, update(problem, belief, mask, answer))
-    factor = per_message ** len(prices)
-    return value + factor * (problem.discount * later - zeros)
+    return value + problem.discount * later - zeros
 
 
 @settings(max_examples=40, deadline=None)
@@ -162,7 +162,7 @@ def test_qmdp_is_between_what_it_earns_and_nothing_better(seed: int) -> None:
     problem = problem_of(seed)
     optimum = literal_optimal_value(problem)
     assert worth(problem, 0, 0, problem.start) <= optimum + 1e-9
-    assert optimum <= float(problem.start @ Reminding(problem).known(0, 0)) + 1e-9
+    assert optimum <= float(problem.start @ known_values(make_process(problem)).now(0, 0)) + 1e-9
 
 
 @settings(max_examples=40, deadline=None)
@@ -179,31 +179,29 @@ def test_users_who_all_but_surely_listen_are_told_the_same(seed: int) -> None:
     belief = rng.dirichlet(np.ones(types))
     wide = np.zeros((limit.table.p.shape[1], types))
     wide[0] = belief
-    margin = PATIENCE * (1 - belief.max()) * problem.prices(0)
+    margin = PATIENCE * (1 - belief.max()) * problem.prices
     for step in range(steps):
         said = 0
         while True:
-            values = known.values(step, said, belief)
+            values = worths(known, step, said, belief)
             if not said:
-                assert knowing.values(step, 0, wide.ravel()) == pytest.approx(values, abs=1e-6)
+                assert worths(knowing, step, 0, wide.ravel()) == pytest.approx(values, abs=1e-6)
             dearer = {a: v - (margin[indices(a)[0]] if a else 0) for a, v in values.items()}
             if not (new := max(dearer, key=dearer.__getitem__)):
                 break
             said |= new
-        assert knowing.messages(step, 0, wide.ravel()) == said
+        assert messages_given(knowing, step, 0, wide.ravel()) == said
 
 
 def said_and_heard(update: BeliefUpdate, said: list[int], forget: float) -> np.ndarray:
     """The belief of one who was told these and answered 1, 0 0, 1 1 1, …"""
     rng = np.random.default_rng(3)
     problem = Problem(rng.uniform(0.1, 0.9, (2, len(said), 2)), np.ones(1))
-    talk = Interaction(
-        problem.with_habits(habits_of(0.0, 0.7, forget)), QMDP().plan(problem), update
-    )
+    aware = problem.with_habits(habits_of(0.0, 0.7, forget))
+    talk = Dialogue(aware, QMDP().plan(problem), update)
     for k, new in enumerate(said):
-        talk.give(new)
-        talk.hear(np.full(k + 1, 1 - k % 2, dtype=np.uint8))
-    return talk.belief
+        talk.hear(Given(new), Labelled((1 - k % 2,) * (k + 1)))
+    return talk.state.belief
 
 
 def test_what_may_have_been_forgotten_or_was_said_again_makes_old_questions_new() -> None:

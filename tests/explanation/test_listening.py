@@ -19,9 +19,10 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learned_habits
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
+from xplain.interaction.dialogue import Dialogue, Given, Labelled
 from xplain.interaction.explainees import Heedless, Knower
-from xplain.interaction.interaction import Interaction
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.base import messages_of
+from xplain.solvers.greedy import QMDP
 
 FACTS, STEPS = 4, 10
 PAIRS = ((0, 1), (1, 2), (2, 3))
@@ -132,15 +133,17 @@ class Crowd:
             table = LabelTable.dense(truth[number % len(PAIRS)][None].astype(float))
             person = Heedless(self.accept, self.forget).meet(table, about, number)
             assert isinstance(person, Knower)
-            talk, said, answers = Interaction(aware, policy, update), [], []
+            talk, said, answers = Dialogue(aware, policy, update), [], []
             for k in range(STEPS):
-                new = talk.say()
+                new = messages_of(talk.decide())
+                talk.hear(Given(new))
                 heard += (new & ~person.knows).bit_count()
                 person.hear(new)
                 kept += person.knows.bit_count()
-                answer = person.react(talk.given, k + 1).answers ^ (rng.random(k + 1) < self.error)
+                given = talk.state.visible.given
+                answer = person.react(given, k + 1).answers ^ (rng.random(k + 1) < self.error)
                 labels += k + 1
-                talk.hear(answer.astype(np.uint8))
+                talk.hear(Labelled(tuple(answer.tolist())))
                 said.append(new)
                 answers.append(answer.astype(np.uint8))
             self.explained.append(Explained(aware, said, answers))

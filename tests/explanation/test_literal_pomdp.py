@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 from tests.explanation.problems import tiny_problems
+from xplain.explanation.actions import VisibleState
 from xplain.explanation.literal_pomdp import (
     EXPLAIN,
     LiteralPOMDP,
@@ -16,8 +17,8 @@ from xplain.explanation.literal_pomdp import (
     reduced_optimal_value,
 )
 from xplain.explanation.problem import Problem
+from xplain.solvers.greedy import QMDP
 from xplain.solvers.model import model_of, optimal_values
-from xplain.solvers.qmdp import QMDP
 
 
 @settings(deadline=None, max_examples=150)
@@ -32,7 +33,7 @@ def test_literal_and_reduced_agree(problem: Problem) -> None:
 def test_qmdp_bounds_the_optimum_from_above_where_no_message_is_a_delay(problem: Problem) -> None:
     problem = replace(problem, discount_per="step")
     optimum = reduced_optimal_value(problem)
-    values = QMDP().plan(problem).values(0, 0, problem.prior)
+    values = QMDP().plan(problem).values(VisibleState(), problem.prior)
     assert max(values.values()) >= optimum - 1e-9
     assert problem.prior @ optimal_values(model_of(problem))[0, 0] >= max(values.values()) - 1e-9
 

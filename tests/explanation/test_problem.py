@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from xplain.errors import InputError
-from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import LabelTable
@@ -33,7 +32,6 @@ def unusual() -> Problem:
         discount_per="step",
         message_names=("fuel", "fire"),
         type_names=("novice", "expert"),
-        again=Again(2.5, most=3),
     )
     asked = LabelTable.dense(*rng.random((2, 2, 3, 4)))
     limits = Limits(cost=0.3, most=2, when="first")

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -19,10 +20,10 @@ class Scripted:
     def __init__(self, messages: list[int]) -> None:
         self.script = messages
 
-    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
-        return self.script[step] & ~given
+    def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
+        return give(self.script[visible.step] & ~visible.given)
 
-    def values(self, step: int, given: int, belief: np.ndarray) -> dict[int, float]:
+    def values(self, visible: VisibleState, belief: np.ndarray) -> dict[Action, float]:
         return {}
 
 
@@ -108,9 +109,9 @@ class Counted(Scripted):
 
     asked = 0
 
-    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
+    def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
         self.asked += 1
-        return super().messages(step, given, belief)
+        return super().decide(visible, belief)
 
 
 def test_users_who_answer_alike_share_a_cached_policys_decisions_and_their_seconds():
@@ -126,8 +127,8 @@ def test_users_who_answer_alike_share_a_cached_policys_decisions_and_their_secon
 class Careless(Scripted):
     """Gives its messages again and again."""
 
-    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
-        return self.script[step]
+    def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
+        return give(self.script[visible.step])
 
 
 @pytest.mark.parametrize("script", [[1, 1], [4, 0]])

@@ -11,7 +11,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Heedless, Reaction, SimulatedUser, Slips
-from xplain.solvers.open_loop import Silent
+from xplain.solvers.simple import Silent
 
 PEOPLE = 400
 STEPS = 8

@@ -13,18 +13,16 @@ from hypothesis import strategies as st
 from tests.explanation.problems import random_problem
 from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
-from xplain.explanation.again import Again
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import DENSE, LabelTable, joined
 from xplain.explanation.listening import learned_habits
-from xplain.explanation.message_sets import mask_of
+from xplain.explanation.message_sets import mask_of, names_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.interaction.moves import Show
-from xplain.solvers.known_type import Conformant, KnownType
-from xplain.solvers.qhr import QHR
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP, Conformant, KnownType
+from xplain.solvers.simple import QHR
 
 SOLVERS = [QMDP(), QHR(), Conformant()]
 ERRORS = [0.0, 0.0, 0.2, "learned"]
@@ -129,8 +127,9 @@ def test_a_trace_that_grows_is_planned_for_with_all_that_is_known(situation):
     for k in range(problem.n_steps):
         session.extend([k])
         wiser = explainer.session(range(k + 1))
-        for names, labels in zip(session._said, session._answers, strict=True):
-            wiser.tell(session._names(names))
+        before = session.explained
+        for mask, labels in zip(before.said, before.answers, strict=True):
+            wiser.tell(names_of(mask, problem.message_names))
             wiser.observe(labels)
         assert wiser.messages() == session.messages()
         session.observe(answers[: k + 1, mask_of(session.said, problem.message_names)])
@@ -325,6 +324,10 @@ def answered(labels):
     session.observe(labels)
 
 
+TWICE = [["give", []], ["labels", [1]], ["labels", [1]]]
+UNKNOWN = [["give", ["z"]]]
+
+
 def test_misuse_is_one_clear_line():
     explainer = Explainer(TYPES)
     session = explainer.session([0])
@@ -356,14 +359,15 @@ def test_misuse_is_one_clear_line():
         (lambda: explainer.session().tell(["a"]), "before messages()"),
         (lambda: explainer.session([-1]), "trace"),
         (lambda: explainer.from_json(json.dumps(state | {"messages": ["b", "a"]})), "messages"),
-        (lambda: explainer.from_json(json.dumps(state | {"said": [[], []]})), "said"),
+        (lambda: explainer.from_json(json.dumps(state | {"events": [["say", []]]})), "event"),
+        (lambda: explainer.from_json(json.dumps(state | {"events": [["give"]]})), "JSON"),
         (lambda: anything.session([object()]).to_json(), "JSON"),
         (lambda: explainer.from_json("{}"), "JSON"),
         (lambda: explainer.from_json("no"), "JSON"),
         (lambda: explainer.from_json(json.dumps(state | {"format": 9})), "format"),
         (lambda: explainer.from_json(json.dumps(state | {"types": ["x"]})), "types"),
-        (lambda: explainer.from_json(json.dumps(state | {"answers": [[1], [1]]})), "said"),
-        (lambda: explainer.from_json(json.dumps(state | {"said": [["z"]]})), "unknown message"),
+        (lambda: explainer.from_json(json.dumps(state | {"events": TWICE})), "comes first"),
+        (lambda: explainer.from_json(json.dumps(state | {"events": UNKNOWN})), "unknown message"),
     ]
     for action, words in broken:
         with pytest.raises(InputError) as error:
@@ -471,24 +475,6 @@ def test_a_message_that_was_not_taken_in_is_said_again():
     assert (session.messages(), session.again, session.said) == ((), (), ("fuel",))
 
 
-def test_a_message_said_again_has_its_own_price_and_a_limit():
-    table = np.zeros((1, 6, 2))
-    table[..., 1] = 1
-    types = GivenTypes(np.clip(table, 0.02, 0.98), ("fuel",), ("novice",))
-    explainer = Explainer(
-        types, belief_update=Independent(0.0, 0.7, 0.0), again=Again(0.25, most=2)
-    )
-    session = explainer.session(range(6))
-    for labels in ([0], [0, 0], [0, 0, 0]):
-        session.messages()
-        session.observe(labels)
-    assert session.cost == 1 + 0.25 + 6  # nothing at the third step
-    with pytest.raises(InputError, match="that may be said after"):
-        session.tell(["fuel"])
-    later = explainer.from_json(session.to_json())
-    assert (later.belief, later.messages()) == (session.belief, ())
-
-
 def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
     """Messages are missed half of the time: then they are said again sooner, and to others too."""
     table = np.zeros((1, 6, 2))
@@ -511,13 +497,6 @@ def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
         assert belief.accept @ belief.prior == pytest.approx(found.accept @ found.prior)
         rates.append(found.accept @ found.prior)
     assert rates[0] < 0.75 < 0.9 < rates[1]
-
-
-def test_a_solver_that_cannot_say_a_message_again_says_so():
-    types = GivenTypes(np.full((2, 3, 4), 0.5), ("a", "b"), ("x", "y"))
-    session = Explainer(types, QHR(), belief_update=Independent(forget=0.1)).session(range(3))
-    with pytest.raises(InputError, match="solver=qmdp"):
-        session.messages()
 
 
 RATES = Habits(np.array([0.02, 0.2]), np.ones(2), np.zeros(2), np.array([0.7, 0.3]))

@@ -25,8 +25,8 @@ from tests.runs import sweeps
 from xplain.errors import InputError, XplainError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
-from xplain.solvers.qhr import QHR
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP
+from xplain.solvers.simple import QHR
 
 SMALL = (
     "domain=four_rooms",

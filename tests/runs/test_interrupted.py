@@ -18,7 +18,7 @@ def test_a_job_that_raises_lets_the_others_go_on(folder):
     (folder / "failing.py").write_text(
         "from dataclasses import dataclass\n"
         "from xplain.errors import InputError\n"
-        "from xplain.solvers.qmdp import QMDP\n"
+        "from xplain.solvers.greedy import QMDP\n"
         "@dataclass(frozen=True)\n"
         "class Failing(QMDP):\n"
         "    fails: bool = False\n"
@@ -62,7 +62,7 @@ def test_a_worker_that_dies_ends_the_sweep_with_a_line_and_its_report(tmp_path):
     (tmp_path / "deadly.py").write_text(
         "import os\n"
         "from dataclasses import dataclass\n"
-        "from xplain.solvers.qmdp import QMDP\n"
+        "from xplain.solvers.greedy import QMDP\n"
         "@dataclass(frozen=True)\n"
         "class Deadly(QMDP):\n"
         "    deadly: bool = False\n"

@@ -20,7 +20,7 @@ SOLVERS = '''
 import sys
 from dataclasses import dataclass
 
-from xplain.solvers.open_loop import Silent
+from xplain.solvers.simple import Silent
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def test_no_file_and_no_line_has_a_servers_password(
 
 def test_a_folder_may_have_any_letters(tmp_path: Path) -> None:
     folder = tmp_path / "Anna's 100% thesis"
-    with_solver(folder, "xplain.solvers.qmdp.QMDP")
+    with_solver(folder, "xplain.solvers.greedy.QMDP")
     code, output = run(folder, *MINE, *sweeps.QUICK[:-3], "lambda=1", sweeps.SERIAL)
     assert code == 0, output
     assert "1 of 1 jobs finished" in output

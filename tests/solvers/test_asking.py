@@ -8,29 +8,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xplain.explanation.asking import NO_QUESTION, Limits, Questions
+from tests.decisions import messages_given, question_asked
+from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleState
+from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import answered, update
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Asks, best_question
+from xplain.solvers.base import Policy, best_action
 from xplain.solvers.bounds import bounds
 from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.evaluate import evaluate, simulate
+from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.hsvi.solver import Certified
-from xplain.solvers.inquiry import NO_NEWS, make_room, mask_of, open_questions, words_of
-from xplain.solvers.model import model_of
-from xplain.solvers.policy_evaluation import evaluate
-from xplain.solvers.policy_simulation import simulate
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.process import make_process
+from xplain.solvers.voi import NO_NEWS, telling_questions
 from xplain.testing.problems import random_problem, with_questions
 
 CLOSE = Effort(gap=1e-9, nodes=100_000, memory_gib=1.0)
 
 
-def plain_value(problem: Problem, policy: Asks) -> float:
+def plain_value(problem: Problem, policy: Policy) -> float:
     """What a policy that asks is worth, by enumeration of all answers: nothing is merged."""
     questions = problem.questions
     assert questions is not None
@@ -38,8 +39,8 @@ def plain_value(problem: Problem, policy: Asks) -> float:
     def value(step: int, given: int, belief: np.ndarray, asked: int) -> float:
         if step == problem.n_steps:
             return 0.0
-        q = policy.question(step, given, belief, asked)
-        if q != NO_QUESTION:
+        q = question_asked(policy, step, given, belief, asked)
+        if q is not None:
             yes = float(belief @ questions.table.answer_probabilities(q + 1, given)[:, q])
             total = -questions.limits.cost
             for answer, p in ((1, yes), (0, 1 - yes)):
@@ -47,7 +48,7 @@ def plain_value(problem: Problem, policy: Asks) -> float:
                     after = answered(problem, belief, given, q, answer)
                     total += p * value(step, given, after, asked | 1 << q)
             return total
-        new = policy.messages(step, given, belief, asked)
+        new = messages_given(policy, step, given, belief, asked)
         price, delay = 0.0, 1.0
         per_message = problem.discount if problem.discount_per == "action" else 1.0
         for j in sorted(indices(new), key=lambda j: problem.message_cost[j]):
@@ -137,7 +138,7 @@ def test_the_value_of_a_policy_that_asks_is_exact(solver: QMDP | POMCP | Certifi
     for number in range(25):
         problem = asking_problem(rng)
         policy = CachedPolicy(solver.plan(problem, 0))  # sees beliefs rounded: one search each
-        asked += policy.question(0, 0, problem.prior) != NO_QUESTION
+        asked += question_asked(policy, 0, 0, problem.prior) is not None
         worth = evaluate(problem, policy)
         assert worth.value == pytest.approx(plain_value(problem, policy), abs=1e-7)
         if number < 5:
@@ -165,50 +166,43 @@ def test_to_be_able_to_ask_costs_nothing(solver: QMDP | POMCP) -> None:
 
 
 def test_open_questions_are_those_of_the_rule_that_tell_something() -> None:
+    """What tells nothing itself is listed where another of its kind does."""
     rng = np.random.default_rng(14)
     for _ in range(150):
         problem = with_questions(rng, random_problem(rng, 4, 2, 2), 7)
-        questions, inquiry = problem.questions, model_of(problem).inquiry
+        questions, process = problem.questions, make_process(problem)
         assert questions is not None
         asked = int(rng.integers(1 << len(questions)) & rng.integers(1 << len(questions)))
         step, given = int(rng.integers(2)), int(rng.integers(1 << problem.n_messages))
         belief = rng.dirichlet(np.ones(problem.n_types))
-        room = make_room(inquiry, asked)
-        with np.errstate(over="ignore"):
-            count = open_questions(inquiry, step, given, belief, room)
-        news = {}
-        for q in questions.open(step, given, asked):
-            p = questions.table.answer_probabilities(q + 1, given)[:, q]
-            told = entropy(belief @ p) - belief @ [entropy(x) for x in p]
-            if told > NO_NEWS:
-                news[q] = told
-        assert sorted(room.found[:count].tolist()) == sorted(news)
-        np.testing.assert_allclose(room.news[:count], sorted(news.values(), reverse=True))
+        found, nats = telling_questions(process, VisibleState(step, given, asked), belief)
+        news, labels = {}, questions.table.label_probabilities(len(questions), given).T >= 0.5
+        open_ = questions.open(step, given, asked)
+        for q in open_:
+            alike = (labels == labels[q]).all(axis=1)
+            for other in np.flatnonzero(alike).tolist():
+                p = questions.table.answer_probabilities(other + 1, given)[:, other]
+                told = entropy(belief @ p) - belief @ [entropy(x) for x in p]
+                if told > NO_NEWS and other >= q and not asked >> other & 1:
+                    news.setdefault(q, told)
+        assert sorted(found) == sorted(news)
+        np.testing.assert_allclose(nats, sorted(news.values(), reverse=True))
 
 
 def entropy(p: float) -> float:
     return float(-sum(x * np.log(x) for x in (p, 1 - p) if x > 0))
 
 
-def test_room_for_few_keeps_the_most_telling() -> None:
+def test_few_questions_are_the_most_telling() -> None:
     rng = np.random.default_rng(15)
     p = rng.random((6, 20, 1))
     problem = Problem(rng.random((6, 2, 1)), np.empty(0))
     problem = replace(problem, questions=Questions(LabelTable.dense(p), Limits(most=20)))
-    inquiry = model_of(problem).inquiry
-    every, few = make_room(inquiry), make_room(inquiry, most=4)
-    count = open_questions(inquiry, 0, 0, problem.prior, every)
-    assert open_questions(inquiry, 0, 0, problem.prior, few) == 4 < count
-    assert few.found.tolist() == every.found[:4].tolist()
-
-
-@pytest.mark.parametrize("count", [1, 62, 63, 150])
-def test_words_hold_any_bitmask(count: int) -> None:
-    rng = np.random.default_rng(16)
-    asked = sum(1 << q for q in np.flatnonzero(rng.random(count) < 0.5).tolist()) | 1 << count - 1
-    words = words_of(asked, -(-count // 62))
-    assert (words >= 0).all()
-    assert mask_of(words) == asked
+    process = make_process(problem)
+    every, _ = telling_questions(process, VisibleState(), problem.prior)
+    few, _ = telling_questions(process, VisibleState(), problem.prior, most=4)
+    assert few == every[:4]
+    assert len(every) > 4
 
 
 def test_second_opinions_are_worth_asking_for_where_answers_err() -> None:
@@ -223,19 +217,19 @@ def test_second_opinions_are_worth_asking_for_where_answers_err() -> None:
     problem = replace(problem, questions=Questions(LabelTable.dense(clip), Limits(cost=0.01)))
     for solver in (Certified(gap=1e-9), POMCP()):
         policy = solver.plan(problem, 0)
-        assert isinstance(policy, Asks)
-        first = policy.question(0, 0, problem.prior)
+        first = question_asked(policy, 0, 0, problem.prior)
         after = answered(problem, problem.prior, 0, first, 1)
-        second = policy.question(0, 0, after, 1 << first)
+        second = question_asked(policy, 0, 0, after, 1 << first)
         assert (first, second) == (0, 1)
         last = answered(problem, after, 0, second, 1)
-        assert policy.question(0, 0, last, 0b11) == NO_QUESTION
+        assert question_asked(policy, 0, 0, last, 0b11) is None
 
 
 def test_of_equally_good_questions_the_nearest() -> None:
-    assert best_question({0: -1.0, ~3: -0.5, ~1: -0.5}) == 1
-    assert best_question({0: -0.5, ~3: -0.5}) == NO_QUESTION
-    assert best_question({0: -0.5}) == NO_QUESTION
+    far, near = AskQuestion(3), AskQuestion(1)
+    assert best_action({EXPLAIN: -1.0, far: -0.5, near: -0.5}) == near
+    assert best_action({EXPLAIN: -0.5, far: -0.5}) == EXPLAIN
+    assert best_action({EXPLAIN: -0.5}) == EXPLAIN
 
 
 class AsksWhere:
@@ -244,15 +238,13 @@ class AsksWhere:
     def __init__(self, questions: int, where: Callable[[int, np.ndarray], bool]) -> None:
         self.questions, self.where = questions, where
 
-    def messages(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> int:
-        return 0
+    def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
+        left = [q for q in range(self.questions) if not visible.asked >> q & 1]
+        asks = left and self.where(visible.step, belief)
+        return AskQuestion(left[0]) if asks else EXPLAIN
 
-    def values(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> dict[int, float]:
+    def values(self, visible: VisibleState, belief: np.ndarray) -> dict[Action, float]:
         return {}
-
-    def question(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> int:
-        left = [q for q in range(self.questions) if not asked >> q & 1]
-        return left[0] if left and self.where(step, belief) else NO_QUESTION
 
 
 def test_beliefs_between_questions_count_against_the_limit_of_a_walk() -> None:

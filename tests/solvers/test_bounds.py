@@ -7,17 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.decisions import worths
 from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.solvers import model
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
+from xplain.solvers.evaluate import evaluate
+from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi import initial_bounds
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.memory import GIB
-from xplain.solvers.policy_evaluation import evaluate
-from xplain.solvers.qmdp import QMDP
 from xplain.solvers.restriction import restricted
 from xplain.testing.problems import random_problem
 
@@ -50,44 +51,36 @@ def test_prices_are_differences_that_are_never_negative() -> None:
     assert found.suboptimality(-2.0) == (0.0, 0.0)
 
 
-def test_lookahead_bounds_enclose_the_optimum_and_tighten_that_by_known_types() -> None:
+def test_lookaheads_values_bound_the_optimum_and_tighten_that_by_known_types() -> None:
+    """Where messages do not discount: the best value, of all sets or of few, is at least the
+    optimum and at most what it would be worth to be told the type."""
     rng = np.random.default_rng(31)
     tighter = 0
     for _ in range(200):
-        problem = random_problem(rng)
+        problem = replace(random_problem(rng), discount_per="step")
         optimum = reduced_optimal_value(problem)
         policy = Lookahead().plan(problem)
-        assert policy.lower - 1e-9 <= optimum <= policy.upper + 1e-9
-        every = problem.messages_with_effect
-        each = [plain_optimal_value(problem, t, messages=every) for t in range(problem.n_types)]
-        known = float(problem.prior @ each)
-        assert policy.upper <= known + 1e-9
-        tighter += policy.upper < known - 1e-6
-    assert tighter > 0
+        best = max(worths(policy, 0, 0, problem.prior).values())
+        known = known_type_value(problem)
+        assert optimum - 1e-9 <= best <= known + 1e-9
+        tighter += best < known - 1e-6
+        for narrow in (Lookahead(candidates=1), Lookahead(answers=1)):
+            values = worths(narrow.plan(problem), 0, 0, problem.prior)
+            assert max(values.values()) <= known + 1e-9
+    assert tighter >= 20
 
 
-def test_lookahead_bounds_meet_where_the_type_is_certain() -> None:
+def test_lookahead_is_optimal_where_the_type_is_certain() -> None:
     rng = np.random.default_rng(33)
     for _ in range(100):
         problem = random_problem(rng)
         t = int(rng.integers(problem.n_types))
-        policy = Lookahead().plan(replace(problem, prior=np.eye(problem.n_types)[t]))
-        every = problem.messages_with_effect
-        optimum = plain_optimal_value(problem, t, messages=every)
-        assert policy.lower == pytest.approx(optimum, abs=1e-9)
-        assert policy.upper == pytest.approx(optimum, abs=1e-9)
+        one = replace(problem, prior=np.eye(problem.n_types)[t])
+        worth = evaluate(one, Lookahead().plan(one))
+        assert worth.value == pytest.approx(plain_optimal_value(problem, t), abs=1e-9)
 
 
-def test_few_candidates_or_answers_still_bound() -> None:
-    rng = np.random.default_rng(32)
-    for _ in range(100):
-        problem = random_problem(rng)
-        optimum = reduced_optimal_value(problem)
-        for narrow in (Lookahead(candidates=1), Lookahead(answers=1)):
-            assert narrow.plan(problem).upper >= optimum - 1e-9
-
-
-def test_bounds_fall_back_to_lookahead_where_memory_is_short() -> None:
+def test_bounds_are_simpler_where_memory_is_short() -> None:
     problem = random_problem(np.random.default_rng(5), max_types=3, max_steps=3, max_messages=2)
     enough = bounds(problem)
     little = bounds(problem, Effort(memory_gib=_between(problem)))

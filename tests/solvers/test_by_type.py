@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import xplain.solvers.restriction as restriction
+from tests.decisions import messages_given, worths
 from tests.explanation.by_type_problems import pairs
 from xplain.errors import TooLargeError
 from xplain.explanation.habits import Habits
@@ -20,18 +21,17 @@ from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds, known_type_value
+from xplain.solvers.evaluate import evaluate
+from xplain.solvers.greedy import QMDP, Baseline, Conformant, KnownType
 from xplain.solvers.hsvi.solver import Certified
-from xplain.solvers.known_type import Baseline, Conformant, KnownType
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.model import explain_cost_at, model_of, optimal_values, take
-from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp.rollout import leaf_value
 from xplain.solvers.pomcp.search_model import model_of as search_model
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.pomcp.tree import SearchRoot, Tree
-from xplain.solvers.qhr import QHR
-from xplain.solvers.qmdp import QMDP
 from xplain.solvers.rows import rows_at
+from xplain.solvers.simple import QHR
 
 Both = tuple[Problem, Problem]
 
@@ -67,9 +67,9 @@ def assert_alike(solver: Solver, both: Both, sure: bool = False) -> None:
         if sure:
             belief = np.eye(types)[rng.integers(types)]
         k, shown = int(rng.integers(both[1].n_steps)), int(rng.integers(1 << n))
-        mine, other = (policy.messages(k, shown, belief) for policy in policies)
+        mine, other = (messages_given(policy, k, shown, belief) for policy in policies)
         assert mine == other
-        values = [policy.values(k, shown, belief) for policy in policies]
+        values = [worths(policy, k, shown, belief) for policy in policies]
         for chosen in values[0].keys() & values[1].keys():
             assert values[0][chosen] == pytest.approx(values[1][chosen], abs=1e-9)
 
@@ -191,11 +191,11 @@ def test_sixty_messages_are_planned_for() -> None:
     qmdp, pomcp = QMDP().plan(problem), POMCP(simulations=2000).plan(problem)
     sure = np.eye(problem.n_types)[2]
     own = sum(1 << j for j in problem.table.relevant[2].tolist())
-    known, estimated = qmdp.values(10, 0, sure), pomcp.values(10, 0, sure)
+    known, estimated = worths(qmdp, 10, 0, sure), worths(pomcp, 10, 0, sure)
     assert len(known) == len(estimated) == 7  # nothing else helps this type
     assert all(value <= known[chosen] + 1e-9 for chosen, value in estimated.items())
     for policy in (qmdp, pomcp):
-        chosen = policy.messages(10, 0, sure)
+        chosen = messages_given(policy, 10, 0, sure)
         assert chosen
         assert chosen & ~own == 0
     found = bounds(problem)

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.decisions import messages_given, worths
+from xplain.explanation.actions import EXPLAIN, Action, GiveMessages, VisibleState
 from xplain.explanation.problem import Problem
 from xplain.solvers.cached_policy import CachedPolicy
 from xplain.solvers.pomcp.solver import POMCP
@@ -18,29 +20,29 @@ class Slow:
 
     asked = 0
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         self.asked += 1
         time.sleep(0.02)
-        return 1 << self.asked
+        return GiveMessages(1 << self.asked)
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> dict[int, float]:
-        return {0: -1.0}
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> dict[Action, float]:
+        return {EXPLAIN: -1.0}
 
 
 def test_the_same_question_is_asked_once() -> None:
     """Rounding makes no new question; another step, set or belief does. Time is the first's."""
     slow, belief = Slow(), np.array([0.3, 0.7])
     policy = CachedPolicy(slow)
-    first = policy.messages(1, 2, belief)
+    first = messages_given(policy, 1, 2, belief)
     took = policy.seconds
     assert took >= 0.02
-    assert policy.messages(1, 0, belief) != first
-    assert policy.messages(1, 2, belief + 1e-15) == first
+    assert messages_given(policy, 1, 0, belief) != first
+    assert messages_given(policy, 1, 2, belief + 1e-15) == first
     assert policy.seconds == took
-    assert policy.messages(0, 2, belief) != first
-    assert policy.messages(1, 2, belief[::-1]) != first
+    assert messages_given(policy, 0, 2, belief) != first
+    assert messages_given(policy, 1, 2, belief[::-1]) != first
     assert slow.asked == 4
-    assert policy.values(1, 2, belief) == {0: -1.0}
+    assert worths(policy, 1, 2, belief) == {0: -1.0}
 
 
 def test_what_was_asked_before_makes_no_difference() -> None:
@@ -51,12 +53,12 @@ def test_what_was_asked_before_makes_no_difference() -> None:
     questions = [(k, g, rng.dirichlet(np.ones(3))) for k in range(5) for g in (0, 3)]
     policy = POMCP(simulations=300).plan(problem, 7)
     forth, back = CachedPolicy(policy), CachedPolicy(policy)
-    there = [forth.messages(*question) for question in questions]
-    assert [back.messages(*question) for question in reversed(questions)] == there[::-1]
-    assert [policy.messages(*question) for question in questions] == there
+    there = [messages_given(forth, *question) for question in questions]
+    assert [messages_given(back, *question) for question in reversed(questions)] == there[::-1]
+    assert [messages_given(policy, *question) for question in questions] == there
     step, given, belief = questions[0]
-    apart = policy.values(step, given, belief * (1 + 1e-15))
-    assert apart == pytest.approx(policy.values(step, given, belief), rel=1e-15)
+    apart = worths(policy, step, given, belief * (1 + 1e-15))
+    assert apart == pytest.approx(worths(policy, step, given, belief), rel=1e-15)
 
 
 def test_equal_beliefs_are_one_question() -> None:
@@ -68,8 +70,8 @@ def test_equal_beliefs_are_one_question() -> None:
         belief = np.array([*rng.dirichlet(np.ones(3)), 0.0])
         other = belief * (1 + 1e-15)
         other[3] = -0.0
-        assert policy.values(1, 0, belief) == policy.values(1, 0, other)
+        assert worths(policy, 1, 0, belief) == worths(policy, 1, 0, other)
         slow = Slow()
         cached = CachedPolicy(slow)
-        assert cached.messages(1, 0, belief) == cached.messages(1, 0, other)
+        assert messages_given(cached, 1, 0, belief) == messages_given(cached, 1, 0, other)
         assert slow.asked == 1

@@ -7,21 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.explanation.test_knowledge import problem_of, worth
+from tests.decisions import question_asked, worths
+from tests.explanation.test_knowledge import problem_of
 from xplain.explanation import knowledge
-from xplain.explanation.asking import NO_QUESTION, Limits, Questions
+from xplain.explanation.actions import VisibleState
+from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import told, update
 from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import knowing
-from xplain.solvers.base import asking
+from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi.knowing import CertifiedKnowing
 from xplain.solvers.hsvi.solver import Certified
-from xplain.solvers.knowing import Knowing, expected_loss, make_knowing
+from xplain.solvers.knowing import Knowing, make_knowing
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.qmdp import QMDP
 from xplain.solvers.reminding import Reminding
 
 
@@ -91,27 +92,8 @@ def test_a_long_search_finds_the_optimum(seed: int, questions: bool) -> None:
     """By brute force over states and observations, with and without questions."""
     problem = needy(seed, questions)
     solver = POMCP(simulations=40_000, depth=None, exploration=2.0)
-    values = solver.plan(problem, 0).values(0, 0, problem.start)
+    values = worths(solver.plan(problem, 0), 0, 0, problem.start)
     assert max(values.values()) == pytest.approx(literal_optimal_value(problem), abs=0.03)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_losses_tell_what_qmdp_earns(seed: int) -> None:
-    """W at the start less the mean of losses is the policy's value, by enumeration; the losses vary
-    less than what the explanations happen to cost."""
-    problem = needy(seed)
-    policy = Reminding(problem)
-    model = make_knowing(policy)
-    counter, labels, losses = np.array([7], np.uint64), np.empty(2, bool), []
-    with np.errstate(over="ignore"):
-        for _ in range(600):
-            state = knowing.draw_state(counter, problem.start)
-            losses.append(expected_loss(model, counter, 0, 0, state, problem.start.copy(), labels))
-    known = float(problem.start @ policy.known(0, 0))
-    se = np.std(losses) / np.sqrt(len(losses))
-    assert known - np.mean(losses) == pytest.approx(
-        worth(problem, 0, 0, problem.start), abs=5 * se + 1e-9
-    )
 
 
 def test_qmdp_asks_what_is_worth_it() -> None:
@@ -119,13 +101,13 @@ def test_qmdp_asks_what_is_worth_it() -> None:
     it is worth."""
     problem = needy(0, questions=True)
     assert problem.questions is not None
-    cheap = asking(QMDP().plan(problem))
+    cheap = QMDP().plan(problem)
     belief = told(problem, problem.start, 3)
-    assert max(cheap.values(1, 0, belief).values()) > max(
-        value for action, value in cheap.values(1, 0, belief).items() if action >= 0
+    assert max(worths(cheap, 1, 0, belief).values()) > max(
+        value for action, value in worths(cheap, 1, 0, belief).items() if action >= 0
     )
     dear = replace(problem, questions=replace(problem.questions, limits=Limits(50.0)))
-    assert asking(QMDP().plan(dear)).question(0, 0, problem.start) == NO_QUESTION
+    assert question_asked(QMDP().plan(dear), 0, 0, problem.start) is None
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -146,11 +128,11 @@ def test_certified_knows_questions(seed: int) -> None:
     assert isinstance(policy, CertifiedKnowing)
     optimum = literal_optimal_value(problem)
     assert policy.lower == pytest.approx(optimum, abs=1e-7)
-    values = policy.values(0, 0, problem.start)
+    values = worths(policy, 0, 0, problem.start)
     assert max(values.values()) == pytest.approx(optimum, abs=1e-7)
     best = max(values, key=lambda action: values[action])
-    asked = policy.question(0, 0, problem.start)
-    assert asked == (~best if best < 0 else NO_QUESTION)
+    asked = question_asked(policy, 0, 0, problem.start)
+    assert asked == (~best if best < 0 else None)
 
 
 def test_a_certified_decision_does_not_depend_on_what_was_asked_before() -> None:
@@ -158,9 +140,9 @@ def test_a_certified_decision_does_not_depend_on_what_was_asked_before() -> None
     problem = needy(2, questions=True)
     hasty = Certified(gap=1e-9, nodes=1, decision_nodes=1)
     beliefs = np.random.default_rng(0).dirichlet(np.ones(problem.start.size), 6)
-    often = asking(hasty.plan(problem))
+    often = hasty.plan(problem)
     for belief in [*beliefs, *beliefs[::-1], *beliefs]:
-        often.messages(0, 0, belief)
-    once = asking(hasty.plan(problem))
+        often.decide(VisibleState(), belief)
+    once = hasty.plan(problem)
     for belief in beliefs:
-        assert once.values(0, 0, belief) == often.values(0, 0, belief)
+        assert worths(once, 0, 0, belief) == worths(often, 0, 0, belief)

@@ -11,49 +11,50 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
+from tests.decisions import messages_given, worths
 from tests.explanation.problems import tiny_problems
 from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.actions import give
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import restriction
-from xplain.solvers.base import Solver
+from xplain.solvers.base import Solver, best_action
+from xplain.solvers.evaluate import evaluate
+from xplain.solvers.greedy import QMDP, Baseline, Conformant, KnownType
 from xplain.solvers.hsvi.solver import Certified
-from xplain.solvers.known_type import Baseline, Conformant, KnownType
+from xplain.solvers.known_type import known_values
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.model import best_set, explain_cost_at, explain_costs, model_of, optimal_values
-from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.qhr import QHR
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.process import make_process
 from xplain.solvers.restriction import coupled, restricted
+from xplain.solvers.simple import QHR
 
 
 @settings(deadline=None, max_examples=60)
 @given(tiny_problems())
 def test_tables_are_the_plain_recursion(problem: Problem) -> None:
-    table = optimal_values(model_of(problem))
+    known = known_values(make_process(problem))
     for k in range(problem.n_steps + 1):
         for shown in range(1 << problem.n_messages):
             for t in range(problem.n_types):
                 plain = plain_optimal_value(problem, t, k, shown)
-                assert table[k, shown, t] == pytest.approx(plain, abs=1e-9)
+                assert known.now(k, shown)[t] == pytest.approx(plain, abs=1e-9)
 
 
 @settings(deadline=None, max_examples=60)
 @given(tiny_problems())
 def test_explain_costs_are_the_expected_zeros(problem: Problem) -> None:
-    model = model_of(problem)
-    table = explain_costs(model)
+    process = make_process(problem)
     for k in range(problem.n_steps):
         for shown in range(1 << problem.n_messages):
             zeros = (1 - problem.p_explicable[:, : k + 1, shown]).sum(axis=1)
             expected = problem.inexplicability_cost * zeros
-            assert table[k, shown] == pytest.approx(expected, abs=1e-12)
-            assert explain_cost_at(model, k, shown) == pytest.approx(expected, abs=1e-12)
+            found = process.explain_cost[k, process.cells.at(shown)]
+            assert found == pytest.approx(expected, abs=1e-12)
 
 
 def idle_problem(**changes: object) -> Problem:
@@ -72,7 +73,7 @@ def test_a_message_without_effect_is_no_action(trade_off: float) -> None:
     for solver in (QMDP(), QHR(), Conformant(), Baseline(), Certified(), Lookahead(), POMCP()):
         policy = solver.plan(problem)
         for step in range(4):
-            assert not policy.messages(step, 0, problem.prior) & 0b010
+            assert not messages_given(policy, step, 0, problem.prior) & 0b010
 
 
 @pytest.mark.parametrize("solver", [QMDP(), KnownType(), Lookahead(), POMCP()])
@@ -84,8 +85,8 @@ def test_whoever_no_message_can_help_is_told_nothing(solver: Solver) -> None:
     policy = solver.plan(Problem(p, np.full(2, 0.1)))
     for t in range(2):
         for step in range(12):
-            assert policy.messages(step, 0, np.eye(2)[t]) == 1 << t
-            assert not policy.messages(step, 1 << t, np.eye(2)[t])
+            assert messages_given(policy, step, 0, np.eye(2)[t]) == 1 << t
+            assert not messages_given(policy, step, 1 << t, np.eye(2)[t])
 
 
 def test_a_message_that_changes_an_answer_alone_is_an_action() -> None:
@@ -141,11 +142,11 @@ def test_qhr_is_the_best_set_of_its_closed_form(situation: tuple[Problem, int, i
         return -float(cost)
 
     policy = QHR().plan(problem)
-    chosen = policy.messages(step, shown, problem.prior)
+    chosen = messages_given(policy, step, shown, problem.prior)
     assert chosen & shown == 0
     every = [closed_form(new) for new in range(1 << problem.n_messages) if not new & shown]
     assert closed_form(chosen) == pytest.approx(max(every), abs=1e-8)
-    for new, value in policy.values(step, shown, problem.prior).items():
+    for new, value in worths(policy, step, shown, problem.prior).items():
         assert value == pytest.approx(closed_form(new), abs=1e-8)
 
 
@@ -158,7 +159,7 @@ def test_a_known_type_is_served_optimally(problem: Problem) -> None:
     for t in range(problem.n_types):
         given_so_far, factor, total = 0, 1.0, 0.0
         for step in range(problem.n_steps):
-            new = policy.messages(step, given_so_far, np.eye(problem.n_types)[t])
+            new = messages_given(policy, step, given_so_far, np.eye(problem.n_types)[t])
             prices = sorted(
                 problem.trade_off * problem.message_cost[j]
                 for j in range(problem.n_messages)
@@ -177,7 +178,7 @@ def test_a_known_type_is_served_optimally(problem: Problem) -> None:
 def test_known_type_asks_for_the_type() -> None:
     problem = idle_problem()
     with pytest.raises(InputError, match="told the type"):
-        KnownType().plan(problem).messages(0, 0, problem.prior)
+        messages_given(KnownType().plan(problem), 0, 0, problem.prior)
 
 
 def test_conformant_pays_for_every_type_undivided() -> None:
@@ -186,8 +187,8 @@ def test_conformant_pays_for_every_type_undivided() -> None:
     p = np.zeros((3, 1, 2))
     p[:, :, 1] = 1
     problem = Problem(p, np.array([2.0]), discount=1.0)
-    assert Conformant().plan(problem).messages(0, 0, problem.prior) == 1
-    assert QMDP().plan(problem).messages(0, 0, problem.prior) == 0
+    assert messages_given(Conformant().plan(problem), 0, 0, problem.prior) == 1
+    assert messages_given(QMDP().plan(problem), 0, 0, problem.prior) == 0
 
 
 def test_conformant_pays_once_for_a_type_whose_error_rate_is_unknown() -> None:
@@ -196,7 +197,7 @@ def test_conformant_pays_once_for_a_type_whose_error_rate_is_unknown() -> None:
     p[:, :, 1] = 1
     problem = Problem(p, np.array([1.5]), discount=1.0).with_habits(habits_of("learned", 1.0, 0.0))
     assert problem.n_types == 5
-    assert Conformant().plan(problem).messages(0, 0, problem.prior) == 0
+    assert messages_given(Conformant().plan(problem), 0, 0, problem.prior) == 0
 
 
 def test_conformant_adds_up_the_zeros_of_types_that_differ() -> None:
@@ -205,7 +206,7 @@ def test_conformant_adds_up_the_zeros_of_types_that_differ() -> None:
     p[0, 0, [1, 3]] = 1
     p[1:, 0, [2, 3]] = 1
     problem = Problem(p, np.array([1.5, 1.5]), discount=1.0)
-    assert Conformant().plan(problem).messages(0, 0, problem.prior) == 0b10
+    assert messages_given(Conformant().plan(problem), 0, 0, problem.prior) == 0b10
 
 
 def test_baseline_takes_several_types_as_their_mixture() -> None:
@@ -216,18 +217,18 @@ def test_baseline_takes_several_types_as_their_mixture() -> None:
     for share, said in ((0.4, 0), (0.6, 1)):
         problem = Problem(p, np.array([0.5]), discount=1.0, prior=np.array([1 - share, share]))
         for belief in ([1.0, 0.0], [0.0, 1.0], [0.5, 0.5]):
-            assert Baseline().plan(problem).messages(0, 0, np.array(belief)) == said
+            assert messages_given(Baseline().plan(problem), 0, 0, np.array(belief)) == said
 
 
 def test_ties_prefer_explain_then_the_first_message() -> None:
     p = np.zeros((1, 1, 4))
     p[:, :, 1:] = 1
     even = Problem(p, np.array([1.0, 1.0]), discount=1.0)
-    assert QMDP().plan(even).messages(0, 0, even.prior) == 0
-    assert QHR().plan(even).messages(0, 0, even.prior) == 0
+    assert messages_given(QMDP().plan(even), 0, 0, even.prior) == 0
+    assert messages_given(QHR().plan(even), 0, 0, even.prior) == 0
     cheap = replace(even, trade_off=0.5)
-    assert QMDP().plan(cheap).messages(0, 0, even.prior) == 0b01
-    assert QHR().plan(cheap).messages(0, 0, even.prior) == 0b01
+    assert messages_given(QMDP().plan(cheap), 0, 0, even.prior) == 0b01
+    assert messages_given(QHR().plan(cheap), 0, 0, even.prior) == 0b01
 
 
 def needs_two_or_one(price: float = 1.0) -> Problem:
@@ -243,7 +244,7 @@ def needs_two_or_one(price: float = 1.0) -> Problem:
 def test_of_equal_sets_the_smaller_is_given(solver: Solver) -> None:
     """As masks, {0, 1} is less than {2}."""
     problem = needs_two_or_one()
-    assert solver.plan(problem).messages(0, 0, problem.prior) == 0b0100
+    assert messages_given(solver.plan(problem), 0, 0, problem.prior) == 0b0100
 
 
 @settings(max_examples=200, deadline=None)
@@ -254,7 +255,7 @@ def test_the_best_set_is_the_smallest_of_the_best_then_the_first(values: dict[in
     tied = [chosen for chosen, value in values.items() if value > max(values.values()) - 1e-10]
     fewest = min(bin(chosen).count("1") for chosen in tied)
     first = min(chosen for chosen in tied if bin(chosen).count("1") == fewest)
-    assert best_set(values) == first
+    assert best_action({give(one): value for one, value in values.items()}) == give(first)
 
 
 def test_too_large_is_refused_before_memory_is_taken() -> None:

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from tests.decisions import messages_given
 from tests.explanation.problems import tiny_problems
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.solvers.base import Solver
-from xplain.solvers.open_loop import SayAll, Silent
-from xplain.solvers.policy_evaluation import evaluate
+from xplain.solvers.evaluate import evaluate
+from xplain.solvers.simple import SayAll, Silent
 
 LABELS = np.array(
     [[1, 1, 1, 1], [0, 1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 0]], dtype=np.uint8
@@ -53,6 +54,6 @@ def test_what_they_are_worth_is_a_sum_over_prefixes(problem: Problem) -> None:
 def test_what_was_said_is_not_said_again() -> None:
     problem = Problem(np.full((1, 2, 8), 0.5), np.ones(3))
     policy, belief = SayAll().plan(problem), np.ones(1)
-    assert policy.messages(0, 0, belief) == 0b111
-    assert policy.messages(1, 0b010, belief) == 0b101
-    assert policy.messages(1, 0b111, belief) == 0
+    assert messages_given(policy, 0, 0, belief) == 0b111
+    assert messages_given(policy, 1, 0b010, belief) == 0b101
+    assert messages_given(policy, 1, 0b111, belief) == 0

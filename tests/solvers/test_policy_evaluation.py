@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given, settings
 from numpy.typing import NDArray
 
+from tests.decisions import messages_given
 from tests.explanation.problems import tiny_problems
+from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.belief import rounded, update
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
-from xplain.solvers.known_type import Conformant
-from xplain.solvers.policy_evaluation import evaluate
-from xplain.solvers.policy_simulation import simulate
+from xplain.solvers.evaluate import evaluate, simulate
+from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.qhr import QHR
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.simple import QHR
 
 
 def worth_by_enumeration(
@@ -37,7 +37,7 @@ def worth_by_enumeration(
     if step == problem.n_steps:
         return 0.0, 0.0
     per_message = problem.discount if problem.discount_per == "action" else 1.0
-    new = policy.messages(step, shown, belief)
+    new = messages_given(policy, step, shown, belief)
     value, cost, factor = 0.0, 0.0, 1.0
     prices = [
         problem.trade_off * float(problem.message_cost[j])
@@ -86,10 +86,13 @@ class Bytes:
         self.messages_there_are = messages
         self.beliefs: list[NDArray[np.float64]] = []
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         self.beliefs.append(belief)
-        digest = zlib.crc32(rounded(belief).tobytes(), step)
-        return digest % (1 << self.messages_there_are) & ~given
+        digest = zlib.crc32(rounded(belief).tobytes(), visible.step)
+        return give(digest % (1 << self.messages_there_are) & ~visible.given)
+
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> dict[Action, float]:
+        return {}
 
 
 def test_a_value_called_exact_is_of_this_policy_where_answers_rule_types_out() -> None:
@@ -121,7 +124,8 @@ def confident_problem() -> Problem:
 def test_simulation_agrees_with_the_exact_worth() -> None:
     problem = confident_problem()
     policy = QMDP().plan(problem)
-    assert policy.messages(0, 0, problem.prior).bit_count() > 1  # the order of prices matters
+    # The order of prices matters.
+    assert messages_given(policy, 0, 0, problem.prior).bit_count() > 1
     exact, simulated = evaluate(problem, policy), simulate(problem, policy, 4000, seed=1)
     assert (exact.value_is, simulated.value_is) == ("exact", "simulated")
     assert abs(exact.value - simulated.value) < 4 * simulated.value_se
@@ -149,17 +153,6 @@ def test_simulation_has_no_noise_where_the_type_is_known() -> None:
         assert max(worth.value_se, worth.cost_se) < 1e-12
 
 
-def test_simulation_needs_no_values_of_known_types(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = confident_problem()
-    policy = QMDP().plan(problem)
-    exact, close = evaluate(problem, policy), simulate(problem, policy, 1000, seed=1)
-    monkeypatch.setattr("xplain.solvers.policy_simulation.KNOWN_BYTES", 0)
-    rough = simulate(problem, policy, 1000, seed=1)
-    assert abs(exact.value - rough.value) < 4 * rough.value_se
-    assert abs(exact.cost - rough.cost) < 4 * rough.cost_se
-    assert close.value_se < rough.value_se
-
-
 def test_says_simulated_where_too_many_beliefs_are_reachable() -> None:
     problem = confident_problem()
     worth = evaluate(problem, QMDP().plan(problem), beliefs=5, episodes=50)
@@ -173,11 +166,11 @@ class Counting:
 
     asked: int = 0
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         self.asked += 1
-        return 0
+        return give(0)
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> dict[int, float]:
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> dict[Action, float]:
         return {}
 
 

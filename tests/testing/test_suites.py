@@ -11,10 +11,11 @@ import pytest
 
 from xplain.domains.base import Parameter
 from xplain.domains.users.setting import Setting, UserType
+from xplain.explanation.actions import EXPLAIN, GiveMessages, give
 from xplain.learning.data.queries import Independent
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import Clustering
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP
 from xplain.testing import (
     Chosen,
     ClustererConformance,
@@ -42,9 +43,9 @@ class Wrapped:
 
 @dataclass(frozen=True)
 class Spoilt:
-    """QMDP with another answer: ``messages(policy, problem, step, given, belief)``."""
+    """QMDP with another answer: ``decide(policy, problem, visible, belief)``."""
 
-    messages: object = None
+    decide: object = None
     values: object = None
     knows: str = "types"
 
@@ -52,15 +53,19 @@ class Spoilt:
         policy = QMDP().plan(problem, seed)
         faults = {
             name: (lambda whole, *a, fault=fault: fault(whole, problem, *a))
-            for name, fault in (("messages", self.messages), ("values", self.values))
+            for name, fault in (("decide", self.decide), ("values", self.values))
             if fault is not None
         }
         return Wrapped(policy, **faults)
 
 
-def change_belief(policy, problem, step, given, belief):
+def change_belief(policy, problem, visible, belief):
     belief[0] = 0.0
-    return policy.messages(step, given, belief)
+    return policy.decide(visible, belief)
+
+
+def say_all(policy, problem, visible, belief):
+    return give((1 << problem.n_messages) - 1 & ~visible.given)
 
 
 counter = itertools.count()
@@ -68,17 +73,17 @@ RNG = np.random.default_rng(0)
 
 SOLVERS = [
     ("is_a_solver", Spoilt(knows="everything")),
-    ("exist_and_are_new", Spoilt(lambda p, x, k, g, b: 1 << x.n_messages)),
-    ("exist_and_are_new", Spoilt(lambda p, x, k, g, b: g)),
-    ("exist_and_are_new", Spoilt(lambda p, x, k, g, b: -1)),
-    ("exist_and_are_new", Spoilt(lambda p, x, k, g, b: ("m",))),
-    ("same_question", Spoilt(lambda p, x, k, g, b: next(counter))),
-    ("values_belong", Spoilt(values=lambda p, x, k, g, b: {0: float("nan")})),
-    ("values_belong", Spoilt(values=lambda p, x, k, g, b: {1 << x.n_messages: 0.0})),
+    ("exist_and_are_new", Spoilt(lambda p, x, v, b: GiveMessages(1 << x.n_messages))),
+    ("exist_and_are_new", Spoilt(lambda p, x, v, b: give(v.given))),
+    ("exist_and_are_new", Spoilt(lambda p, x, v, b: GiveMessages(-1))),
+    ("exist_and_are_new", Spoilt(lambda p, x, v, b: ("m",))),
+    ("same_question", Spoilt(lambda p, x, v, b: GiveMessages(next(counter)))),
+    ("values_belong", Spoilt(values=lambda p, x, v, b: {EXPLAIN: float("nan")})),
+    ("values_belong", Spoilt(values=lambda p, x, v, b: {GiveMessages(1 << x.n_messages): 0.0})),
     ("leaves_problem", Spoilt(change_belief)),
-    ("says_nothing", Spoilt(lambda p, x, k, g, b: (1 << x.n_messages) - 1 & ~g)),
-    ("says_at_once", Spoilt(lambda p, x, k, g, b: 0)),
-    ("explains_a_whole", Spoilt(lambda p, x, k, g, b: (1 << x.n_messages) - 1 & ~g)),
+    ("says_nothing", Spoilt(say_all)),
+    ("says_at_once", Spoilt(lambda p, x, v, b: EXPLAIN)),
+    ("explains_a_whole", Spoilt(say_all)),
 ]
 
 rescue = Chosen("domain", "rescue").make()

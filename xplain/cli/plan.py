@@ -22,7 +22,6 @@ The last line on standard output is one JSON object:
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import Any
 
 from hydra.utils import instantiate
@@ -31,19 +30,19 @@ from rich.console import Console
 from rich.table import Table
 
 from xplain.experiment.config import CONF, composed
-from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.actions import AskQuestion, VisibleState
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.explanation.problem_file import load
 from xplain.interaction.statistics import half_width
 from xplain.randomness import run_seed
 from xplain.report.run_summary import BY_CHANCE
-from xplain.solvers.base import Asks, Policy, asking
+from xplain.solvers.base import Policy, messages_of
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
+from xplain.solvers.evaluate import evaluate
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.hsvi.knowing import CertifiedKnowing
 from xplain.solvers.hsvi.solver import CertifiedPolicy
-from xplain.solvers.policy_evaluation import evaluate
 
 Row = dict[str, Any]
 
@@ -58,13 +57,13 @@ def main(arguments: list[str]) -> Row | list[Row]:
     names = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
     configs = [composed("plan", [*rest, f"solver={name}"], with_hydra=True) for name in names]
     known = _bounds(load(configs[0].problem), configs[0])
-    rows = [_plan_one(cfg, known, compared=True) for cfg in configs]
+    rows = [_plan_one(cfg, known) for cfg in configs]
     _compare(rows)
     return rows
 
 
-def _plan_one(cfg: DictConfig, known: Bounds | None = None, compared: bool = False) -> Row:
-    """One solver's row; compared with others, one that cannot ask explains without asking."""
+def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
+    """One solver's row."""
 
     run_seed(cfg.seed)
     problem = load(cfg.problem)
@@ -74,13 +73,9 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None, compared: bool = Fal
     policy = solver.plan(problem, cfg.seed)
     asked: Row = {}
     if problem.questions is not None and not told:
-        if compared and not isinstance(policy, Asks):
-            asked, problem = {"asks": False}, replace(problem, questions=None)
-            policy = solver.plan(problem, cfg.seed)
-        else:
-            asked = _first_question(problem, policy)
+        asked = _first_question(problem, policy)
     waits = told or asked.get("first_question") is not None
-    first = None if waits else indices(policy.messages(0, 0, problem.start))
+    first = None if waits else indices(messages_of(policy.decide(VisibleState(), problem.start)))
     seconds = time.perf_counter() - began
 
     row: Row = {"solver": cfg.hydra.runtime.choices.solver, "first_messages": first, **asked}
@@ -101,24 +96,22 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None, compared: bool = Fal
 
 
 def _first_question(problem: Problem, policy: Policy) -> Row:
-    """What the policy asks first, and what it expects of asking.
-
-    Raises:
-        InputError: it cannot ask.
-    """
-
-    questions, asks = problem.questions, asking(policy)
+    """What the policy asks first, and what it expects of asking."""
+    questions = problem.questions
     assert questions is not None
 
     def words(number: int) -> Row:
         return {"number": number, "question": str(questions.question(number))}
 
-    first = asks.question(0, 0, problem.start)
-    values = sorted(asks.values(0, 0, problem.start).items(), key=lambda one: -one[1])
+    first = policy.decide(VisibleState(), problem.start)
+    values = policy.values(VisibleState(), problem.start).items()
     return {
-        "asks": True,
-        "first_question": None if first == NO_QUESTION else words(first),
-        "question_values": [words(~q) | {"value": value} for q, value in values if q < 0],
+        "first_question": words(first.question) if isinstance(first, AskQuestion) else None,
+        "question_values": [
+            words(action.question) | {"value": value}
+            for action, value in sorted(values, key=lambda one: -one[1])
+            if isinstance(action, AskQuestion)
+        ],
     }
 
 

@@ -226,7 +226,6 @@ def _explainer(
         update,
         seed,
         None if asked is None else costs.asking,
-        costs.again,
     )
 
 

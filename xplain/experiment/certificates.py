@@ -20,8 +20,8 @@ from xplain.explanation.problem import Problem
 from xplain.interaction.statistics import half_width
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import Bounds, bounds
+from xplain.solvers.evaluate import evaluate
 from xplain.solvers.hsvi.explore import Effort
-from xplain.solvers.policy_evaluation import evaluate
 
 log = logging.getLogger(__name__)
 
@@ -136,7 +136,7 @@ class Certify:
         # A policy of a one-type problem has no belief to look at: in a world of several types it
         # earns what it earns against their mixture, if all of them take all messages in.
         world = problem
-        if own.n_types == 1 and not problem.tracks_knowledge:
+        if own.n_types == 1 and problem.messages_land:
             with suppress(TooLargeError):  # it earns the same, only its value takes longer then
                 world = problem.mixture(problem.prior, own.type_names[0])
         with progress.stage("value of this policy"):

@@ -19,7 +19,7 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.interaction.explainees import Explainee, Stranger
 from xplain.interaction.metrics import Record
 from xplain.solvers.base import Solver
-from xplain.solvers.known_type import KnownType
+from xplain.solvers.greedy import KnownType
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xplain.errors import InputError, number, one_of
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.experiment.progress import SILENT, Progress
-from xplain.explanation.again import Again
+from xplain.explanation.actions import VisibleState
 from xplain.explanation.asking import Limits
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.habits import PAPER
@@ -25,7 +25,7 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Explainee, Habitual
 from xplain.interaction.metrics import Record
 from xplain.randomness import derived_seed
-from xplain.solvers.base import Solver, asking
+from xplain.solvers.base import Solver
 from xplain.solvers.cached_policy import CachedPolicy
 
 
@@ -41,7 +41,6 @@ class Costs:
         inexplicability_cost, discount, discount_per: see :class:`Problem`.
         prior: ``uniform``, or ``observers``: their shares.
         asking: what questions cost, and how many may be asked.
-        again: what messages said again cost, and how often one may be said.
     """
 
     trade_off: float
@@ -51,7 +50,6 @@ class Costs:
     discount_per: DiscountPer
     prior: Literal["uniform", "observers"]
     asking: Limits = field(default_factory=Limits)
-    again: Again = field(default_factory=Again)
 
     def __post_init__(self) -> None:
         """Checks what :class:`Problem` would refuse, before any work is done."""
@@ -97,7 +95,6 @@ class Costs:
             discount_per=self.discount_per,
             message_names=message_names,
             type_names=type_names,
-            again=self.again,
         )
 
 
@@ -196,9 +193,7 @@ def evaluate(
                     problem = problem.with_habits(habits)
                     planned = solver.plan(problem, trace_seed(seed, index))
                     if index == 0:  # kernels load at the first decision: no decision's time
-                        if problem.questions is not None:
-                            asking(planned).question(0, 0, problem.start)
-                        planned.messages(0, 0, problem.start)
+                        planned.decide(VisibleState(), problem.start)
                     policy = CachedPolicy(planned)
                 person = explainee.meet(
                     truth.of_types([user]), same, derived_seed(seed, "explainee", index, user)

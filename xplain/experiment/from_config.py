@@ -21,7 +21,6 @@ from xplain.experiment.certificates import Certify
 from xplain.experiment.experiment import Experiment
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
-from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Pool
 from xplain.randomness import stream
 from xplain.solvers.base import Solver
@@ -150,7 +149,6 @@ def costs_of(cfg: DictConfig) -> Costs:
         discount_per=cfg.discount_per,
         prior=cfg.prior,
         asking=Limits(cfg.ask.cost, cfg.ask.most, cfg.ask.when),
-        again=_section(cfg, "again", Again),
     )
     if by_name:  # before anything is learned
         costs.message_costs(tuple(p.name for p in component(cfg, "domain").parameters))
@@ -159,7 +157,6 @@ def costs_of(cfg: DictConfig) -> Costs:
 
 COSTS = (
     "ask",
-    "again",
     "lambda",
     "message_cost",
     "inexplicability_cost",

@@ -32,8 +32,6 @@ SENSE = "Does this step make sense to you?"
 """What a clip is shown with."""
 WHICH = "Which do you think?"
 """What the two sentences of a fact are shown with."""
-NO_QUESTION = -1
-"""Instead of a question's number."""
 PREFIX = "question_"
 """Of the names of arrays in a problem's file."""
 
@@ -145,7 +143,7 @@ class Questions:
 
     def open(self, step: int, given: int | None, asked: int) -> list[int]:
         """The questions that may be asked at (k, H): of those that are alike the nearest not
-        ``asked`` (a bitmask) yet. The rule by which :mod:`xplain.solvers.inquiry` goes as well.
+        ``asked`` (a bitmask) yet. The rule by which :mod:`xplain.solvers.voi` goes as well.
 
         Where nobody can tell what a user knows, ``given`` is None, and clips are alike that are so
         whatever is known.

@@ -122,7 +122,7 @@ def update(
         exactly 0 or 1) tell nothing about the type: the belief stays as it was.
     """
     posterior = _after(problem, problem.table, belief, message_set, labels, evidence)
-    if not problem.tracks_knowledge:
+    if problem.messages_land:
         return posterior
     known = posterior.reshape(-1, problem.n_types)
     return knowledge.forget(known, problem.table.relevant, problem.forget).ravel()
@@ -150,7 +150,7 @@ def _after(
     evidence: Evidence,
 ) -> NDArray[np.float64]:
     """The belief after answers about the first so many transitions of a table."""
-    if problem.tracks_knowledge:
+    if not problem.messages_land:
         p = table.answered[: len(labels)].reshape(len(labels), -1).T[:, evidence]
     else:
         p = table.answer_probabilities(len(labels), message_set)[:, evidence]
@@ -168,7 +168,7 @@ def _after(
 
 def told(problem: Problem, belief: NDArray[np.float64], new: int) -> NDArray[np.float64]:
     """The belief after these messages were said: the same, unless users may miss some."""
-    if not problem.tracks_knowledge:
+    if problem.messages_land:
         return belief
     known = belief.reshape(-1, problem.n_types)
     for message in indices(new):

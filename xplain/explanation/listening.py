@@ -51,7 +51,7 @@ class Explained:
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
         """[F] how likely each habit is to be that of the person, by their answers. Where people may
-        forget, every label is news (:meth:`xplain.interaction.interaction.Interaction.hear`)."""
+        forget, every label is news (:func:`xplain.interaction.dialogue.advance`)."""
         problem = _of_the_paper(self.problem).with_habits(habits)
         belief, given = problem.start, 0
         for new, labels in zip(self.said, self.answers, strict=False):

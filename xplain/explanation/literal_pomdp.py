@@ -26,7 +26,7 @@ EXPLAIN = -1
 
 class LiteralState(NamedTuple):
     """⟨k, L, E_given, E_next, t⟩, K where messages may be missed or forgotten, the questions
-    asked, and every message shown at earlier steps, as often as it was."""
+    asked."""
 
     step: int
     labels: tuple[int, ...]
@@ -35,7 +35,6 @@ class LiteralState(NamedTuple):
     user_type: int
     known: frozenset[int] = frozenset()
     asked: frozenset[int] = frozenset()
-    heard: tuple[int, ...] = ()
 
 
 Observation = tuple[int, ...] | None
@@ -58,19 +57,18 @@ class LiteralPOMDP:
 
     def actions(self, state: LiteralState) -> list[int]:
         """*Explain*, and the messages with effect, neither given nor pending (where they may be
-        missed or forgotten, all that are not pending, and were not said as often as they may be),
-        and questions while nothing is pending; none at the end of the trace."""
+        missed or forgotten, all that are not pending), and questions while nothing is pending; none
+        at the end of the trace."""
         if state.step == self.problem.n_steps:
             return []
         messages = self.problem.messages_with_effect
         used = state.given | state.pending
-        if self.problem.tracks_knowledge:
+        if not self.problem.messages_land:
             messages = tuple(range(self.problem.n_messages))
-            most = self.problem.again.most or self.problem.n_steps
-            used = state.pending | {j for j in state.heard if state.heard.count(j) >= most}
+            used = state.pending
         free = [EXPLAIN, *(j for j in messages if j not in used)]
         if self.problem.questions is not None and not state.pending:
-            given = None if self.problem.tracks_knowledge else bitmask(state.given)
+            given = None if not self.problem.messages_land else bitmask(state.given)
             may = self.problem.questions.open(state.step, given, bitmask(state.asked))
             free += [EXPLAIN - 1 - q for q in may]
         return free
@@ -85,8 +83,6 @@ class LiteralPOMDP:
             return
         if action != EXPLAIN:
             reward = -problem.trade_off * float(problem.message_cost[action])
-            if action in state.given:
-                reward *= problem.again.price
             said = state._replace(pending=state.pending | {action})
             accept = problem.accept[state.user_type]
             yield float(accept), said._replace(known=state.known | {action}), None, reward
@@ -94,7 +90,7 @@ class LiteralPOMDP:
                 yield float(1 - accept), said, None, reward
             return
         given = state.given | state.pending
-        mask = bitmask(state.known if problem.tracks_knowledge else given)
+        mask = bitmask(state.known if not problem.messages_land else given)
         count = state.step + 1
         every = problem.table.answer_probabilities(count, mask)[state.user_type].tolist()
         thought = problem.table.label_probabilities(count, mask)[state.user_type]
@@ -108,7 +104,6 @@ class LiteralPOMDP:
                     labels=labels,
                     given=given,
                     pending=frozenset(),
-                    heard=tuple(sorted((*state.heard, *state.pending))),
                 )
                 # Where users err, what they think costs, on average; not what they answer.
                 errs = problem.table.answers.size
@@ -123,7 +118,7 @@ class LiteralPOMDP:
         """What a question may be answered."""
         questions = self.problem.questions
         assert questions is not None
-        mask = bitmask(state.known if self.problem.tracks_knowledge else state.given)
+        mask = bitmask(state.known if not self.problem.messages_land else state.given)
         yes = float(questions.table.answer_probabilities(question + 1, mask)[state.user_type, -1])
         after = state._replace(asked=state.asked | {question})
         for answer, probability in ((1, yes), (0, 1 - yes)):
@@ -142,10 +137,11 @@ class LiteralPOMDP:
             yield probability, frozenset(compress(facts, kept))
 
     def discount(self, action: int) -> float:
-        """γ_E; 1 for a question, and for a message where only steps discount."""
-        if action < EXPLAIN or (action != EXPLAIN and self.problem.discount_per == "step"):
-            return 1.0
-        return self.problem.discount
+        """γ_E; 1 for a question, and for a message where only steps discount: where messages may be
+        said again they do not."""
+        if action == EXPLAIN:
+            return self.problem.discount
+        return 1.0 if action < EXPLAIN else self.problem.message_discount
 
 
 def literal_optimal_value(problem: Problem) -> float:
@@ -203,7 +199,7 @@ def reduced_optimal_value(
             posterior = tuple(weight / total for weight in joint)
             later += total * reduced_optimal_value(problem, step + 1, given, posterior)
     best = -problem.inexplicability_cost * expected_zeros + problem.discount * later
-    per_message = problem.discount if problem.discount_per == "action" else 1.0
+    per_message = problem.message_discount
     for j in problem.messages_with_effect:
         if not given >> j & 1:
             after = reduced_optimal_value(problem, step, given | 1 << j, belief)

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError, one_of
-from xplain.explanation.again import Again
 from xplain.explanation.asking import Questions
 from xplain.explanation.habits import PAPER, Habits
-from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, joined
+from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem_values import distribution, each_cost, named, one_number
 
@@ -49,7 +48,6 @@ class Problem:
         habits: the F habits, side by side within a user type. The table's answers have their
             errors already.
         questions: that may be asked, of the same hidden types; None for none (the paper).
-        again: of messages said again, where users may miss or forget some.
     """
 
     table: LabelTable
@@ -63,7 +61,6 @@ class Problem:
     type_names: tuple[str, ...] = ()
     habits: Habits = PAPER
     questions: Questions | None = None
-    again: Again = field(default_factory=Again)
 
     def __post_init__(self) -> None:
         """Checks every field: one clear line each."""
@@ -76,9 +73,6 @@ class Problem:
         count = (len(self.message_names) or None) if given is table else table.relevant.shape[1]
         cost = each_cost(self.message_cost, count)
         n = len(cost)
-        if self.tracks_knowledge and n * self.again.levels > MAX_MESSAGES:
-            wanted = f"at most {MAX_MESSAGES // n} with {n} messages, or null for no limit"
-            raise InputError("again.most", self.again.most, wanted)
         unknown = table.relevant[table.relevant >= n]
         if unknown.size:
             raise InputError("relevant", int(unknown[0]), f"a message 0 … {n - 1}, or −1")
@@ -148,7 +142,7 @@ class Problem:
 
     def type_belief(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
         """[M] over user types, of a belief [N] over hidden types."""
-        if self.tracks_knowledge:
+        if not self.messages_land:
             belief = belief.reshape(-1, self.n_types).sum(axis=0)
         if self.n_user_types == self.n_types:
             return belief
@@ -156,13 +150,9 @@ class Problem:
         return user_types
 
     @property
-    def tracks_knowledge(self) -> bool:
-        """Whether beliefs are over what users know as well: a message said is no fact known."""
-        return not self.habits.take_all_in
-
-    @property
     def messages_land(self) -> bool:
-        """Whether every message said is a fact known from then on, as in the paper."""
+        """Whether every message said is a fact known from then on, as in the paper. Where not,
+        beliefs are over what users know as well."""
         return self.habits.take_all_in
 
     @property
@@ -173,32 +163,17 @@ class Problem:
         return self.discount if self.discount_per == "action" and self.messages_land else 1.0
 
     @property
-    def levels(self) -> int:
-        """Of :class:`~xplain.explanation.again.Again`, where a message may be said again."""
-        return self.again.levels if self.tracks_knowledge else 0
+    def prices(self) -> NDArray[np.float64]:
+        """[n] λ C_e of each message."""
+        return self.trade_off * self.message_cost
 
-    def may_say(self, said: int) -> int:
+    def may_give(self, given: int) -> int:
         """Bitmask of the messages that may come after these."""
-        n = self.n_messages
-        used = self.again.exhausted(said, n) if self.tracks_knowledge else said
-        return (1 << n) - 1 & ~used
-
-    def message_costs(self, said: int) -> NDArray[np.float64]:
-        """[n] C_e of each message, where these were said at earlier steps."""
-        repeated = [said >> j & 1 for j in range(self.n_messages)]
-        return self.message_cost * np.where(repeated, self.again.price, 1.0)
-
-    def prices(self, said: int) -> NDArray[np.float64]:
-        """[n] λ C_e of each message, where these were said at earlier steps."""
-        return self.trade_off * self.message_costs(said)
+        return (1 << self.n_messages) - 1 & ~(given if self.messages_land else 0)
 
     def communication(self, said: Iterable[int]) -> float:
         """Σ C_e of all messages said, of bitmasks in order."""
-        total, before = 0.0, 0
-        for new in said:
-            total += float(sum(self.message_costs(before)[indices(new)].tolist()))
-            before |= new
-        return total
+        return float(sum(self.message_cost[indices(new)].sum() for new in said))
 
     @property
     def accept(self) -> NDArray[np.float64]:
@@ -213,7 +188,7 @@ class Problem:
     @property
     def start(self) -> NDArray[np.float64]:
         """The belief before the first step: the prior, and nobody knows anything."""
-        if not self.tracks_knowledge:
+        if self.messages_land:
             return self.prior.copy()
         belief = np.zeros((self.table.p.shape[1], self.n_types))
         belief[0] = self.prior
@@ -223,7 +198,7 @@ class Problem:
         """The belief of who sees a user's hidden type and, as a bitmask, the facts they have."""
         belief = np.zeros((self.table.p.shape[1], self.n_types))
         belief[self.table.subset(known)[hidden_type], hidden_type] = 1
-        return belief.ravel() if self.tracks_knowledge else belief.sum(axis=0)
+        return belief.ravel() if not self.messages_land else belief.sum(axis=0)
 
     def with_habits(self, habits: Habits) -> Problem:
         """The problem where users have one of these habits, independent of their types.

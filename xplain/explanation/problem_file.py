@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
-from xplain.explanation.again import Again
 from xplain.explanation.asking import PREFIX, Questions
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
@@ -50,7 +49,6 @@ def save(problem: Problem, path: str | Path) -> None:
         prior=problem.prior,
         message_names=np.array(problem.message_names, dtype=np.str_),
         type_names=np.array(problem.type_names, dtype=np.str_),
-        again=[problem.again.price, problem.again.most or 0],
         **(problem.questions.arrays() if problem.questions else {}),
     )
 
@@ -82,9 +80,6 @@ def load(path: str | Path) -> Problem:
     for key in ("message_names", "type_names"):
         if key in values:
             values[key] = tuple(str(name) for name in values[key].tolist())
-    if "again" in values:
-        price, most = numbers("again", values["again"]).tolist()
-        values["again"] = Again(price, int(most) or None)
     if "habits" in values:
         values["habits"] = Habits(*numbers("habits", values["habits"]))
     p, answers = values.pop(form[-1]), values.pop("p_answered", None)

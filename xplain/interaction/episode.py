@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.actions import AskQuestion
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
+from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
 from xplain.interaction.explainees import Knower, Person, respondent
-from xplain.interaction.interaction import Interaction
-from xplain.solvers.base import Policy
+from xplain.solvers.base import Policy, messages_of
 from xplain.solvers.cached_policy import CachedPolicy
 
 
@@ -91,31 +91,31 @@ def explain(
     """
     m = problem.n_steps
     asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
-    talk = Interaction(problem, asked, belief_update)
+    talk = Dialogue(problem, asked, belief_update)
     messages = np.zeros(m, dtype=np.int64)
     labels, thoughts = np.full((2, m, m), -1, dtype=np.int8)
     beliefs = np.empty((m + 1, problem.n_user_types))
-    beliefs[0] = problem.type_belief(talk.belief)
+    beliefs[0] = problem.type_belief(talk.state.belief)
     seconds = np.zeros(m)
     questions = []
-    seen = user if sees_knowledge and isinstance(user, Knower) else None  # dear: once
-    for k in range(m):
+    seen = user if sees_knowledge and isinstance(user, Knower) else None  # takes long: once
+    while (k := talk.state.visible.step) < m:
         if seen is not None:
-            talk.belief = problem.sure(0, seen.knows)
-        while (question := talk.ask()) != NO_QUESTION:
-            seconds[k] += asked.seconds
-            answer = respondent(user).answer(m + question, talk.given)
-            talk.hear_answer(question, answer)
-            questions.append((k, question, answer))
-        if problem.questions is not None:
-            seconds[k] += asked.seconds
-        messages[k] = talk.say()
-        user.hear(int(messages[k]))
+            talk.state = talk.state._replace(belief=problem.sure(0, seen.knows))
+        action, given = talk.decide(), talk.state.visible.given
         seconds[k] += asked.seconds
-        thought, given = user.react(talk.given, k + 1)
-        thoughts[k, : k + 1], labels[k, : k + 1] = thought, given
-        talk.hear(given)
-        beliefs[k + 1] = problem.type_belief(talk.belief)
+        if isinstance(action, AskQuestion):
+            answer = respondent(user).answer(m + action.question, given)
+            talk.hear(Asked(action.question), Answered(answer))
+            questions.append((k, action.question, answer))
+            continue
+        messages[k] = messages_of(action)
+        user.hear(int(messages[k]))
+        talk.hear(Given(int(messages[k])))
+        thought, answers = user.react(talk.state.visible.given, k + 1)
+        thoughts[k, : k + 1], labels[k, : k + 1] = thought, answers
+        talk.hear(Labelled(tuple(answers.tolist())))
+        beliefs[k + 1] = problem.type_belief(talk.state.belief)
     communication = problem.communication(messages.tolist())
     inexplicability = problem.inexplicability_cost * int((thoughts == 0).sum())
     asking = problem.questions.limits.cost * len(questions) if problem.questions else 0.0

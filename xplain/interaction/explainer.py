@@ -89,7 +89,7 @@ class Explainer(Planner):
 
     It takes what a :class:`~xplain.interaction.planner.Planner` takes: ``types``, ``solver``,
     ``trade_off``, ``message_cost``, ``inexplicability_cost``, ``discount``, ``discount_per``,
-    ``belief_update``, ``seed``, ``ask``, ``again``.
+    ``belief_update``, ``seed``, ``ask``.
     """
 
     def session(
@@ -135,11 +135,9 @@ class Explainer(Planner):
             state = json.loads(text)
             written = state["format"]
             known = {key: tuple(state[key]) for key in ("messages", "types")}
-            trace, said, answers = (list(state[key]) for key in ("trace", "said", "answers"))
-            expected = int(state["expected_steps"])
+            trace, expected = list(state["trace"]), int(state["expected_steps"])
             clips = [Candidate(*clip) for clip in state["clips"]]
-            asked = [[int(n) for n in one] for one in state["questions"]]
-            unanswered, told = int(state["open"]), bool(state["told"])
+            events = [(str(kind), content) for kind, content in state["events"]]
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("session", text, f"JSON of Session.to_json ({error!r})") from None
         if written != FORMAT:
@@ -147,10 +145,6 @@ class Explainer(Planner):
         for key, mine in (("messages", self.types.messages), ("types", self.types.names)):
             if known[key] != tuple(mine):
                 raise InputError(f"session.{key}", known[key], f"must be {', '.join(mine)}")
-        if not len(answers) <= len(said) <= min(len(answers) + 1, len(trace)):
-            raise InputError("session.said", said, "one entry a step, and at most one unanswered")
-        if not all(len(one) == 3 and 0 <= one[0] <= len(answers) for one in asked):
-            raise InputError("session.questions", asked, "(step, number, answer) of each")
         session = self.session(trace, expected, clips)
-        session.take_up(asked, said, answers, unanswered, told)
+        session.take_up(events)
         return session

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -123,23 +123,3 @@ def check_texts(clips: Sequence[Candidate]) -> None:
             raise InputError("clips.right", clip.right, "0 or 1 of a belief, −1 of a step")
         if clip.right >= 0 and clip.text.count("\n") != 1:
             raise InputError("clips.text", clip.text, "two sentences of a belief, a line each")
-
-
-def in_order(
-    questions: Sequence[Sequence[int]],
-    said: Sequence[Any],
-    answers: Sequence[Any],
-    ask: Callable[[int, int], None],
-    say: Callable[[Any], None],
-    hear: Callable[[Any], None],
-) -> None:
-    """Hands over what happened in a session: questions as (step, number, answer); what was said and
-    answered by step. ``ask`` takes a question's number and answer."""
-    for k in range(len(answers) + 1):
-        for step, number, answer in questions:
-            if step == k:
-                ask(number, answer)
-        if k < len(said):
-            say(said[k])
-        if k < len(answers):
-            hear(answers[k])

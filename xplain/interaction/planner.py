@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number, whole_number
-from xplain.explanation.again import Again
+from xplain.explanation.actions import Action, VisibleState
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
-from xplain.solvers.base import Policy, Solver, asking
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.base import Policy, Solver
+from xplain.solvers.greedy import QMDP
 
 
 class Types(Protocol):
@@ -78,7 +78,6 @@ class Planner:
             erred; else the paper's :class:`~xplain.explanation.belief.Independent`.
         seed: of solvers that search at random.
         ask: what questions cost and how many are asked; None for none.
-        again: what messages said again cost, and how often one may be said.
     """
 
     types: Types
@@ -91,7 +90,6 @@ class Planner:
     belief_update: BeliefUpdate | None = None
     seed: int = 0
     ask: Limits | None = None
-    again: Again = field(default_factory=Again)
 
     def __post_init__(self) -> None:
         """Raises InputError: a value that no session could plan with."""
@@ -111,8 +109,6 @@ class Planner:
         whole_number("seed", self.seed, 0)
         if not isinstance(self.ask, Limits | None):
             raise InputError("ask", self.ask, "Limits(cost=0.1), or None")
-        if not isinstance(self.again, Again):
-            raise InputError("again", self.again, "Again(price=1, most=None)")
         if len(self.types.messages) > MAX_MESSAGES:
             raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
         if self.solver.knows in ("type", "labels"):
@@ -150,7 +146,6 @@ class Planner:
             message_names=tuple(self.types.messages),
             type_names=tuple(self.types.names),
             questions=questions,
-            again=self.again,
         )
         return problem.with_habits(self.beliefs.habits(self.habits))
 
@@ -172,16 +167,10 @@ class LazyPolicy:
     def _policy(self) -> Policy:
         return self.solver.plan(self.problem, self.seed)
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64], *asked: int) -> int:
-        """See :meth:`xplain.solvers.base.Asks.messages`."""
-        return self._policy.messages(step, given, belief, *asked)
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return self._policy.decide(visible, belief)
 
-    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """See :meth:`xplain.solvers.base.Asks.question`."""
-        return asking(self._policy).question(step, given, belief, asked)
-
-    def values(
-        self, step: int, given: int, belief: NDArray[np.float64], *asked: int
-    ) -> Mapping[int, float]:
-        """See :meth:`xplain.solvers.base.Asks.values`."""
-        return self._policy.values(step, given, belief, *asked)
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return self._policy.values(visible, belief)

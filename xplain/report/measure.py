@@ -25,7 +25,6 @@ PROBLEM = (
     "message_cost",
     "inexplicability_cost",
     "ask.cost",
-    "again.price",
 )
 """Keys that say what is explained to whom, and what that costs. Across them no cost is compared."""
 

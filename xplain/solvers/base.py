@@ -1,9 +1,9 @@
 """What a solver and its policy are.
 
 A *solver* plans for one :class:`~xplain.explanation.problem.Problem` and returns a *policy*. A
-policy is a function of (step, given, belief): the same three give the same messages, always, so
-that a decision can be replayed, evaluated exactly, and shown to a person with its reasons.
-Policies that search at random draw from a stream made of the seed and those three.
+policy is a function of the visible state and the belief: the same two give the same action, always,
+so that a decision can be replayed, evaluated exactly, and shown to a person with its reasons.
+Policies that search at random draw from a stream made of the seed and those two.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
-from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.actions import Action, AskQuestion, GiveMessages, VisibleState, give
 from xplain.explanation.problem import Problem
 
 TIE = 1e-9
@@ -34,70 +33,22 @@ Knowledge = Literal["types", "everyone", "type", "labels"]
 
 @runtime_checkable
 class Policy(Protocol):
-    """Which messages to give before the next *explain*."""
+    """What to do before the next *explain*."""
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """The new messages to give before showing the prefix of ``step + 1`` transitions.
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """The action. After messages follows *explain*; after a question's answer the policy is
+        asked again.
 
         Args:
-            step: k, transitions shown so far, 0 … m − 1.
-            given: bitmask of the messages given so far.
-            belief: [N] over the problem's types.
-
-        Returns:
-            A bitmask disjoint from ``given``; 0 means *explain* at once.
+            visible: where the explanation stands.
+            belief: [S] over what is hidden, as ``Problem.start``.
         """
         ...
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """The values behind the choice: estimated discounted return by the message set
-        given next (bitmask; 0 is *explain* at once). Larger is better. May be empty."""
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """The values behind the choice: estimated discounted return by the action taken next.
+        Larger is better. May be empty; some policies weigh messages one at a time."""
         ...
-
-
-@runtime_checkable
-class Asks(Policy, Protocol):
-    """A policy of a problem with questions.
-
-    ``asked`` is a bitmask of the questions asked so far, or of which no news is to be had.
-    """
-
-    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """As :meth:`Policy.messages`, when nothing is asked any more before this step."""
-        ...
-
-    def values(
-        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
-    ) -> Mapping[int, float]:
-        """As :meth:`Policy.values`, by ``~q`` for question q as well."""
-        ...
-
-    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """What to ask before this step's messages: a question's number, or NO_QUESTION."""
-        ...
-
-
-def asking(policy: Policy) -> Asks:
-    """The policy as one that asks.
-
-    Raises:
-        InputError: it does not.
-    """
-    if not isinstance(policy, Asks):
-        wanted = "one that asks, as qmdp, pomcp and certified do; or ask=never"
-        raise InputError("solver", type(policy).__name__, wanted)
-    return policy
-
-
-def best_question(values: Mapping[int, float]) -> int:
-    """Of :meth:`Asks.values` the question worth the most, NO_QUESTION where messages are worth as
-    much; of equals the first."""
-    said = max(value for action, value in values.items() if action >= 0)
-    asked = {~action: value for action, value in values.items() if action < 0}
-    best = max(asked.values(), default=-np.inf)
-    if best <= said + TIE * (1 + abs(said)):
-        return NO_QUESTION
-    return min(q for q, value in asked.items() if value >= best - TIE * (1 + abs(best)))
 
 
 @runtime_checkable
@@ -136,3 +87,33 @@ class PolicyValue:
     value_se: float
     cost_se: float
     beliefs: int
+
+
+def best_of(sets: NDArray[np.int64], values: NDArray[np.float64]) -> int:
+    """The set of messages with the largest value; ties: fewest messages, then message order."""
+    first = values.argmax()
+    best = values[first]
+    equal = values >= best - TIE * (1 + abs(best))
+    if np.count_nonzero(equal) == 1:
+        return int(sets[first])
+    tied = sets[equal]
+    size = np.bitwise_count(tied)
+    return int(tied[size == size.min()].min())
+
+
+def messages_of(action: Action) -> int:
+    """The messages that an action gives, a bitmask: none for *explain* and for questions."""
+    return action.messages if isinstance(action, GiveMessages) else 0
+
+
+def best_action(values: Mapping[Action, float]) -> Action:
+    """The action with the largest value. A question must be worth more than any messages; of equal
+    questions the first is asked, of equal sets of messages :func:`best_of` takes one."""
+    asked = {a.question: v for a, v in values.items() if isinstance(a, AskQuestion)}
+    said = {messages_of(a): v for a, v in values.items() if not isinstance(a, AskQuestion)}
+    most, best = max(said.values()), max(asked.values(), default=-np.inf)
+    if best > most + TIE * (1 + abs(most)):
+        return AskQuestion(
+            min(q for q, value in asked.items() if value >= best - TIE * (1 + abs(best)))
+        )
+    return give(best_of(np.array(list(said)), np.array(list(said.values()))))

@@ -6,16 +6,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
+from xplain.explanation.actions import VisibleState
 from xplain.explanation.label_table import MAX_RELEVANT
 from xplain.explanation.problem import Problem
+from xplain.solvers.base import messages_of
+from xplain.solvers.greedy import Greedy
 from xplain.solvers.hsvi.explore import Effort, explore
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.solver import Certified, tables_within
-from xplain.solvers.lookahead import Lookahead, best_plan_value
+from xplain.solvers.known_type import KnownValues, known_bytes, known_values
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import model_of, optimal_values, table_bytes, take
+from xplain.solvers.process import Process, make_process, set_prices
 from xplain.solvers.restriction import restricted
 
 
@@ -67,7 +71,7 @@ def bounds(
     Raises:
         TooLargeError: not even the tables of known types fit.
     """
-    if problem.tracks_knowledge:
+    if not problem.messages_land:
         nodes = -(-effort.nodes // DEARER)
         seconds = effort.seconds if np.isfinite(effort.seconds) else None
         solver = Certified(effort.gap, nodes, seconds, memory_gib=effort.memory_gib)
@@ -80,26 +84,53 @@ def bounds(
     try:
         small, tables = tables_within(small, effort.memory_gib)
     except TooLargeError:
-        lookahead = Lookahead(memory_gib=effort.memory_gib).plan_messages(small)
-        known = float(small.prior @ lookahead.policy.tables.optimal[0, 0])
-        # What is asked may tell everything.
-        upper = known if small.questions else lookahead.upper
-        return Bounds(lookahead.lower, upper, known)
+        return _simple_bounds(small, effort.memory_gib)
     found = explore(tables, Start(0, 0, small.prior), effort, told)
     known = float(small.prior @ tables.optimal[0, 0])
     return Bounds(found.lower, found.upper, known)
 
 
 def _simple_bounds(small: Problem, memory_gib: float) -> Bounds:
-    check_memory("knowing the type", table_bytes(small), memory_gib, "no other solver can")
-    model = model_of(small)
-    optimal = optimal_values(model)
+    check_memory("knowing the type", known_bytes(small), memory_gib, "no other solver can")
+    process = make_process(small)
+    known = known_values(process)
+    sure = known.now(0, 0)
     # A message for the sake of others puts off what a type costs, if it is cheap enough.
-    idle = (1 << np.arange(small.n_messages)[:, None] & ~model.rows.relevant) != 0
-    ahead = -optimal.min(axis=(0, 1))
-    delays = (idle & (model.price[:, None] < (1 - model.message_discount) * ahead)).sum(axis=0)
-    known = float(small.prior @ (model.message_discount**delays * take(model, optimal[0], 0)))
-    return Bounds(min(best_plan_value(model, optimal, small.prior), known), known, known)
+    idle = (process.relevant >> np.arange(process.n_messages)[:, None] & 1) == 0
+    saved = (1 - process.message_discount) * -known.value.min()
+    delays = (idle & (process.price[:, None] < saved)).sum(axis=0)
+    upper = float(process.start @ (process.message_discount**delays * sure))
+    return Bounds(min(best_plan_value(process, known), upper), upper, upper)
+
+
+def best_plan_value(process: Process, known: KnownValues) -> float:
+    """Expected discounted return of the best plan that ignores all answers: a type's optimal one,
+    or silence."""
+    greedy = Greedy(process, known)
+    plans = [_plan(greedy, sure) for sure in np.eye(process.n_states)[: process.n_types]]
+    return max(_plan_value(process, plan) for plan in [*plans, [0] * process.n_steps])
+
+
+def _plan(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
+    """The sets that the greedy policy gives if no answer changes the belief."""
+    plan: list[int] = []
+    for step in range(greedy.process.n_steps):
+        visible = VisibleState(step, sum(plan))
+        plan.append(messages_of(greedy.decide(visible, belief)))
+    return plan
+
+
+def _plan_value(process: Process, plan: list[int]) -> float:
+    """Expected discounted return of giving these sets, the cheapest message first, whatever is
+    answered."""
+    given, value, discount = 0, 0.0, 1.0
+    for step, new in enumerate(plan):
+        given |= new
+        prices, factors = set_prices(process, np.array([new]))
+        cost = process.start @ process.explain_cost[step, process.cells.at(given)]
+        value -= discount * float(prices[0] + factors[0] * cost)
+        discount *= float(factors[0]) * process.discount
+    return value
 
 
 def known_type_value(problem: Problem, memory_gib: float = 8.0) -> float:
@@ -109,7 +140,6 @@ def known_type_value(problem: Problem, memory_gib: float = 8.0) -> float:
     Raises:
         TooLargeError: the tables take more than ``memory_gib``.
     """
-    small, _ = restricted(problem)
-    check_memory("knowing the type", table_bytes(small), memory_gib, "no other solver can")
-    model = model_of(small)
-    return float(np.dot(small.prior, take(model, optimal_values(model)[0], 0)))
+    check_memory("knowing the type", known_bytes(problem), memory_gib, "no other solver can")
+    process = make_process(problem)
+    return float(process.start @ known_values(process).now(0, 0))

@@ -37,8 +37,6 @@ class Knowing(NamedTuple):
         bit: [n, N] the bit of a row that a message sets right; −1 for none.
         accept, forget: [N] α and φ.
         price: [n] λ C_e.
-        again, most, levels: of :class:`~xplain.explanation.again.Again`; ``most`` is 0 for no
-            limit.
         discount, message_discount: γ and γ'.
         inquiry: the questions, S states in the place of types.
     """
@@ -53,9 +51,6 @@ class Knowing(NamedTuple):
     accept: NDArray[np.float64]
     forget: NDArray[np.float64]
     price: NDArray[np.float64]
-    again: float
-    most: int
-    levels: int
     discount: float
     message_discount: float
     inquiry: Inquiry
@@ -80,9 +75,6 @@ def make_knowing(policy: Reminding) -> Knowing:
         problem.accept,
         problem.forget,
         problem.trade_off * problem.message_cost,
-        float(problem.again.price),
-        problem.again.most or 0,
-        problem.levels,
         problem.discount,
         policy.delay,
         _inquiry(problem, rows * types),
@@ -186,25 +178,20 @@ def shown(model, counter, step, state, labels):  # type: ignore[no-untyped-def]
 
 @inlined
 def given_after(model, given, new):  # type: ignore[no-untyped-def]
-    """:meth:`xplain.explanation.again.Again.after`."""
-    for level in range(max(model.levels, 1)):
-        before = given >> level * len(model.price)
-        given |= new << level * len(model.price)
-        new &= before
-    return given
+    """What was said."""
+    return given | new
 
 
 @inlined
 def exhausted(model, given):  # type: ignore[no-untyped-def]
-    """:meth:`xplain.explanation.again.Again.exhausted`."""
-    return given >> (model.most - 1) * len(model.price) if model.most > 0 else np.int64(0)
+    """A message may always be said again."""
+    return np.int64(0)
 
 
 @inlined
 def price_of(model, given, message):  # type: ignore[no-untyped-def]
-    """λ C_e of a message, where this was said at earlier steps."""
-    again = model.levels > 0 and given >> message & 1
-    return model.price[message] * (model.again if again else 1.0)
+    """λ C_e of a message."""
+    return model.price[message]
 
 
 @inlined

@@ -1,125 +1,120 @@
-"""Solvers that plan an MDP, one labeler standing for the user.
+"""Values where the hidden state is known: the floor that solvers stand on.
 
-- *baseline* (the paper): one labeler learned from everybody's labels;
-- *oracle* (the paper): the true type's labeler; the regret is measured against it;
-- *clairvoyant*: the true labels themselves, the floor of every cost;
-- *conformant* (the paper's user study): pays for the 0-labels of all types at once, so that the
-  explanation suits everybody.
+With s known labels tell nothing, and the process is an MDP on (k, v), solved backwards in k
+(Bellman 1957):
+
+    Q(k, v, s, explain) = γ E_F V(k + 1, v⁺, s') − explain_cost[k, x(v, s)],   V(m, ·) = 0
+    Q(k, v, s, give j) = γ' [α V(k, v + j, s + jump[j, s]) + (1 − α) V(k, v + j, s)] − price[j]
+    V(k, v, s) = max { Q(k, v, s, explain), max_{j ∉ v} Q(k, v, s, give j) }
+
+Where messages land, the maximum over all sets of messages is one sweep a message, the most
+expensive first: of a best set the cheapest is given first. Where they may be missed, what comes
+next depends on what was taken in, and v is the messages of this step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, Positive, checks
+from xplain.explanation.label_table import NONE
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.qmdp import greedy_policy
-
-INSTEAD = "qhr plans without tables"
+from xplain.solvers.process import Cells, Process, expected_after_forgetting, row_messages
 
 
-@checks("solver")
-@dataclass(frozen=True)
-class Baseline:
-    """One labeler for everybody. A problem of several types is taken as the mixture of their
-    labelers, weighed by the prior.
-
-    Args:
-        memory_gib: most that the tables [steps, 2^messages] may take.
-    """
-
-    memory_gib: Positive = 8.0
-    knows: Knowledge = "everyone"
-
-    def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        one = problem.mixture(problem.prior)
-        return Believing(greedy_policy(one, "baseline", self.memory_gib, INSTEAD), one_type)
-
-
-@checks("solver")
-@dataclass(frozen=True)
-class Conformant:
-    """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all user types, neither weighed
-    by a belief nor divided by M (the paper's user study; docs/choices.md, slip 3).
-
-    Args:
-        memory_gib: most that the tables [steps, 2^messages] may take.
-    """
-
-    memory_gib: Positive = 8.0
-    knows: Knowledge = "types"
-
-    def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        # M types' costs are M times the cost of the mean labeler.
-        summed = replace(
-            problem.mixture(np.full(problem.n_types, 1 / problem.n_types)),
-            inexplicability_cost=problem.inexplicability_cost * problem.n_user_types,
-        )
-        return Believing(greedy_policy(summed, "conformant", self.memory_gib, INSTEAD), one_type)
-
-
-@checks("solver")
-@dataclass(frozen=True)
-class KnownType:
-    """Knows the type: the oracle, or with true labels the clairvoyant.
-
-    Args:
-        knows: "type" or "labels"; the experiment hands over the problem that goes with it.
-        memory_gib: most that the tables [steps, 2^messages, types] may take.
-    """
-
-    knows: Literal["type", "labels"] = "type"
-    memory_gib: Positive = 8.0
-
-    def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Its policy of a problem with several types asks for a belief that names one."""
-        what = f"knowing the {self.knows}"
-        return Believing(greedy_policy(problem, what, self.memory_gib, INSTEAD), named_type)
-
-
-@dataclass(frozen=True)
-class Believing:
-    """A policy that is handed another belief than the one held.
+class KnownValues(NamedTuple):
+    """V and Q in two layouts behind one lookup.
 
     Attributes:
-        policy: that decides.
-        belief_of: what it is handed.
+        value: [m + 1, cells] V, read by ``value_cells``.
+        explain: [m, cells] Q of *explain*, read by ``explain_cells``.
+        value_cells, explain_cells: where they are read.
     """
 
-    policy: Policy
-    belief_of: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    value: NDArray[np.float64]
+    explain: NDArray[np.float64]
+    value_cells: Cells
+    explain_cells: Cells
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """The messages to give before the next *explain*, as
-        :class:`xplain.solvers.base.Policy` says."""
-        return self.policy.messages(step, given, self.belief_of(belief))
+    def now(self, step: int, said: int) -> NDArray[np.float64]:
+        """[S] V(k, v, s)."""
+        return self.value[step, self.value_cells.at(said)]
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """What the sets or messages to choose from are worth, as
-        :class:`xplain.solvers.base.Policy` says."""
-        return self.policy.values(step, given, self.belief_of(belief))
-
-
-def one_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    """That of a one-type policy in a world of several: the belief is not looked at."""
-    return np.ones(1)
+    def explained(self, step: int, said: int) -> NDArray[np.float64]:
+        """[S] Q(k, v, s, explain)."""
+        return self.explain[step, self.explain_cells.at(said)]
 
 
-def named_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    """That of a policy that must be told the type. With a belief of 1 on it QMDP's value is the
-    type's own optimal value.
+def known_values(process: Process, idle: bool = False) -> KnownValues:
+    """Solves the MDP of known states.
 
-    Raises:
-        InputError: the belief leaves the type open.
+    Args:
+        process: the model.
+        idle: whether a known type may be given messages of its row that change nothing for it.
+            Given for the sake of others they put off its costs: where giving discounts, Σ b V
+            bounds the optimum from above only so.
     """
-    if belief.max() < 1 - 1e-9:  # a sum of probabilities may be 1 but for rounding
-        raise InputError("belief", belief.tolist(), "this solver is told the type: 1 on one")
-    return belief
+    prices = _bit_prices(process, idle)
+    solve = _where_messages_land if process.jump is None else _where_messages_are_missed
+    return solve(process, prices)
+
+
+def known_bytes(problem: Problem) -> int:
+    """What :func:`~xplain.solvers.process.make_process` and :func:`known_values` take, in bytes."""
+    steps, rows, types = problem.table.p.shape
+    if problem.messages_land:
+        return 8 * 4 * (steps + 1) * types << max(map(len, row_messages(problem)))
+    return 8 * (steps + 1) * rows * types * (rows + 3)
+
+
+def _bit_prices(process: Process, idle: bool) -> NDArray[np.float64]:
+    """[r, N] price of the message of each bit; inf where there is none, or it changes nothing."""
+    own, types = process.own.T, np.arange(process.n_types)
+    exists = own != NONE
+    if not idle:
+        exists &= (process.relevant[types] >> np.maximum(own, 0) & 1).astype(bool)
+    prices = process.price[own] if process.n_messages else np.zeros(own.shape)
+    return np.where(exists, prices, np.inf)
+
+
+def _where_messages_land(process: Process, prices: NDArray[np.float64]) -> KnownValues:
+    value = np.zeros((process.n_steps + 1, process.p.shape[1]))
+    explain = np.empty(process.p.shape)
+    for k in reversed(range(process.n_steps)):
+        np.multiply(value[k + 1], process.discount, out=explain[k])
+        explain[k] -= process.explain_cost[k]
+        value[k] = explain[k]
+        for bit in reversed(range(len(prices))):
+            pairs = value[k].reshape(-1, 2, 1 << bit, process.n_types)
+            given = process.message_discount * pairs[:, 1] - prices[bit]
+            np.maximum(pairs[:, 0], given, out=pairs[:, 0])
+    return KnownValues(value, explain, process.cells, process.cells)
+
+
+def _where_messages_are_missed(process: Process, prices: NDArray[np.float64]) -> KnownValues:
+    """[m + 1, sets of the step, S] where messages may be missed."""
+    states, types, bits = process.n_states, process.n_types, len(prices)
+    assert process.accept is not None
+    accept = process.accept[:types]
+    sets = np.arange(1 << bits)
+    value = np.zeros((process.n_steps + 1, len(sets), states))
+    explain = np.empty((process.n_steps, states))
+    for k in reversed(range(process.n_steps)):
+        later = expected_after_forgetting(process, value[k + 1, 0])
+        explain[k] = process.discount * later - process.explain_cost[k]
+        value[k] = explain[k]
+        for size in reversed(range(bits)):  # one message more is known already
+            for bit in range(bits):
+                without = sets[(np.bitwise_count(sets) == size) & (sets >> bit & 1 == 0)]
+                more = value[k, without | 1 << bit]
+                pairs = more.reshape(-1, 2, 1 << bit, types)
+                pairs[:, 0] += accept * (pairs[:, 1] - pairs[:, 0])
+                gained = more.reshape(-1, types) - prices[bit]
+                value[k, without] = np.maximum(value[k, without], gained.reshape(more.shape))
+    stride = np.zeros((process.n_messages, states // types, types), np.int64)
+    whose, digit = np.nonzero(process.own != NONE)
+    stride[process.own[whose, digit], :, whose] = (states << digit)[:, None]
+    cells = Cells(np.arange(states), stride.reshape(process.n_messages, states))
+    return KnownValues(value.reshape(len(value), -1), explain, cells, process.cells)

@@ -2,43 +2,38 @@
 
 At a decision every set of messages is scored by QMDP; the best few are looked into: for each answer
 that the user may give, the belief is updated and QMDP asked what is best *then*. So the policy asks
-for the sake of the answer, which QMDP never does. Its scores bound the optimum from above.
+for the sake of the answer, which QMDP never does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, checks
-from xplain.explanation.message_sets import indices
+from xplain.explanation.actions import Action, VisibleState, give
+from xplain.explanation.message_sets import indices, subsets
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import inlined, kernel
-from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.count_lattice import branch, make_answers
-from xplain.solvers.lookahead_knowing import LookaheadKnowing
+from xplain.solvers.base import TIE, Knowledge, Policy, best_action
+from xplain.solvers.greedy import greedy_policy
+from xplain.solvers.known_type import KnownValues
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import (
-    Model,
-    SetPrices,
-    best_set,
-    dense_table_bytes,
-    expected,
-    explain_cost,
-    explain_cost_at,
-    model_of,
-    optimal_values,
+from xplain.solvers.process import (
+    Process,
+    all_given,
+    before_step,
+    expected_after_giving,
+    outcomes,
     set_prices,
-    with_all_messages,
 )
-from xplain.solvers.qmdp import Greedy
-from xplain.solvers.reminding import reminding_policy
-from xplain.solvers.restriction import Restricted, coupled
-from xplain.solvers.value_of_information import asks_by_value
+from xplain.solvers.simple import weighable
+from xplain.solvers.voi import asks_by_value
+
+NEGLIGIBLE = 1e-9
+"""Answers less likely keep the score of being told the state."""
 
 
 @checks("solver")
@@ -48,7 +43,7 @@ class Lookahead:
     candidates: sets of messages looked into at a decision.
     answers: most distinguishable answers followed for each; a set with more keeps its
         QMDP score.
-    memory_gib: most that the tables [steps, 2^messages, types] may take.
+    memory_gib: most that the tables of known types, and of all sets of messages, may take.
     """
 
     candidates: Count = 16
@@ -58,38 +53,13 @@ class Lookahead:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        if problem.tracks_knowledge:
-            known = reminding_policy(problem, "lookahead", self.memory_gib)
-            policy: Policy = LookaheadKnowing(known, self.candidates, self.answers)
-        else:
-            policy = self.plan_messages(problem)
-        return asks_by_value(policy, problem, seed, self.memory_gib)
-
-    def plan_messages(self, problem: Problem) -> LookaheadPolicy:
-        """The same without questions, with bounds of the optimum."""
-        small, kept = coupled(problem, "lookahead")
-        check_memory(
-            "lookahead", dense_table_bytes(small), self.memory_gib, "qhr plans without tables"
-        )
-        model = with_all_messages(model_of(small.dense()))
-        tables = LookaheadTables(model, optimal_values(model), set_prices(model))
-        return LookaheadPolicy(
-            Expectimax(tables, self.candidates, self.answers), kept, problem.prior
-        )
-
-
-class LookaheadTables(NamedTuple):
-    """What a decision reads.
-
-    Attributes:
-        model: the problem's.
-        optimal: [m + 1, 2^n, N] V*_t(k, H).
-        sets: prices and discounts of sets of messages.
-    """
-
-    model: Model
-    optimal: NDArray[np.float64]
-    sets: SetPrices
+        greedy = greedy_policy(problem, "lookahead", self.memory_gib)
+        process, known = greedy.process, greedy.known
+        messages = weighable(process, "lookahead")
+        size = 24 * process.n_states << messages.bit_count()
+        check_memory("lookahead", size, self.memory_gib, "qmdp needs less")
+        policy = Expectimax(process, known, messages, self.candidates, self.answers)
+        return asks_by_value(policy, process, known, seed)
 
 
 @dataclass(frozen=True)
@@ -97,163 +67,64 @@ class Expectimax:
     """One step of it, computed when asked.
 
     Attributes:
-        tables: of N types.
+        process, known: the model, and its values where the state is known.
+        messages: bitmask of those with an effect.
         candidates, answers: as :class:`Lookahead` has them.
     """
 
-    tables: LookaheadTables
+    process: Process
+    known: KnownValues
+    messages: int
     candidates: int
     answers: int
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """The messages to give before the next *explain*, as
-        :class:`xplain.solvers.base.Policy` says."""
-        return best_set(self.values(step, given, belief))
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """As :class:`xplain.solvers.base.Policy` says."""
+        return best_action(self.values(visible, belief))
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """Upper bounds of the sets looked into."""
-        return self.scores(step, given, belief)[0]
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """Of the sets looked into, the best by QMDP's score first: a set whose score is below a
+        value found cannot be worth more."""
+        process, step = self.process, visible.step
+        said = before_step(process, visible.given)
+        believed = int(np.bitwise_or.reduce(process.relevant[belief > 0]))
+        free = indices(self.messages & believed & ~said)
+        sets, heard = subsets(free), np.broadcast_to(belief, (1 << len(free), len(belief)))
+        if process.jump is not None:
+            heard = all_given(process, belief, free)
+        prices, discounts = set_prices(process, sets)
+        explained = self.known.explain[step, process.cells.of_sets(sets | said)]
+        scores = discounts * (explained * heard).sum(axis=1) - prices
+        found: dict[Action, float] = {}
+        best = -np.inf
+        for i in np.argsort(-scores, kind="stable")[: self.candidates].tolist():
+            value = float(scores[i])
+            if value < best - 2 * TIE * (1 + abs(best)):
+                break
+            if step + 1 < process.n_steps:
+                later = self._later(step, said | int(sets[i]), heard[i])
+                value = min(value, float(discounts[i]) * later - float(prices[i]))
+            found[give(int(sets[i]))] = value
+            best = max(best, value)
+        return found
 
-    def scores(
-        self, step: int, given: int, belief: NDArray[np.float64]
-    ) -> tuple[dict[int, float], float]:
-        """Upper bounds of the sets looked into, and one that holds for all others."""
-        model = self.tables.model
-        matters = int(np.bitwise_or.reduce(model.rows.relevant[belief > 0]))
-        sets, scores, rest = _look(
-            self.tables,
-            step,
-            given,
-            matters & ~given,
-            belief.copy(),
-            self.candidates,
-            make_answers(self.answers, model.n_steps, model.n_types),
+    def _later(self, step: int, said: int, belief: NDArray[np.float64]) -> float:
+        """The value of *explain* where QMDP decides after the answers; inf where these are too
+        many."""
+        process, known = self.process, self.known
+        following = outcomes(process, step, said, belief, NEGLIGIBLE, self.answers)
+        if following is None:
+            return np.inf
+        weights, tail = following
+        after = before_step(process, said)
+        messages = indices(self.messages & ~after)
+        at = known.value_cells.at(after) + known.value_cells.stride[messages]
+        given = expected_after_giving(process, messages, known.value[step + 1][at])
+        worth = process.message_discount * weights @ given.T
+        worth -= weights.sum(axis=1)[:, None] * process.price[messages]
+        best = np.maximum(
+            weights @ known.explained(step + 1, after), worth.max(axis=1, initial=-np.inf)
         )
-        return dict(zip(sets.tolist(), scores.tolist(), strict=True)), float(rest)
-
-
-@dataclass(frozen=True)
-class LookaheadPolicy(Restricted):
-    """A lookahead over the kept messages, with bounds of the optimal value at the root.
-
-    Attributes:
-        prior: [N] the root's belief.
-    """
-
-    policy: Expectimax
-    prior: NDArray[np.float64]
-
-    @property
-    def upper(self) -> float:
-        """The best score: an upper bound on the root's optimal value."""
-        scores, rest = self.policy.scores(0, 0, self.prior)
-        return max(rest, *scores.values())
-
-    @property
-    def lower(self) -> float:
-        """Lower bound on the root's optimal value: the exact value of the best plan that heeds
-        no answer, a type's optimal one or silence."""
-        return best_plan_value(self.policy.tables.model, self.policy.tables.optimal, self.prior)
-
-
-def best_plan_value(
-    model: Model, optimal: NDArray[np.float64], prior: NDArray[np.float64]
-) -> float:
-    """Expected discounted return of the best plan that heeds no answer, a type's optimal one or
-    silence."""
-    greedy = Greedy(model, optimal)
-    plans = [_plan(greedy, sure) for sure in np.eye(model.n_types)]
-    plans.append([0] * model.n_steps)
-    return max(_plan_value(model, prior, plan) for plan in plans)
-
-
-def _plan(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
-    """The sets that the greedy policy gives if no answer changes the belief."""
-    given, plan = 0, []
-    for step in range(greedy.model.n_steps):
-        plan.append(greedy.messages(step, given, belief))
-        given |= plan[-1]
-    return plan
-
-
-def _plan_value(model: Model, prior: NDArray[np.float64], plan: list[int]) -> float:
-    """Expected discounted return of giving these sets, the cheapest message first, whatever is
-    answered."""
-    given, value, discount = 0, 0.0, 1.0
-    for step, new in enumerate(plan):
-        given |= new
-        for price in sorted(float(model.price[j]) for j in indices(new)):
-            value -= discount * price
-            discount *= model.message_discount
-        value -= discount * float(prior @ explain_cost_at(model, step, given))
-        discount *= model.discount
-    return value
-
-
-@kernel
-def _look(tables, step, given, free, belief, candidates, answers):  # type: ignore[no-untyped-def]
-    """The best sets of ``free`` messages by QMDP, their scores after a look at the answers, the
-    best other score."""
-    model, optimal = tables.model, tables.optimal
-    scores = np.full(len(tables.sets.price), -np.inf)
-    _score_by_qmdp(tables, step, given, free, belief, scores)
-    count = 0
-    sets = np.empty(candidates, dtype=np.int64)
-    best = np.empty(candidates)
-    evidence = np.zeros(len(belief), dtype=np.int64)
-    while count < candidates:
-        chosen = int(np.argmax(scores))
-        if scores[chosen] == -np.inf:
-            break
-        sets[count], best[count] = chosen, scores[chosen]
-        scores[chosen] = -np.inf
-        shown = given | chosen
-        if step + 2 < len(optimal):
-            listed = branch(model, step, shown, belief, evidence, 1e-9, answers)
-            if listed >= 0:
-                later = expected(answers.tail, optimal[step + 1, shown])
-                for a in range(listed):
-                    later += _qmdp(tables, step + 1, shown, answers.weight[a])
-                cost = 0.0
-                for t in range(len(belief)):
-                    if belief[t] > 0.0:
-                        cost += belief[t] * explain_cost(model, step, shown, t)
-                value = tables.sets.discount[chosen] * (model.discount * later - cost)
-                best[count] = min(best[count], value - tables.sets.price[chosen])
-        count += 1
-    return sets[:count], best[:count], scores.max()
-
-
-@inlined
-def _score_by_qmdp(tables, step, given, free, belief, scores):  # type: ignore[no-untyped-def]
-    """Fills in ``scores`` [2^n], Σ_t b(t) Q*_t of every set of ``free`` messages."""
-    model = tables.model
-    chosen = 0
-    while True:
-        shown = given | chosen
-        value = 0.0
-        for t in range(len(belief)):
-            if belief[t] > 0.0:
-                explain = model.discount * tables.optimal[step + 1, shown, t]
-                value += belief[t] * (explain - explain_cost(model, step, shown, t))
-        scores[chosen] = tables.sets.discount[chosen] * value - tables.sets.price[chosen]
-        chosen = (chosen - free) & free
-        if chosen == 0:
-            return
-
-
-@inlined
-def _qmdp(tables, step, given, weight):  # type: ignore[no-untyped-def]
-    """max_a Σ_t w(t) Q*_t(k, H, a), for a belief times its probability."""
-    model = tables.model
-    total, best = 0.0, 0.0
-    for t in range(len(weight)):
-        total += weight[t]
-        explain = model.discount * tables.optimal[step + 1, given, t]
-        best += weight[t] * (explain - explain_cost(model, step, given, t))
-    for j in range(len(model.price)):
-        more = given | (1 << j)
-        if more != given:
-            value = model.message_discount * expected(weight, tables.optimal[step, more])
-            best = max(best, value - model.price[j] * total)
-    return best
+        later = best.sum() + tail @ known.now(step + 1, after)
+        cost = belief @ process.explain_cost[step, process.cells.at(said)]
+        return float(process.discount * later - cost)

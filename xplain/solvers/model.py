@@ -79,7 +79,7 @@ def model_of(problem: Problem) -> Model:
         InputError: users may miss or forget messages, so that a message said is no fact known.
         TooLargeError: too many rows.
     """
-    if problem.tracks_knowledge:
+    if not problem.messages_land:
         raise InputError(
             "belief.accept, belief.forget",
             "set",

@@ -331,3 +331,41 @@ def outcomes(
     joint = np.zeros((len(weights), len(belief)))
     joint[:, possible] = weights
     return forget(process, joint), forget(process, tail)
+
+
+def expected_after_giving(process: Process, messages: list[int], values: FloatArray) -> FloatArray:
+    """[F, S] E[v_j(s') | s] after message j was said once, of values [F, S] for each of F messages
+    j."""
+    if process.jump is None or process.accept is None:
+        return values
+    landed = np.take_along_axis(
+        values, process.jump[messages] + np.arange(process.n_states), axis=1
+    )
+    return values + process.accept * (landed - values)
+
+
+def all_given(process: Process, belief: FloatArray, messages: list[int]) -> FloatArray:
+    """[2^F, S] the belief after each set of F messages, as ``message_sets.subsets`` lists them."""
+    after = belief[None]
+    for message in messages:
+        after = np.concatenate([after, give(process, after, message)])
+    return after
+
+
+def set_prices(process: Process, sets: IntArray) -> tuple[FloatArray, FloatArray]:
+    """[B] the discounted price of B sets of messages, the cheapest first, and what each set
+    discounts."""
+    price, discount = np.zeros(len(sets)), np.ones(len(sets))
+    for j in np.argsort(process.price, kind="stable"):
+        has = sets >> j & 1 == 1
+        price[has] += discount[has] * process.price[j]
+        discount[has] *= process.message_discount
+    return price, discount
+
+
+def hear_answer(
+    process: Process, belief: FloatArray, said: int, question: int, answer: int
+) -> FloatArray:
+    """[S] joint probabilities of the state and the answer 0 or 1 to a question, with v said."""
+    yes = process.questions.answered[question, process.questions.cells.at(said)]
+    return belief * (yes if answer else 1 - yes)

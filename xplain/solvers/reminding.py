@@ -1,8 +1,7 @@
 """QMDP where messages may be missed or forgotten: say it again when that is worth its price.
 
 Act as if the type and what the user knows became known after the next action. With both known, the
-optimum is that of an MDP on (k, c, S, K): what was said at earlier steps, as far as it matters
-(:mod:`xplain.explanation.again`), what was said at this one, and the facts that the user has right:
+optimum is that of an MDP on (k, c, S, K): what was said at earlier steps, as far as it matters, what was said at this one, and the facts that the user has right:
 
     Q_t(k, c, S, K, explain) = −C_t(k, K) + γ E[V_t(k + 1, c + S, ∅, K')],    K' what is left of K
     Q_t(k, c, S, K, say j)   = −λ C_e(j) + γ' (α V_t(k, c, S ∪ {j}, K ∪ {j}) + (1 − α) V_t(…, K)).
@@ -34,7 +33,7 @@ from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import best_of, table_bytes
-from xplain.solvers.rows import Rows, delaying, looked_up, make_rows, parts_of, rows_at
+from xplain.solvers.rows import Rows, looked_up, make_rows, parts_of, rows_at
 
 PATIENCE = 0.1
 """A message must gain this share of its price, times the probability that the state is not the
@@ -54,7 +53,7 @@ def reminding_policy(problem: Problem, what: str, memory_gib: float) -> Remindin
 def known_bytes(problem: Problem) -> int:
     """What the tables of :class:`Reminding` take, where nothing is said as a mere delay."""
     relevant = problem.table.relevant.shape[1]
-    cells: int = ((1 << relevant) + 1) * (problem.levels + 1) ** relevant
+    cells: int = (1 << relevant) + 1
     return table_bytes(problem) * cells
 
 
@@ -107,12 +106,9 @@ class Reminding:
         self, step: int, given: int, said: int, belief: NDArray[np.float64], margin: float = 0.0
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         problem = self.problem
-        may_say = problem.may_say(given) & ~said
-        free = [j for j in self.kept if may_say >> j & 1]
-        prices, known = problem.prices(given), belief.reshape(-1, problem.n_types)
-        values = [
-            belief @ self.explained(step, problem.again.after(given, said, problem.n_messages))
-        ]
+        free = [j for j in self.kept if not said >> j & 1]
+        prices, known = problem.prices, belief.reshape(-1, problem.n_types)
+        values = [belief @ self.explained(step, given)]
         for j in free:
             heard = knowledge.say(known, problem.table.relevant, j, problem.accept)
             later = self.known(step, given, said | 1 << j)
@@ -147,7 +143,7 @@ class Reminding:
     def paid(self, given: int, new: int) -> tuple[float, float]:
         """The price of messages, the cheapest first, each discounting what follows; and what all
         of them discount."""
-        prices = np.sort(self.problem.prices(given)[indices(new)])
+        prices = np.sort(self.problem.prices[indices(new)])
         return float(self.delay ** np.arange(len(prices)) @ prices), self.delay ** len(prices)
 
     @cached_property
@@ -159,20 +155,14 @@ class Reminding:
     @property
     def delay(self) -> float:
         """γ'."""
-        return self.problem.discount if self.problem.discount_per == "action" else 1.0
+        return self.problem.message_discount
 
     @cached_property
     def solved(self) -> Solved:
         """The MDP's values."""
         problem, table = self.problem, self.problem.table
         price = problem.trade_off * problem.message_cost
-        found = self._solve(make_rows(table, price))
-        if self.delay == 1:
-            return found
-        cheapest, steps = price * min(1.0, problem.again.price), len(found.optimal)
-        values = found.optimal.reshape(steps, -1, problem.n_types)
-        idle = delaying(table, cheapest, 1 - self.delay, values)
-        return self._solve(make_rows(table, price, idle)) if any(idle) else found
+        return self._solve(make_rows(table, price))
 
     def _solve(self, rows: Rows) -> Solved:
         problem, table = self.problem, self.problem.table
@@ -193,25 +183,13 @@ class Reminding:
 
 def _count_parts(problem: Problem) -> NDArray[np.int64]:
     """What each message said before adds to c, looked up as rows are."""
-    base, n = problem.levels + 1, problem.n_messages
-    place = np.zeros((n, problem.n_types), np.int64)
-    if base > 1:
-        for t, row in enumerate(problem.table.rows):
-            place[row, t] = base ** np.arange(len(row))
-    return parts_of(np.tile(place, (max(problem.levels, 1), 1)))
+    place = np.zeros((problem.n_messages, problem.n_types), np.int64)
+    return parts_of(place)
 
 
 def _counting(problem: Problem, rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """``after`` and ``factor`` of :class:`Solved`."""
-    base, again = problem.levels + 1, problem.again
-    strides = base ** np.arange(rows.bits)
-    digits = np.arange(base**rows.bits)[:, None] // strides % base
-    said = np.arange(rows.number)[:, None] >> np.arange(rows.bits) & 1
-    after = np.minimum(digits[:, None] + said, problem.levels) @ strides
-    factor = np.full((len(digits), len(rows.stride)), min(1.0, again.price))
-    usual = np.where(digits > 0, again.price, 1.0)
-    factor[:, : rows.bits] = np.where(digits == (again.most or base), np.inf, usual)
-    return after, factor
+    return np.zeros((1, rows.number), np.int64), np.ones((1, len(rows.stride)))
 
 
 @lean_kernel

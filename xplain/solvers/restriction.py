@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
+from xplain.explanation.actions import Action, AskQuestion, GiveMessages, VisibleState, give
 from xplain.explanation.label_table import DENSE, MAX_RELEVANT
 from xplain.explanation.message_sets import compress, expand
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Asks, Policy
+from xplain.solvers.base import Policy
 
 
 def restricted(problem: Problem) -> tuple[Problem, tuple[int, ...]]:
@@ -51,33 +52,24 @@ class Restricted:
     policy: Policy
     kept: tuple[int, ...]
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64], *asked: int) -> int:
-        """The messages to give before the next *explain*, as
-        :class:`xplain.solvers.base.Policy` says."""
-        small = compress(given, self.kept)
-        return expand(self.policy.messages(step, small, belief, *asked), self.kept)
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """As :class:`xplain.solvers.base.Policy` says."""
+        return self._whole(self.policy.decide(self._small(visible), belief))
 
-    def values(
-        self, step: int, given: int, belief: NDArray[np.float64], *asked: int
-    ) -> Mapping[int, float]:
-        """What the sets or messages to choose from are worth, as
-        :class:`xplain.solvers.base.Policy` says."""
-        values = self.policy.values(step, compress(given, self.kept), belief, *asked)
-        return {
-            mask if mask < 0 else expand(mask, self.kept): value for mask, value in values.items()
-        }
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """As :class:`xplain.solvers.base.Policy` says."""
+        values = self.policy.values(self._small(visible), belief)
+        return {self._whole(action): value for action, value in values.items()}
+
+    def _small(self, visible: VisibleState) -> VisibleState:
+        return visible._replace(given=compress(visible.given, self.kept))
+
+    def _whole(self, action: Action) -> Action:
+        if isinstance(action, GiveMessages):
+            return GiveMessages(expand(action.messages, self.kept))
+        return action
 
 
-@dataclass(frozen=True)
-class RestrictedAsking(Restricted):
-    """A restricted policy that asks; questions are the same in both problems.
-
-    Attributes:
-        policy: over the kept messages.
-    """
-
-    policy: Asks
-
-    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """As :class:`xplain.solvers.base.Asks` says."""
-        return self.policy.question(step, compress(given, self.kept), belief, asked)
+def actions_of(values: Mapping[int, float]) -> dict[Action, float]:
+    """Values by action, of values by set of messages and by ~q."""
+    return {AskQuestion(~key) if key < 0 else give(key): value for key, value in values.items()}

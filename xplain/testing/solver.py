@@ -9,16 +9,17 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.explanation.actions import EXPLAIN, Explain, GiveMessages, VisibleState
 from xplain.explanation.belief import Independent
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.solvers.base import Knowledge, Solver
+from xplain.solvers.base import Knowledge, Solver, messages_of
 from xplain.testing.problems import random_problem
 from xplain.testing.suite import Conformance
 
-Question = tuple[int, int, NDArray[np.float64]]
+Question = tuple[VisibleState, NDArray[np.float64]]
 
 
 class SolverConformance(Conformance):
@@ -45,8 +46,10 @@ class SolverConformance(Conformance):
         """A bitmask of messages not given before, whatever the step, history and belief."""
         for problem, questions in self._situations(component):
             policy = component.plan(problem, 0)
-            for step, given, belief in questions:
-                new = policy.messages(step, given, belief)
+            for visible, belief in questions:
+                action, given = policy.decide(visible, belief), visible.given
+                assert isinstance(action, Explain | GiveMessages), f"{action!r} is no such action"
+                new = messages_of(action)
                 assert isinstance(new, (int, np.integer)), f"{new!r} is not a bitmask"
                 assert new >= 0, f"{new} is not a bitmask"
                 assert new & given == 0, f"{new:b} repeats messages of {given:b}"
@@ -56,9 +59,9 @@ class SolverConformance(Conformance):
         """The same decisions in another order, and from another plan with the same seed."""
         for problem, questions in self._situations(component):
             policy, other = component.plan(problem, 7), component.plan(problem, 7)
-            first = [policy.messages(*question) for question in questions]
-            again = [policy.messages(*question) for question in reversed(questions)]
-            others = [other.messages(*question) for question in questions]
+            first = [policy.decide(*question) for question in questions]
+            again = [policy.decide(*question) for question in reversed(questions)]
+            others = [other.decide(*question) for question in questions]
             assert first == again[::-1], "decisions depend on earlier ones"
             assert first == others, "two plans of one problem and seed decide differently"
 
@@ -66,8 +69,9 @@ class SolverConformance(Conformance):
         """Finite numbers for message sets given next; there may be none."""
         for problem, questions in self._situations(component):
             policy = component.plan(problem, 0)
-            for step, given, belief in questions:
-                for new, value in policy.values(step, given, belief).items():
+            for visible, belief in questions:
+                for action, value in policy.values(visible, belief).items():
+                    new, given = messages_of(action), visible.given
                     assert new & given == 0, f"a value for {new:b} with {given:b} given"
                     assert 0 <= new < 1 << problem.n_messages, f"a value for {new:b}"
                     assert np.isfinite(value), f"the value of {new:b} is {value}"
@@ -77,10 +81,10 @@ class SolverConformance(Conformance):
         for problem, questions in self._situations(component):
             before = problem.p_explicable.copy()
             policy = component.plan(problem, 0)
-            for step, given, belief in questions:
+            for visible, belief in questions:
                 kept = belief.copy()
-                policy.messages(step, given, belief)
-                policy.values(step, given, belief)
+                policy.decide(visible, belief)
+                policy.values(visible, belief)
                 assert np.array_equal(kept, belief), "the belief was changed"
             assert np.array_equal(before, problem.p_explicable), "the table was changed"
 
@@ -93,7 +97,8 @@ class SolverConformance(Conformance):
             problem = Problem(certain, np.ones(2))
             policy = component.plan(problem, 0)
             for step in range(steps):
-                assert policy.messages(step, 0, _belief(problem)) == 0, "a message without a gain"
+                action = policy.decide(VisibleState(step), _belief(problem))
+                assert action == EXPLAIN, "a message without a gain"
 
     def test_says_at_once_what_makes_the_whole_trace_explicable(self, component: Any) -> None:
         """One cheap message of two makes every transition explicable; silence costs 10 zeros."""
@@ -104,7 +109,8 @@ class SolverConformance(Conformance):
         table[:, :, [2, 3]] = good
         problem = Problem(LabelTable.dense(table), np.ones(2), trade_off=0.1)
         policy = component.plan(problem, 0)
-        assert policy.messages(0, 0, _belief(problem)) == 2, "message 1 alone is worth its cost"
+        action = policy.decide(VisibleState(), _belief(problem))
+        assert action == GiveMessages(2), "message 1 alone is worth its cost"
 
     def test_explains_a_whole_trace(self, component: Any) -> None:
         """An episode runs to its end, and a message that costs too much is never given."""
@@ -123,7 +129,7 @@ class SolverConformance(Conformance):
                     assert episode.n_messages == 0, "it paid a million for at most some zeros"
 
     def _situations(self, component: Any) -> Iterator[tuple[Problem, list[Question]]]:
-        """Random problems with random (step, given, belief)."""
+        """Random problems with random visible states and beliefs."""
         rng = np.random.default_rng(20)
         for _ in range(self.problems):
             problem = random_problem(rng, _types(component, 3), max_steps=4, max_messages=3)
@@ -131,8 +137,10 @@ class SolverConformance(Conformance):
                 problem = replace(problem, table=LabelTable.dense(np.round(problem.p_explicable)))
             questions = [
                 (
-                    int(rng.integers(problem.n_steps)),
-                    int(rng.integers(1 << problem.n_messages)),
+                    VisibleState(
+                        int(rng.integers(problem.n_steps)),
+                        int(rng.integers(1 << problem.n_messages)),
+                    ),
                     rng.dirichlet(np.full(problem.n_types, 0.5)) if problem.n_types > 1 else ONE,
                 )
                 for _ in range(4)

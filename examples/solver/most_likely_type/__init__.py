@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from xplain import Policy, Problem
 from xplain.errors import Positive, checks
+from xplain.explanation.actions import Action, VisibleState
 from xplain.solvers.base import Knowledge
-from xplain.solvers.qmdp import greedy_policy
+from xplain.solvers.greedy import greedy_policy
 
 
 @checks("solver")
@@ -25,9 +26,7 @@ class MostLikelyType:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Each type's optimal values; nothing here is random."""
-        return AsIfKnown(
-            greedy_policy(problem, "most_likely_type", self.memory_gib, "qhr plans without tables")
-        )
+        return AsIfKnown(greedy_policy(problem, "most_likely_type", self.memory_gib))
 
 
 @dataclass(frozen=True)
@@ -36,13 +35,13 @@ class AsIfKnown:
 
     policy: Policy
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         """The messages that this type needs now."""
-        return self.policy.messages(step, given, self._sure(belief))
+        return self.policy.decide(visible, self._sure(belief))
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """This type's values."""
-        return self.policy.values(step, given, self._sure(belief))
+        return self.policy.values(visible, self._sure(belief))
 
     def _sure(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.eye(len(belief))[belief.argmax()]

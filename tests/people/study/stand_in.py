@@ -112,8 +112,8 @@ CONFIG: dict[str, Any] = {
     "discount_per": "action",
     "prior": "uniform",
     "conditions": {
-        "personalized": {"_target_": "xplain.solvers.qmdp.QMDP"},
-        "conformant": {"_target_": "xplain.solvers.known_type.Conformant"},
+        "personalized": {"_target_": "xplain.solvers.greedy.QMDP"},
+        "conformant": {"_target_": "xplain.solvers.greedy.Conformant"},
     },
     "belief": {"_target_": "xplain.explanation.belief.Independent"},
     "rules": {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True},

@@ -157,7 +157,7 @@ def test_a_study_whose_conditions_are_alike_is_refused() -> None:
                 "study",
                 [
                     *("seed=0", "observers.points=50", "trace.candidates=5"),
-                    "conditions.personalized={_target_: xplain.solvers.known_type.Conformant}",
+                    "conditions.personalized={_target_: xplain.solvers.greedy.Conformant}",
                 ],
             )
         )
@@ -203,6 +203,6 @@ def test_people_are_taken_to_err_as_the_belief_says() -> None:
     assert np.allclose(problem.table.answers, 0.9 * problem.table.p + 0.1 * (1 - problem.table.p))
     forgetful = {"belief": belief | {"forget": 0.1}}
     assert street_plan(**forgetful).problem.forget.tolist() == [0.1] * len(TYPES)
-    other = {"personalized": {"_target_": "xplain.solvers.qhr.QHR"}}
+    other = {"personalized": {"_target_": "xplain.solvers.simple.QHR"}}
     with pytest.raises(InputError, match=r"belief\.accept, belief\.forget"):
         street_study(**forgetful, conditions=CONFIG["conditions"] | other)

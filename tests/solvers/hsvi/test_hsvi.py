@@ -13,17 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.decisions import messages_given, worths
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
+from xplain.solvers.evaluate import evaluate
 from xplain.solvers.hsvi import solver
 from xplain.solvers.hsvi.explore import Effort, Explored, explore
 from xplain.solvers.hsvi.search import TAIL
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.hsvi.tree import ACTIONS, NODES, OPENED, find, grown, rehash
-from xplain.solvers.policy_evaluation import evaluate
 from xplain.testing.problems import random_problem
 
 
@@ -69,7 +70,7 @@ def test_what_was_found_is_not_searched_for_again() -> None:
         nodes = store.nodes[: store.used[NODES]]
         for node in np.flatnonzero(nodes["first_action"] >= 0):
             step, given = int(nodes["step"][node]), int(nodes["given"][node])
-            values = searched.values(step, given, store.belief[node])
+            values = worths(searched, step, given, store.belief[node])
             assert values == policy.policy.found.values(int(node))
             opened += step > 0
     assert opened >= 10
@@ -83,7 +84,7 @@ def test_a_belief_that_was_not_found_is_searched_from_there() -> None:
         policy = planned(problem, gap=1e-6, decision_nodes=10_000)
         belief = rng.dirichlet(np.ones(problem.n_types))
         optimum = reduced_optimal_value(replace(problem, prior=belief))
-        best = max(policy.values(0, 0, belief).values())
+        best = max(worths(policy, 0, 0, belief).values())
         assert optimum - 1e-6 <= best <= optimum + 1e-9
         unlike += abs(optimum - policy.lower) > 1e-3
     assert unlike > 50
@@ -100,7 +101,7 @@ def test_a_decision_opens_as_few_beliefs_as_told(monkeypatch: pytest.MonkeyPatch
         return found
 
     monkeypatch.setattr(solver, "explore", counted)
-    policy.messages(0, 0, np.array([0.3, 0.1, 0.2, 0.2, 0.2]))
+    messages_given(policy, 0, 0, np.array([0.3, 0.1, 0.2, 0.2, 0.2]))
     assert len(opened) == 1
     assert 5 <= opened[0] < 5 + problem.n_steps
 
@@ -175,8 +176,8 @@ def test_the_same_question_gets_the_same_answer() -> None:
         (int(rng.integers(12)), int(rng.integers(256)), rng.dirichlet(np.ones(5)))
         for _ in range(20)
     ]
-    first = [a.messages(*question) for question in asked]
-    assert first == [b.messages(*question) for question in reversed(asked)][::-1]
+    first = [messages_given(a, *question) for question in asked]
+    assert first == [messages_given(b, *question) for question in reversed(asked)][::-1]
     assert all(not new & given for new, (_, given, _) in zip(first, asked, strict=True))
 
 

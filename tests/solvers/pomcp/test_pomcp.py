@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.decisions import messages_given, question_asked, worths
 from tests.explanation.problems import misleading_problem
 from tests.solvers.plain_values import plain_optimal_value
 from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
@@ -29,8 +30,8 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import kernel
+from xplain.solvers.evaluate import evaluate
 from xplain.solvers.model import best_set
-from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp import search_model
 from xplain.solvers.pomcp import solver as pomcp
 from xplain.solvers.pomcp.kernel import simulate
@@ -57,7 +58,7 @@ def search_of(solver: POMCP, problem: Problem, seed: int = 0) -> Search:
 
 
 def first_values(solver: POMCP, problem: Problem, seed: int = 0) -> dict[int, float]:
-    return dict(solver.plan(problem, seed).values(0, 0, problem.prior))
+    return dict(worths(solver.plan(problem, seed), 0, 0, problem.prior))
 
 
 @pytest.mark.parametrize("backup", ["mean", "max"])
@@ -109,7 +110,7 @@ def test_approaches_the_optimum() -> None:
         optimum = reduced_optimal_value(problem)
         policy = solver.plan(problem)
         allowed = 0.02 * (0.1 + abs(optimum))
-        best = max(policy.values(0, 0, problem.prior).values())
+        best = max(worths(policy, 0, 0, problem.prior).values())
         assert best == pytest.approx(optimum, abs=allowed)
         assert evaluate(problem, policy).value == pytest.approx(optimum, abs=allowed)
 
@@ -214,11 +215,11 @@ def test_a_decision_goes_on_in_the_middle_as_from_the_start() -> None:
     for seed in range(6):
         problem = soft_problem(seed, trade_off=0.05)
         policy = POMCP(simulations=500).plan(problem, 3)
-        whole = policy.messages(1, 0, problem.prior)
-        values = policy.values(1, 0, problem.prior)
+        whole = messages_given(policy, 1, 0, problem.prior)
+        values = worths(policy, 1, 0, problem.prior)
         first = max(values, key=values.__getitem__)
         assert whole & first == first
-        assert first == 0 or whole == first | policy.messages(1, first, problem.prior)
+        assert first == 0 or whole == first | messages_given(policy, 1, first, problem.prior)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -229,7 +230,7 @@ def test_a_certain_type_is_worth_its_optimum_and_a_search_would_find_it(seed: in
         policy, search = POMCP().plan(problem), search_of(POMCP(simulations=3000), problem)
         for t, k, given in product(range(3), range(4), range(8)):
             belief = np.eye(3)[t]
-            known = policy.values(k, given, belief)
+            known = worths(policy, k, given, belief)
             best = plain_optimal_value(problem, t, k, given)
             assert max(known.values()) == pytest.approx(best)
             value, visits = search.search(SearchRoot(k, given, belief))
@@ -244,10 +245,10 @@ def test_a_certain_type_is_searched_for_where_the_limit_is_another() -> None:
     problem = soft_problem(1)
     search = search_of(POMCP(backup="mean", simulations=50), problem)
     value, _ = search.search(SearchRoot(1, 0, np.eye(3)[0]))
-    assert search.values(1, 0, np.eye(3)[0])[0] == value[-1]
+    assert worths(search, 1, 0, np.eye(3)[0])[0] == value[-1]
     nearly, search = np.array([0.995, 0.005, 0.0]), search_of(POMCP(simulations=50), problem)
     value, _ = search.search(SearchRoot(1, 0, nearly))
-    assert search.values(1, 0, nearly)[0] == value[-1]
+    assert worths(search, 1, 0, nearly)[0] == value[-1]
 
 
 def test_the_unit_of_cost_does_not_matter() -> None:
@@ -302,13 +303,14 @@ def test_a_nodes_masks_hold_every_action(messages: int) -> None:
 
 PRINT_SEARCH = """
 import json, numpy as np
+from tests.decisions import messages_given, worths
 from xplain.explanation.problem import Problem
 from xplain.solvers.pomcp.solver import POMCP
 rng = np.random.default_rng(1)
 problem = Problem(rng.random((3, 4, 8)), np.ones(3), trade_off=0.3)
 policy = POMCP(simulations=3000).plan(problem, 5)
-values = policy.values(1, 2, problem.prior)
-print(json.dumps([[*values.items()], policy.messages(0, 0, problem.prior)]))
+values = worths(policy, 1, 2, problem.prior)
+print(json.dumps([[*values.items()], messages_given(policy, 0, 0, problem.prior)]))
 """
 
 
@@ -319,8 +321,11 @@ def test_the_same_in_another_process() -> None:
     rng = np.random.default_rng(1)
     problem = Problem(rng.random((3, 4, 8)), np.ones(3), trade_off=0.3)
     policies = [POMCP(simulations=3000).plan(problem, s) for s in (5, 6)]
-    values = [policy.values(1, 2, problem.prior) for policy in policies]
-    here = [[[k, v] for k, v in values[0].items()], policies[0].messages(0, 0, problem.prior)]
+    values = [worths(policy, 1, 2, problem.prior) for policy in policies]
+    here = [
+        [[k, v] for k, v in values[0].items()],
+        messages_given(policies[0], 0, 0, problem.prior),
+    ]
     assert json.loads(output) == here
     assert values[0] != values[1]
 
@@ -330,13 +335,13 @@ def test_ctrl_c_ends_the_search_and_breaks_nothing() -> None:
     problem = soft_problem(14, types=5, steps=12, n=6)
     policy = POMCP(simulations=8_000_000, depth=None).plan(problem)
     short = POMCP(simulations=500).plan(problem)
-    before = short.values(0, 0, problem.prior)
+    before = worths(short, 0, 0, problem.prior)
     timer = threading.Timer(0.3, os.kill, [os.getpid(), signal.SIGINT])
     timer.start()
     with pytest.raises(KeyboardInterrupt):
-        policy.values(0, 0, problem.prior)
+        worths(policy, 0, 0, problem.prior)
     timer.join()
-    assert short.values(0, 0, problem.prior) == before
+    assert worths(short, 0, 0, problem.prior) == before
 
 
 def asking_problem(accept: float) -> Problem:
@@ -354,8 +359,8 @@ def test_each_action_is_tried_where_there_are_fewer_simulations(accept: float) -
     problem = asking_problem(accept)
     for seed in range(20):
         policy: Any = POMCP(simulations=1).plan(problem, seed)
-        policy.question(0, 0, problem.start)
-        assert policy.values(0, 0, problem.start).keys() == {0, 1, 2, 4, ~0, ~1}
+        question_asked(policy, 0, 0, problem.start)
+        assert worths(policy, 0, 0, problem.start).keys() == {0, 1, 2, 4, ~0, ~1}
 
 
 def test_threads_that_share_a_plan_decide_as_one_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -365,8 +370,8 @@ def test_threads_that_share_a_plan_decide_as_one_alone(monkeypatch: pytest.Monke
     for seed in range(3):
         problem = soft_problem(17 + seed, types=4, steps=8, n=8, trade_off=0.1)
         beliefs = np.random.default_rng(3).dirichlet(np.ones(4), 12)
-        alone = [solver.plan(problem).values(0, 0, belief) for belief in beliefs]
-        decide = partial(solver.plan(problem).values, 0, 0)
+        alone = [worths(solver.plan(problem), 0, 0, belief) for belief in beliefs]
+        decide = partial(worths, solver.plan(problem), 0, 0)
         with ThreadPoolExecutor(4) as pool:
             assert list(pool.map(decide, beliefs)) == alone
 

@@ -1,7 +1,7 @@
 """The evaluation: the robot's steps with the policy's messages, and before them what it may ask.
 
-The explanation itself is the :class:`~xplain.interaction.interaction.Interaction` of the offline
-experiments, resumed at each page.
+The explanation itself is the :class:`~xplain.interaction.dialogue.Dialogue` of the offline
+experiments, taken up at each page.
 """
 
 from __future__ import annotations
@@ -12,15 +12,23 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.actions import AskQuestion, VisibleState
+from xplain.explanation.asking import bitmask
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.message_sets import indices
-from xplain.interaction.interaction import Interaction
+from xplain.interaction.dialogue import (
+    Answered,
+    Asked,
+    Dialogue,
+    DialogueState,
+    Given,
+    Labelled,
+)
 from xplain.people import flow as core
 from xplain.people.flow import Flow, Form, Stage
 from xplain.people.stages import CANNOT_TELL, OneLabel, choices, small
 from xplain.people.study.plan import StudyPlan, StudyRole
-from xplain.solvers.base import Policy
+from xplain.solvers.base import Policy, messages_of
 
 ENDS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out")
 
@@ -129,11 +137,10 @@ class Explaining(Flow[StudyPlan, StudyState]):
         """What the participant is told and asked, in the stages after consent."""
         return self.plan.roles[state.slot_type]
 
-    def talk(self, state: StudyState) -> Interaction:
+    def talk(self, state: StudyState) -> Dialogue:
         """The explanation as it stands at a page of the evaluation."""
         condition = state.condition or ""
         problem = self.plan.problem_of(condition)
-        talk = Interaction(problem, self.policies[condition], self.belief)
         # Who was told something, or may have forgotten something, is asked something new.
         forgets = bool(problem.habits.forget.any())
         same = [
@@ -141,40 +148,39 @@ class Explaining(Flow[StudyPlan, StudyState]):
             for one in state.asked
             if one.told == len(state.heard) and (one.step == state.step or not forgets)
         ]
-        said = state.given
-        if problem.levels > 1:  # it matters how often
-            said, n = 0, problem.n_messages
-            for j in state.heard:
-                said = problem.again.after(said, 1 << j, n)
-        talk.resume(
+        asked = bitmask(one.question for one in state.asked)
+        stands = DialogueState(
+            VisibleState(state.step, state.given, asked),
             np.array(state.belief),
-            state.step,
-            said,
-            [one.question for one in state.asked],
-            None if state.new or forgets else state.previous,
-            same,
+            previous=None if state.new or forgets else state.previous,
+            clips=bitmask(same),
         )
-        return talk
+        return Dialogue(problem, self.policies[condition], self.belief, stands=stands)
 
     def next_step(self, state: StudyState) -> StudyState:
         """A question, if the policy asks one before the state's step; else the step with the
         policy's messages."""
         talk, belief = self.talk(state), self.of_types(state.belief)
-        question, values = talk.ask(), talk.values()
-        said = {mask: float(value) for mask, value in values.items() if mask >= 0}
-        if question != NO_QUESTION:
+        action, values = talk.decide(), talk.values()
+        said = {
+            messages_of(one): float(value)
+            for one, value in values.items()
+            if not isinstance(one, AskQuestion)
+        }
+        if isinstance(action, AskQuestion):
             best = max(said.values(), default=0.0)
-            worth = float(values[~question]) - best if ~question in values else None
-            one = AskedQuestion(state.step, question, len(state.heard), worth, belief)
+            worth = float(values[action]) - best if action in values else None
+            one = AskedQuestion(state.step, action.question, len(state.heard), worth, belief)
             return state.to(stage="asking", asked=(*state.asked, one))
-        new = talk.say()
+        new = messages_of(action)
+        talk.hear(Given(new))
         shown = {str(int(mask)): value for mask, value in said.items()}
         return state.to(
             stage="evaluation",
-            given=talk.given,
+            given=talk.state.visible.given,
             new=new,
             heard=(*state.heard, *indices(new)),
-            belief=tuple(talk.belief.tolist()),
+            belief=tuple(talk.state.belief.tolist()),
             before=belief,
             values=shown,
         )
@@ -236,8 +242,8 @@ class Evaluation(Stage["Explaining", StudyState]):
         count = [CANNOT_TELL + 1] * (state.step + 1)
         chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
         talk = flow.talk(state)
-        talk.hear(np.array(chosen, dtype=np.uint8))
-        belief = tuple(talk.belief.tolist())
+        talk.hear(Labelled(chosen))
+        belief = tuple(talk.state.belief.tolist())
         state = replace(
             state,
             labels=chosen,
@@ -273,7 +279,7 @@ class Asking(OneLabel["Explaining", StudyState]):
         learned."""
         label, talk = self.label(flow, payload, CANNOT_TELL + 1), flow.talk(state)
         if label != CANNOT_TELL:
-            talk.hear_answer(state.asked[-1].question, label)
-        belief = tuple(talk.belief.tolist())
+            talk.hear(Asked(state.asked[-1].question), Answered(label))
+        belief = tuple(talk.state.belief.tolist())
         answered = replace(state.asked[-1], answer=label, after=flow.of_types(belief))
         return flow.next_step(replace(state, belief=belief, asked=(*state.asked[:-1], answered)))

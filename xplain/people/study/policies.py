@@ -13,7 +13,6 @@ from xplain.interaction.explainees import SimulatedUser
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.randomness import derived_seed
-from xplain.solvers.base import asking
 from xplain.solvers.cached_policy import CachedPolicy
 
 
@@ -26,7 +25,7 @@ def at_work(plan: StudyPlan) -> Study:
     }
     if ASKING in policies:
         # Which of two questions that are as good comes first shall not hang on rounding.
-        policies[ASKING] = CachedPolicy(asking(policies[ASKING]))
+        policies[ASKING] = CachedPolicy(policies[ASKING])
     return Study(plan, policies, instantiate(plan.belief))
 
 

@@ -14,7 +14,6 @@ from omegaconf import DictConfig
 
 from xplain.errors import InputError, one_of
 from xplain.experiment.explanations import Costs
-from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Pool, Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.people.own_table import own_table
@@ -149,8 +148,7 @@ def drafted(
     table_of_ones_own = config.get("transitions") is not None
     wording = _worded(config["wording"], natural, table_of_ones_own, may_ask is not None)
     own, in_words = parts("study", config, wording, seen, wording["words"]["robot_does"])
-    again = Again(**config.get("again", {}))
-    costs = Costs(config["lambda"], again=again, **{key: config[key] for key in COSTS})
+    costs = Costs(config["lambda"], **{key: config[key] for key in COSTS})
     # Roles and types have the same names; people as they are may be of any types that were found.
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares

@@ -35,7 +35,7 @@ def document(plan: StudyPlan) -> str:
     loader = PackageLoader("xplain.people.study")
     written = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True)
     asks, secondary = ASKING in plan.conditions, dict(SECONDARY)
-    if not plan.problem.tracks_knowledge:
+    if plan.problem.messages_land:
         del secondary["messages_again"]
     if not asks:
         del secondary["questions_asked"]

@@ -114,7 +114,7 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "timed_out": sum(event["kind"] == "time_out" for event in one.events),
         "window_width": consent.get("width"),
         "attention_missed": state.missed,
-        **({"messages_again": state.again} if plan.problem.tracks_knowledge else {}),
+        **({"messages_again": state.again} if not plan.problem.messages_land else {}),
         **({"questions_asked": len(state.asked), "cost": cost} if plan.clips else {}),
     }
 

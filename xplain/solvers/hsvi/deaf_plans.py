@@ -36,15 +36,15 @@ class DeafPlans:
         if step == problem.n_steps:
             return np.zeros(problem.start.size)
         if (u, step, given) not in self._worths:
-            said = self._schedules[u][step] & problem.may_say(given)
-            after = problem.again.after(given, said, problem.n_messages) if problem.levels else 0
+            said = self._schedules[u][step]
+            after = 0
             later = knowledge.expected_after_forgetting(
                 self._plan(u, step + 1, after).reshape(-1, types),
                 problem.table.relevant,
                 problem.forget,
             )
             value = model.discount * later - model.explain_cost[step].reshape(-1, types)
-            prices = problem.prices(given)
+            prices = problem.prices
             for j in sorted(indices(said), key=lambda j: -prices[j]):
                 landed = knowledge.with_message(value, problem.table.relevant, j)
                 heard = problem.accept * landed + (1 - problem.accept) * value
@@ -65,7 +65,7 @@ class DeafPlans:
         belief[0, t] = 1
         for k in range(problem.n_steps):
             said = self.policy.messages(k, given, belief.ravel())
-            given = problem.again.after(given, said, problem.n_messages)
+            given |= said
             belief = told(problem, belief.ravel(), said).reshape(belief.shape)
             belief = knowledge.forget(belief, problem.table.relevant, problem.forget)
             schedule.append(said)

@@ -17,15 +17,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.belief import answered, rounded, told
 from xplain.explanation.message_sets import subsets
 from xplain.solvers.answering import Answering, check_sets, every_told, kept_of
-from xplain.solvers.base import best_question
+from xplain.solvers.base import best_action
 from xplain.solvers.hsvi.deaf_plans import DeafPlans
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.knowing import make_knowing
-from xplain.solvers.model import best_set, prices_of_sets
+from xplain.solvers.model import prices_of_sets
 from xplain.solvers.reminding import Reminding
+from xplain.solvers.restriction import actions_of
 
 CLOSE = 0.02
 """Bounds so near, relative to 1 + their size, decide."""
@@ -77,26 +79,9 @@ class Bounded:
         self.model = make_knowing(policy)
         self.answers = Answering(self.problem)
         self.plans = DeafPlans(policy, self.model)
-        self.kept = self._worth_giving()
+        self.kept = policy.kept
         check_sets("certified", self.kept)
         self.nodes: dict[tuple[int, int, bytes, int], Node] = {}
-
-    def _worth_giving(self) -> tuple[int, ...]:
-        """Those that QMDP thinks of, and those that may pay as a mere delay of all that comes after
-        them: dearer messages, *explain*, and at most what some plan costs that heeds no answer."""
-        problem, policy = self.problem, self.policy
-        delay, kept = 1 - policy.delay, list(policy.kept)
-        if delay == 0 or len(kept) == problem.n_messages:
-            return policy.kept
-        plans = np.array([self.plans.worths(k, 0) for k in range(problem.n_steps)])
-        if problem.levels:  # where more was said, all but silence are worth something else
-            plans = plans[:, -1:]
-        later = np.append(-plans.min(axis=2).max(axis=1)[1:], 0.0)
-        ahead = (self.model.explain_cost.max(axis=1) + self.model.discount * later).max()
-        price, factor = problem.prices(0), problem.again.price
-        ahead += max(1.0, factor) * price[kept].sum()
-        stalling = np.flatnonzero(min(1.0, factor) * price < delay * ahead).tolist()
-        return tuple(sorted({*kept, *stalling}))
 
     def afresh(self) -> Bounded:
         """The same problem, nothing of which was searched."""
@@ -117,7 +102,7 @@ class Bounded:
         self, step: int, given: int, belief: NDArray[np.float64], asked: int
     ) -> tuple[int, int, bytes, int]:
         """What nodes are found by."""
-        return step, given if self.problem.levels else 0, rounded(belief).tobytes(), asked
+        return step, 0, rounded(belief).tobytes(), asked
 
     def _between(self, step: int, given: int, weight: NDArray[np.float64]) -> tuple[float, float]:
         """Bounds of what a belief, or a part of one, is worth."""
@@ -169,8 +154,7 @@ class Bounded:
     def _actions(self, node: Node) -> Iterator[Choice]:
         """All that may be done, with bounds of one step."""
         model, problem, k = self.model, self.problem, node.step
-        prices, may_say = problem.prices(node.given), problem.may_say(node.given)
-        free = [j for j in self.kept if may_say >> j & 1]
+        prices, free = problem.prices, list(self.kept)
         sets, heard = subsets(free), every_told(problem, node.belief, free)
         price, delay = prices_of_sets(sets, prices, model.message_discount)
         base = -price - delay * (heard @ self.policy.explain_cost(k))
@@ -193,9 +177,7 @@ class Bounded:
                 yield Choice(~q, -cost, 1.0, most - cost, least - cost)
 
     def _given(self, node: Node, chosen: int) -> int:
-        problem = self.problem
-        after = problem.again.after(node.given, chosen, problem.n_messages)
-        return after if problem.levels else 0
+        return 0
 
     def _expand(self, node: Node, action: Choice) -> None:
         problem, k = self.problem, node.step
@@ -258,7 +240,7 @@ class CertifiedKnowing:
         return self.root.upper
 
     def _decided(
-        self, step: int, given: int, belief: NDArray[np.float64], asked: int
+        self, step: int, given: int, asked: int, belief: NDArray[np.float64]
     ) -> Node | None:
         """The node of a belief, if its bounds are close."""
         key = self.bounded.key(step, given, belief, asked)
@@ -271,22 +253,15 @@ class CertifiedKnowing:
             self._last[key] = node
         return node if node.gap <= CLOSE * (1 + abs(node.lower)) and node.actions else None
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """The messages to give before the next *explain*, some of them perhaps again."""
-        node = self._decided(step, given, belief, asked)
-        if node is None:
-            return self.bounded.policy.messages(step, given, belief)
-        return best_set({a.name: a.lower for a in node.actions if a.name >= 0})
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """As :class:`xplain.solvers.base.Policy` says, some messages perhaps again."""
+        if self._decided(*visible, belief) is None:
+            return give(self.bounded.policy.messages(visible.step, visible.given, belief))
+        return best_action(self.values(visible, belief))
 
-    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """The question to ask, as :class:`xplain.solvers.base.Asks` says."""
-        return best_question(self.values(step, given, belief, asked))
-
-    def values(
-        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
-    ) -> Mapping[int, float]:
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """Certified lower bounds; QMDP's values where the bounds are not close."""
-        node = self._decided(step, given, belief, asked)
+        node = self._decided(*visible, belief)
         if node is None:
-            return self.bounded.policy.values(step, given, belief)
-        return {action.name: action.lower for action in node.actions}
+            return actions_of(self.bounded.policy.values(visible.step, visible.given, belief))
+        return actions_of({action.name: action.lower for action in node.actions})

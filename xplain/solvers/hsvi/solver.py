@@ -3,7 +3,7 @@
 The bounds are of the optimal expected *discounted* return under the model. The policy takes, where
 the search has been, the set of messages with the best certified lower bound; elsewhere (answers so
 unlikely that the search left them coarse, users unlike the model) it searches afresh from there,
-briefly. Its own exact value is :func:`xplain.solvers.policy_evaluation.evaluate`'s to tell.
+briefly. Its own exact value is :func:`xplain.solvers.evaluate.evaluate`'s to tell.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, checks
+from xplain.explanation.actions import Action, VisibleState
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Knowledge, Policy, best_question
+from xplain.solvers.base import Knowledge, Policy, best_action
 from xplain.solvers.hsvi.explore import Effort, Explored, Gap, explore
 from xplain.solvers.hsvi.initial_bounds import BoundTables, make_tables, table_bytes
 from xplain.solvers.hsvi.knowing import Bounded, CertifiedKnowing
@@ -26,10 +27,9 @@ from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.tree import NODES
 from xplain.solvers.inquiry import words_of
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import best_set
 from xplain.solvers.model import table_bytes as model_bytes
 from xplain.solvers.reminding import Reminding, known_bytes
-from xplain.solvers.restriction import RestrictedAsking, coupled
+from xplain.solvers.restriction import Restricted, actions_of, coupled
 
 KNOWING_NODES = 20_000
 """Beliefs opened, at most, where messages may be missed or forgotten: a search in Python."""
@@ -62,7 +62,7 @@ class Certified:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        if problem.tracks_knowledge:
+        if not problem.messages_land:
             return self.plan_knowing(problem)
         small, kept = coupled(problem, "certified")
         small, tables = tables_within(small, self.memory_gib)
@@ -94,7 +94,7 @@ def tables_within(problem: Problem, memory_gib: float) -> tuple[Problem, BoundTa
 
 
 @dataclass(frozen=True)
-class CertifiedPolicy(RestrictedAsking):
+class CertifiedPolicy(Restricted):
     """A restricted policy that also tells the bounds at the root.
 
     Attributes:
@@ -126,19 +126,17 @@ class Searched:
     found: Explored
     brief: Effort
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """The messages to give before the next *explain*, as
-        :class:`xplain.solvers.base.Policy` says."""
-        return best_set(self.values(step, given, belief, asked))
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """As :class:`xplain.solvers.base.Policy` says."""
+        return best_action(self.values(visible, belief))
 
-    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """The question to ask, as :class:`xplain.solvers.base.Asks` says."""
-        return best_question(self.values(step, given, belief, asked))
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """Certified lower bounds by set of messages and question, of those not ruled out."""
+        return actions_of(self._values(*visible, belief))
 
-    def values(
-        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+    def _values(
+        self, step: int, given: int, asked: int, belief: NDArray[np.float64]
     ) -> Mapping[int, float]:
-        """Certified lower bounds by set of messages, and by ~q, of those not ruled out."""
         words = words_of(asked, self.found.tables.model.inquiry.words)
         nodes = self._opened.get((step, given), np.empty(0, dtype=np.int64))
         store = self.found.store

@@ -35,15 +35,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, Range, checks
+from xplain.explanation.actions import Action, AskQuestion, VisibleState, give
 from xplain.explanation.belief import rounded, told
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derived_seed
-from xplain.solvers.base import Knowledge, Policy, best_question
+from xplain.solvers.base import Knowledge, Policy, best_action, messages_of
 from xplain.solvers.inquiry import Inquiry, look, make_room
 from xplain.solvers.knowing import make_knowing
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import best_set, table_bytes
+from xplain.solvers.model import table_bytes
 from xplain.solvers.pomcp.kernel import MAX, simulate
 from xplain.solvers.pomcp.knowing import KnowingSearch, simulate_knowing
 from xplain.solvers.pomcp.search_model import CodedRooms, SearchModel, model_bytes, model_of
@@ -57,7 +58,7 @@ from xplain.solvers.pomcp.tree import (
     tree_bytes,
 )
 from xplain.solvers.reminding import Reminding, known_bytes
-from xplain.solvers.restriction import Restricted, RestrictedAsking, restricted
+from xplain.solvers.restriction import Restricted, actions_of, restricted
 from xplain.solvers.rows import rows_at
 
 # Positions are the kernel's numbers.
@@ -91,14 +92,14 @@ class POMCP:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         tell_when_compiling()
-        if problem.tracks_knowledge:
+        if not problem.messages_land:
             return self._plan_knowing(problem, seed)
         small, kept = restricted(problem)
         size = model_bytes(small) + tree_bytes(small, self.simulations)
         check_memory("pomcp", size, self.memory_gib, "search less, or qhr plans without tables")
         rooms = CodedRooms(model_of(small))
         search = Search(small, self._options(small), self.simulations, seed, rooms)
-        return (RestrictedAsking if small.questions else Restricted)(search, kept)
+        return Restricted(search, kept)
 
     def _plan_knowing(self, problem: Problem, seed: int) -> Policy:
         """Where messages may be missed or forgotten."""
@@ -113,7 +114,7 @@ class POMCP:
         unit = max(
             problem.inexplicability_cost, problem.trade_off * problem.message_cost.max(initial=0)
         )
-        again = steps if problem.tracks_knowledge else 1
+        again = steps if not problem.messages_land else 1
         return Options(
             depth=self.depth or steps + again * messages + 1,
             message_depth=get_args(DepthUnit).index(self.depth_unit),
@@ -139,26 +140,26 @@ class Searching(ABC):
     seed: int
     _last: dict[tuple[object, ...], Mapping[int, float]] = field(default_factory=dict, init=False)
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """The messages to give before the next *explain*, as
-        :class:`xplain.solvers.base.Policy` says; where they may be missed or forgotten, some of
-        them perhaps again, each at most once a step."""
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """As :class:`xplain.solvers.base.Policy` says; where messages may be missed or forgotten,
+        some of them perhaps again, each at most once a step."""
         said = 0
-        while new := best_set(self._values(self._start(step, given, said, belief, asked))):
+        while True:
+            start = self._start(visible.step, visible.given, said, belief, visible.asked)
+            action = best_action(actions_of(self._values(start)))
+            if isinstance(action, AskQuestion):
+                return action
+            new = messages_of(action)
+            if not new:
+                return give(said)
             said |= new
             belief = told(self.problem, belief, new)
-        return said
 
-    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """The question to ask, as :class:`xplain.solvers.base.Asks` says."""
-        return best_question(self.values(step, given, belief, asked))
-
-    def values(
-        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
-    ) -> Mapping[int, float]:
-        """Estimated return of *explain* (0), of each message (its bit) and question (~q), where it
-        was tried, before anything is said at this step."""
-        return self._values(self._start(step, given, 0, belief, asked))
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """Estimated return of *explain*, of each message and question, where it was tried, before
+        anything is said at this step."""
+        start = self._start(visible.step, visible.given, 0, belief, visible.asked)
+        return actions_of(self._values(start))
 
     def _start(
         self, step: int, given: int, said: int, belief: NDArray[np.float64], asked: int
@@ -166,11 +167,9 @@ class Searching(ABC):
         """A search's root once messages were ``said`` at this step. Where they may be missed or
         forgotten, what was said at earlier steps counts as far as it matters."""
         problem = self.problem
-        if not problem.tracks_knowledge:
+        if problem.messages_land:
             return SearchRoot(step, given | said, belief, asked, not said)
-        before = given if problem.levels else 0
-        used = problem.again.exhausted(before, problem.n_messages)
-        return SearchRoot(step, used | said, belief, asked, not said, before)
+        return SearchRoot(step, said, belief, asked, not said, 0)
 
     def _values(self, start: SearchRoot) -> Mapping[int, float]:
         """What is searched for a question is searched for messages next, so the last values are

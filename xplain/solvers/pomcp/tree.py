@@ -107,7 +107,7 @@ class Tree(NamedTuple):
         asked: [Q] bool, before the root, and
         room: to look at questions in.
         before: [S + 1] of nodes that begin a step, what was said at earlier ones, as far as it
-            matters (:mod:`xplain.explanation.again`).
+            matters.
     """
 
     nodes: NDArray[np.void]

@@ -21,7 +21,7 @@ from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.policies import difference
 from xplain.people.study.prepare import conditions_of
 from xplain.solvers.cached_policy import CachedPolicy
-from xplain.solvers.qmdp import QMDP
+from xplain.solvers.greedy import QMDP
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +169,7 @@ def test_what_cannot_be_asked_is_refused(changes: dict[str, Any], said: str) -> 
 
 
 def test_a_solver_that_does_not_ask_is_refused() -> None:
-    own = {"asking": {"_target_": "xplain.solvers.known_type.Conformant"}}
+    own = {"asking": {"_target_": "xplain.solvers.greedy.Conformant"}}
     with pytest.raises(InputError, match="one that asks"):
         street_study(ask=ASK, conditions=CONFIG["conditions"] | own)
 

@@ -1,0 +1,217 @@
+"""A dialogue: the events of one explanation, and what follows from them.
+
+Belief and visible state are a fold of the events, so a dialogue is taken up again from its events
+alone, wherever it stood. The experiments, the study and the sessions that people embed run this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import InitVar, dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.actions import Action, VisibleState
+from xplain.explanation.asking import bitmask
+from xplain.explanation.belief import BeliefUpdate, Evidence, answered, told, update
+from xplain.explanation.message_sets import indices
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Policy
+
+
+class Asked(NamedTuple):
+    """A question was put, by its number."""
+
+    question: int
+
+
+class Answered(NamedTuple):
+    """The answer to it, 0 or 1."""
+
+    answer: int
+
+
+class Given(NamedTuple):
+    """The messages of a step (a bitmask; 0 for none) were decided, and are given."""
+
+    messages: int
+
+
+class Told(NamedTuple):
+    """Whoever shows the explanation was told of these messages."""
+
+
+class Labelled(NamedTuple):
+    """*Explain* showed one transition more; these are the user's labels of all shown."""
+
+    labels: tuple[int, ...]
+
+
+Event = Asked | Answered | Given | Told | Labelled
+
+
+class DialogueState(NamedTuple):
+    """Where a dialogue stands.
+
+    Attributes:
+        visible: step, messages and questions.
+        belief: [S] over what is hidden.
+        open: the question that is not answered yet; None for none.
+        new: bitmask of the messages given whose step is not labelled yet; None before them.
+        told: whether anybody was told of these.
+        previous: bitmask of the messages at the labels given last, if what is answered is no news
+            since; else None.
+        clips: bitmask of the questions asked since news came last, whose answers are labels.
+    """
+
+    visible: VisibleState
+    belief: NDArray[np.float64]
+    open: int | None = None
+    new: int | None = None
+    told: bool = False
+    previous: int | None = None
+    clips: int = 0
+
+
+def begin(problem: Problem) -> DialogueState:
+    """Nothing was said or shown yet."""
+    return DialogueState(VisibleState(), problem.start)
+
+
+def advance(
+    problem: Problem, belief_update: BeliefUpdate, state: DialogueState, event: Event
+) -> DialogueState:
+    """The state after an event.
+
+    Raises:
+        ValueError: messages that do not exist, or may not be given any more.
+    """
+    visible, belief = state.visible, state.belief
+    match event:
+        case Asked(question):
+            return state._replace(open=question)
+        case Answered(answer):
+            assert state.open is not None
+            bit = 1 << state.open
+            return state._replace(
+                visible=visible._replace(asked=visible.asked | bit),
+                belief=answered(problem, belief, visible.given, state.open, answer),
+                open=None,
+                clips=state.clips | bit,
+            )
+        case Given(messages):
+            if messages & ~problem.may_give(visible.given):
+                raise ValueError(
+                    f"policy gave message set {messages:b} at step {visible.step}, "
+                    f"{visible.given:b} already said"
+                )
+            given = state._replace(
+                visible=visible._replace(given=visible.given | messages),
+                belief=told(problem, belief, messages),
+                open=None,
+                new=messages,
+                told=False,
+            )
+            # Who heard something new is asked something new.
+            return given._replace(previous=None, clips=0) if messages else given
+        case Told():
+            return state._replace(told=True)
+        case Labelled(labels):
+            evidence = _evidence(problem, belief_update, state, len(labels))
+            heard = np.array(labels, np.uint8)
+            # So is who may have forgotten something.
+            forgets = bool(problem.habits.forget.any())
+            return DialogueState(
+                visible._replace(step=len(labels)),
+                update(problem, belief, visible.given, heard, evidence),
+                previous=None if forgets else visible.given,
+                clips=0 if forgets else state.clips,
+            )
+
+
+def _evidence(
+    problem: Problem, belief_update: BeliefUpdate, state: DialogueState, count: int
+) -> Evidence:
+    """Which of the labels just given are new evidence."""
+    evidence = belief_update.evidence(state.visible.given, state.previous, count)
+    if not state.clips or belief_update.fresh_labels or problem.questions is None:
+        return evidence
+    shows = problem.questions.shows[indices(state.clips), :count]
+    return ~shows.any(axis=0) & np.isin(np.arange(count), np.arange(count)[evidence])
+
+
+@dataclass
+class Dialogue:
+    """One trace being explained (docs/method.md, section 5), by masks and arrays.
+
+    Attributes:
+        problem: what the agent believes of users.
+        policy: planned for that problem.
+        belief_update: which labels change the belief.
+        events: what happened since ``stands``, where it stood before; None at the beginning.
+        state: what follows from them.
+    """
+
+    problem: Problem
+    policy: Policy
+    belief_update: BeliefUpdate
+    events: list[Event] = field(default_factory=list)
+    stands: InitVar[DialogueState | None] = None
+    state: DialogueState = field(init=False)
+
+    def __post_init__(self, stands: DialogueState | None) -> None:
+        self.state = begin(self.problem) if stands is None else stands
+        events, self.events = self.events, []
+        self.hear(*events)
+
+    def hear(self, *events: Event) -> None:
+        """These events happened.
+
+        Raises:
+            ValueError: as :func:`advance`.
+        """
+        for event in events:
+            self.state = advance(self.problem, self.belief_update, self.state, event)
+            self.events.append(event)
+
+    def before_last_decision(self) -> tuple[Dialogue, Event] | None:
+        """The dialogue as it stood when something was decided last, and what was; None where
+        nothing was."""
+        decided = [i for i, e in enumerate(self.events) if isinstance(e, Asked | Given)]
+        if not decided:
+            return None
+        last = decided[-1]
+        before = Dialogue(self.problem, self.policy, self.belief_update, self.events[:last])
+        return before, self.events[last]
+
+    @property
+    def visible(self) -> VisibleState:
+        """What the policy sees: questions whose answers were heard as labels count as asked."""
+        state, questions = self.state, self.problem.questions
+        if questions is None or state.previous is None or self.belief_update.fresh_labels:
+            return state.visible
+        heard = np.flatnonzero(questions.shows[:, : state.visible.step].any(axis=1))
+        return state.visible._replace(asked=state.visible.asked | bitmask(heard.tolist()))
+
+    def decide(self, asking: bool = True) -> Action:
+        """What the policy does now; without asking, whatever it would ask."""
+        visible = self.visible
+        if not asking and self.problem.questions:
+            visible = visible._replace(asked=(1 << len(self.problem.questions)) - 1)
+        return self.policy.decide(visible, self.state.belief)
+
+    def values(self) -> Mapping[Action, float]:
+        """The values behind it."""
+        return self.policy.values(self.visible, self.state.belief)
+
+
+def all_given(events: Iterable[Event]) -> list[int]:
+    """The messages of each step, bitmasks."""
+    return [event.messages for event in events if isinstance(event, Given)]
+
+
+def all_labels(events: Iterable[Event]) -> list[tuple[int, ...]]:
+    """The labels of each step."""
+    return [event.labels for event in events if isinstance(event, Labelled)]

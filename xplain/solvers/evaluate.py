@@ -1,0 +1,210 @@
+"""What a policy is worth under the model: exactly, else by simulation.
+
+The walk goes forward, a step at a time, through every belief that the policy can reach (equal ones
+merged), asks the policy once at each, and adds up costs. What was paid before needs no care: a
+belief before step k, with messages H given, was reached by k times *explain* and one action for
+each message, and only where messages land do these discount.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.actions import AskQuestion, VisibleState
+from xplain.explanation.belief import rounded
+from xplain.explanation.message_sets import indices
+from xplain.explanation.problem import Problem
+from xplain.randomness import stream
+from xplain.solvers.base import Policy, PolicyValue, messages_of
+from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.known_type import known_values
+from xplain.solvers.process import (
+    Process,
+    before_step,
+    forget,
+    give_all,
+    hear_answer,
+    make_process,
+    outcomes,
+    set_prices,
+)
+
+NEGLIGIBLE = 1e-16
+"""Joint probability below which an answer is not followed, at the precision EXACT."""
+EXACT = 1e-9
+"""A walk is called exact when what it left out cannot change the value by more than this."""
+
+Layer = dict[tuple[VisibleState, bytes], NDArray[np.float64]]
+"""Beliefs of one k, times their probabilities."""
+
+
+def evaluate(
+    problem: Problem,
+    policy: Policy,
+    beliefs: int = 5_000,
+    episodes: int = 1_000,
+    seed: int = 0,
+    precision: float = EXACT,
+) -> PolicyValue:
+    """The policy's worth, exactly where it reaches no more than ``beliefs`` beliefs.
+
+    Args:
+        problem: the model, which draws every label afresh.
+        policy: a function of the visible state and the belief.
+        beliefs: the exact walk is given up where it would reach more.
+        episodes: then simulated.
+        seed: of the simulated labels' stream.
+        precision: relative, of what is called exact; beliefs too unlikely to matter are not
+            walked to.
+    """
+    cached = CachedPolicy(policy)
+    exact = _walk(make_process(problem), cached, beliefs, precision)
+    return exact or simulate(problem, cached, episodes, seed)
+
+
+def _walk(
+    process: Process, policy: CachedPolicy, limit: int, precision: float
+) -> PolicyValue | None:
+    """None where more than ``limit`` beliefs are reachable, or will be: a layer is seldom smaller
+    than the one before, so there must be room for as many of its size as there are steps to come.
+    Decisions of a policy that searches take long: none is asked for in vain."""
+    steps, worst = process.n_steps, _worst(process)
+    budget = precision / (2 * steps * max(worst, 1))
+    value, cost, left_out, beliefs = 0.0, 0.0, 0.0, 0
+    layer: Layer = {}
+    _add(layer, VisibleState(), process.start)
+    for k in range(steps):
+        later: Layer = {}
+        open_ = [(visible, weight) for (visible, _), weight in layer.items()]
+        if beliefs + (steps - k) * len(open_) > limit:
+            return None
+        asked: Layer = {}
+        while open_ or asked:
+            if not open_:
+                open_ = [(visible, weight) for (visible, _), weight in asked.items()]
+                asked = {}
+            visible, weight = open_.pop()
+            beliefs += 1
+            if beliefs > limit:
+                return None
+            mass = float(weight.sum())
+            action = policy.decide(visible, weight / mass)
+            discount = _discount(process, visible)
+            if isinstance(action, AskQuestion):
+                cost += mass * process.questions.cost
+                value -= mass * process.questions.cost * discount
+                said = before_step(process, visible.given)
+                after = visible._replace(asked=visible.asked | 1 << action.question)
+                for answer in (1, 0):
+                    joint = hear_answer(process, weight, said, action.question, answer)
+                    if joint.sum() > 0:
+                        _add(asked, after, joint)
+                continue
+            new = messages_of(action)
+            said = before_step(process, visible.given) | new
+            price, factor = _paid(process, new)
+            heard = give_all(process, weight, new)
+            zeros = float(heard @ process.explain_cost[k, process.cells.at(said)])
+            cost += mass * float(process.price[indices(new)].sum()) + zeros
+            value -= discount * (mass * price + factor * zeros)
+            if k + 1 < steps:
+                found = outcomes(process, k, said, heard, NEGLIGIBLE * precision / EXACT, limit)
+                if found is None:
+                    return None
+                after = VisibleState(k + 1, visible.given | new, visible.asked)
+                for joint in found[0]:
+                    _add(later, after, joint)
+                left_out += float(found[1].sum()) * worst
+        layer, faint = _likely(later, budget)
+        left_out += faint * worst
+    if left_out > precision * (1 + abs(value)):
+        return None
+    return PolicyValue(value, cost, "exact", 0.0, 0.0, beliefs)
+
+
+def _add(layer: Layer, visible: VisibleState, weight: NDArray[np.float64]) -> None:
+    key = visible, rounded(weight / weight.sum()).tobytes()
+    layer[key] = layer.get(key, 0.0) + weight
+
+
+def _likely(layer: Layer, budget: float) -> tuple[Layer, float]:
+    """All but the unlikeliest beliefs, whose probabilities together stay within the budget."""
+    keys = list(layer)
+    mass = np.array([float(layer[key].sum()) for key in keys])
+    order = np.argsort(mass, kind="stable")
+    total = np.cumsum(mass[order])
+    dropped = int(np.searchsorted(total, budget, side="right"))
+    kept = {keys[i]: layer[keys[i]] for i in np.sort(order[dropped:]).tolist()}
+    return kept, float(total[dropped - 1]) if dropped else 0.0
+
+
+def _discount(process: Process, visible: VisibleState) -> float:
+    """What the actions before this discount."""
+    messages = visible.given.bit_count()
+    return float(process.message_discount**messages * process.discount**visible.step)
+
+
+def _paid(process: Process, messages: int) -> tuple[float, float]:
+    """The discounted price of messages, the cheapest first, and what all of them discount."""
+    price, discount = set_prices(process, np.array([messages], np.int64))
+    return float(price[0]), float(discount[0])
+
+
+def _worst(process: Process) -> float:
+    """No policy can cost more than every label 0, every message given at each step, and every
+    question asked."""
+    steps, questions = process.n_steps, process.questions
+    often = 1 if process.jump is None else steps
+    asked = questions.cost * min(questions.most, len(questions.answered))
+    zeros = process.explain_cost.max(axis=1).sum()
+    return float(zeros + often * process.price.sum() + asked)
+
+
+def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> PolicyValue:
+    """The policy's worth as a mean over simulated users, with its standard error.
+
+    Counted is what each decision is expected to lose against being told the state there, not what
+    the labels drawn happen to cost: with W(k, v, b) = Σ_s b_s V(k, v, s), what is paid now and
+    W(k + 1, v⁺, b') expected, less W(k, v, b). The belief is a martingale and W is linear in it, so
+    a policy is worth W at the start less the losses to come on the way: for any V that is 0 after
+    the last step, and with little noise for that of known states (a control variate). Answers are
+    drawn from what the belief expects, which is exact.
+    """
+    process, rng = make_process(problem), stream(seed, "policy_value")
+    cached = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
+    plain = process._replace(discount=1.0, message_discount=1.0)
+    models = [(each, known_values(each)) for each in (process, plain)]
+    losses = np.zeros((2, episodes))
+    for episode in range(episodes):
+        visible, belief = VisibleState(), process.start
+        while visible.step < process.n_steps:
+            k, said = visible.step, before_step(process, visible.given)
+            action = cached.decide(visible, belief)
+            scale = np.array([_discount(process, visible), 1.0])
+            if isinstance(action, AskQuestion):
+                # Of W it changes nothing: what it tells is expected there.
+                losses[:, episode] += scale * process.questions.cost
+                joint = hear_answer(process, belief, said, action.question, 1)
+                if rng.random() >= joint.sum():
+                    joint = hear_answer(process, belief, said, action.question, 0)
+                belief = joint / joint.sum()
+                visible = visible._replace(asked=visible.asked | 1 << action.question)
+                continue
+            new = messages_of(action)
+            heard = give_all(process, belief, new)
+            for i, (each, known) in enumerate(models):
+                price, factor = _paid(each, new)
+                after = factor * (heard @ known.explained(k, said | new)) - price
+                losses[i, episode] += scale[i] * (belief @ known.now(k, said) - after)
+            state = rng.choice(len(heard), p=heard / heard.sum())
+            p = process.answered[: k + 1, process.cells.at(said | new)]
+            labels = rng.random(k + 1) < p[:, state]
+            joint = heard * np.where(labels[:, None], p, 1 - p).prod(axis=0)
+            belief = forget(process, joint / joint.sum())
+            visible = VisibleState(k + 1, visible.given | new, visible.asked)
+    start = np.array([process.start @ known.now(0, 0) for _, known in models])
+    value, undiscounted = start - losses.mean(axis=1)
+    value_se, cost_se = losses.std(axis=1, ddof=1) / np.sqrt(episodes)
+    means, errors = (float(value), float(-undiscounted)), (float(value_se), float(cost_se))
+    return PolicyValue(*means, "simulated", *errors, len(cached.decisions))

@@ -1,0 +1,213 @@
+"""Solvers that act as if the hidden state became known after the next action.
+
+Q(b, a) = E[Q*(k, v, s, a)], Q* by exact dynamic programming (:mod:`xplain.solvers.known_type`):
+
+- *QMDP* (Littman, Cassandra & Kaelbling 1995; the paper, "Myopic Approximation: QMDP") takes the
+  user types, and never asks for a label's sake;
+- *baseline* (the paper): one labeler learned from everybody's labels;
+- *conformant* (the paper's user study): pays for the 0-labels of all types at once, so that the
+  explanation suits everybody;
+- *oracle* (the paper): the true type's labeler; the regret is measured against it;
+- *clairvoyant*: the true labels themselves, the floor of every cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError, Positive, checks
+from xplain.explanation.actions import EXPLAIN, Action, GiveMessages, VisibleState, give
+from xplain.explanation.message_sets import indices
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Knowledge, Policy, best_of
+from xplain.solvers.known_type import KnownValues, known_bytes, known_values
+from xplain.solvers.memory import check_memory
+from xplain.solvers.process import (
+    Process,
+    before_step,
+    expected_after_giving,
+    make_process,
+    matters,
+)
+from xplain.solvers.process import give as give_message
+from xplain.solvers.voi import PATIENCE, asks_by_value
+
+
+@dataclass(frozen=True)
+class Greedy:
+    """Gives the message with the largest expected value, again and again, each at most once a step,
+    until *explain* is the best action. A message that changes nothing for whoever has belief is
+    none.
+
+    Attributes:
+        process: the model.
+        known: its values where the state is known.
+    """
+
+    process: Process
+    known: KnownValues
+
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """As :class:`xplain.solvers.base.Policy` says."""
+        process, chosen = self.process, 0
+        said = before_step(process, visible.given)
+        while True:
+            margin = 0.0 if process.jump is None else PATIENCE * (1 - belief.max())
+            messages, values = self._values(visible.step, said | chosen, belief, margin)
+            new = best_of(np.array([0, *(1 << j for j in messages)]), values)
+            if not new:
+                return give(chosen)
+            chosen |= new
+            belief = give_message(process, belief, new.bit_length() - 1)
+
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """Of *explain* and of each message alone."""
+        said = before_step(self.process, visible.given)
+        messages, values = self._values(visible.step, said, belief)
+        actions: list[Action] = [EXPLAIN, *(GiveMessages(1 << j) for j in messages)]
+        return dict(zip(actions, values.tolist(), strict=True))
+
+    def _values(
+        self, step: int, said: int, belief: NDArray[np.float64], margin: float = 0.0
+    ) -> tuple[list[int], NDArray[np.float64]]:
+        """The messages that may be given, and the values of *explain* and of each of them."""
+        process, known = self.process, self.known
+        messages = indices(matters(process, belief) & ~said)
+        values = np.empty(len(messages) + 1)
+        values[0] = belief @ known.explained(step, said)
+        cells = known.value_cells.at(said) + known.value_cells.stride[messages]
+        later = expected_after_giving(process, messages, known.value[step].take(cells))
+        values[1:] = process.message_discount * (later @ belief)
+        values[1:] -= (1 + margin) * process.price[messages]
+        return messages, values
+
+
+def greedy_policy(problem: Problem, what: str, memory_gib: float) -> Greedy:
+    """The greedy policy of a problem.
+
+    Raises:
+        TooLargeError: its tables would take more than ``memory_gib``.
+    """
+    check_memory(what, known_bytes(problem), memory_gib, "qhr plans without tables")
+    process = make_process(problem)
+    return Greedy(process, known_values(process))
+
+
+@checks("solver")
+@dataclass(frozen=True)
+class QMDP:
+    """Args:
+    memory_gib: most that the tables of known types may take.
+    """
+
+    memory_gib: Positive = 8.0
+    knows: Knowledge = "types"
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        policy = greedy_policy(problem, "qmdp", self.memory_gib)
+        return asks_by_value(policy, policy.process, policy.known, seed)
+
+
+@checks("solver")
+@dataclass(frozen=True)
+class Baseline:
+    """One labeler for everybody. A problem of several types is taken as the mixture of their
+    labelers, weighed by the prior.
+
+    Args:
+        memory_gib: most that the tables [steps, 2^messages] may take.
+    """
+
+    memory_gib: Positive = 8.0
+    knows: Knowledge = "everyone"
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        one = problem.mixture(problem.prior)
+        return FixedBelief(greedy_policy(one, "baseline", self.memory_gib), one_type)
+
+
+@checks("solver")
+@dataclass(frozen=True)
+class Conformant:
+    """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all user types, neither weighed
+    by a belief nor divided by M (the paper's user study; docs/choices.md, slip 3).
+
+    Args:
+        memory_gib: most that the tables [steps, 2^messages] may take.
+    """
+
+    memory_gib: Positive = 8.0
+    knows: Knowledge = "types"
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        # M types' costs are M times the cost of the mean labeler.
+        summed = replace(
+            problem.mixture(np.full(problem.n_types, 1 / problem.n_types)),
+            inexplicability_cost=problem.inexplicability_cost * problem.n_user_types,
+        )
+        return FixedBelief(greedy_policy(summed, "conformant", self.memory_gib), one_type)
+
+
+@checks("solver")
+@dataclass(frozen=True)
+class KnownType:
+    """Knows the type: the oracle, or with true labels the clairvoyant.
+
+    Args:
+        knows: "type" or "labels"; the experiment hands over the problem that goes with it.
+        memory_gib: most that the tables [steps, 2^messages, types] may take.
+    """
+
+    knows: Literal["type", "labels"] = "type"
+    memory_gib: Positive = 8.0
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """Its policy of a problem with several types asks for a belief that names one."""
+        what = f"knowing the {self.knows}"
+        return FixedBelief(greedy_policy(problem, what, self.memory_gib), certain_type)
+
+
+@dataclass(frozen=True)
+class FixedBelief:
+    """A policy that is handed another belief than the one held.
+
+    Attributes:
+        policy: that decides.
+        belief_of: what it is handed.
+    """
+
+    policy: Policy
+    belief_of: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """As :class:`xplain.solvers.base.Policy` says."""
+        return self.policy.decide(visible, self.belief_of(belief))
+
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """As :class:`xplain.solvers.base.Policy` says."""
+        return self.policy.values(visible, self.belief_of(belief))
+
+
+def one_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The belief for a policy of one type in a world of several: the given one is ignored."""
+    return np.ones(1)
+
+
+def certain_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The belief for a policy that must be told the type. With a belief of 1 on it QMDP's value is
+    the type's own optimal value.
+
+    Raises:
+        InputError: the belief leaves the type open.
+    """
+    if belief.max() < 1 - 1e-9:  # a sum of probabilities may be 1 but for rounding
+        raise InputError("belief", belief.tolist(), "this solver is told the type: 1 on one")
+    return belief
