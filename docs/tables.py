@@ -57,11 +57,11 @@ SINCE = {
     "ask.most": "10",
     "ask.when": '"anytime"',
     "ask.clips": "150",
-    "again.price": "1.0",
-    "again.most": "null",
 }
 """Keys that came after tables were made, with the value that does what was done before."""
 GONE = {
+    "again.price": "1.0",
+    "again.most": "null",
     "solver.leaf": '"max_of_mean"',
     "solver.rollout": '"qmdp"',
     "solver.trees": "1",

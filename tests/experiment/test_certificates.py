@@ -22,11 +22,11 @@ from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, upd
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value, reduced_optimal_value
 from xplain.explanation.problem import Problem
-from xplain.solvers import policy_evaluation as policy_value
+from xplain.solvers import evaluate as policy_value
 from xplain.solvers.base import Policy
 from xplain.solvers.greedy import QMDP, Baseline, KnownType
+from xplain.solvers.known_type import known_bytes
 from xplain.solvers.memory import GIB
-from xplain.solvers.model import table_bytes
 from xplain.solvers.simple import QHR, Silent
 
 COSTS = Costs(0.8, 0.6, 1.5, 0.9, "action", "observers")
@@ -246,7 +246,7 @@ def test_nothing_is_certified_of_a_policy_whose_belief_takes_labels_to_be_repeat
 
 def test_a_trace_whose_certificate_takes_too_much_memory_has_none(caplog):
     """The longer of two traces: of the shorter all is certified, as if it were alone."""
-    sizes = sorted(table_bytes(problem) / GIB for problem in PROBLEMS)
+    sizes = sorted(known_bytes(problem) / GIB for problem in PROBLEMS)
     little = Certify(**EFFORT, memory_gib=sum(sizes) / 2)
     solver = Silent()
     found = little.certificates(PREPARED, COSTS, solver, Independent(), 4)

@@ -1,7 +1,8 @@
 """QMDP where messages may be missed or forgotten: say it again when that is worth its price.
 
 Act as if the type and what the user knows became known after the next action. With both known, the
-optimum is that of an MDP on (k, c, S, K): what was said at earlier steps, as far as it matters, what was said at this one, and the facts that the user has right:
+optimum is that of an MDP on (k, S, K): what was said at this step, and the facts that the user
+has right:
 
     Q_t(k, c, S, K, explain) = −C_t(k, K) + γ E[V_t(k + 1, c + S, ∅, K')],    K' what is left of K
     Q_t(k, c, S, K, say j)   = −λ C_e(j) + γ' (α V_t(k, c, S ∪ {j}, K ∪ {j}) + (1 − α) V_t(…, K)).
