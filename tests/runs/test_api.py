@@ -186,7 +186,7 @@ SCRIPT = """
 from dataclasses import dataclass, field
 import xplain
 from xplain.errors import XplainError
-from xplain.solvers.qhr import QHR
+from xplain.solvers.simple import QHR
 
 @dataclass(frozen=True)
 class Mine(QHR):
