@@ -1,0 +1,57 @@
+"""Dual-mode control (Cassandra, Kaelbling & Kurien 1996): while the hidden state is too uncertain,
+ask the question that tells the most; else act as if the most likely state were known."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import entr
+
+from xplain import Policy, Problem
+from xplain.errors import Positive, Range, checks
+from xplain.explanation.actions import Action, AskQuestion, VisibleState
+from xplain.solvers.base import Knowledge
+from xplain.solvers.greedy import Greedy, greedy_policy
+from xplain.solvers.voi import telling_questions
+
+
+@checks("solver")
+@dataclass(frozen=True)
+class DualMode:
+    """Args:
+    entropy: of the belief, in nats, above which a question is asked.
+    memory_gib: most that the tables of known states may take.
+    """
+
+    entropy: Annotated[float, Range(0)] = 0.3
+    memory_gib: Positive = 8.0
+    knows: Knowledge = "types"
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """Each state's optimal values; nothing here is random."""
+        return DualModePolicy(greedy_policy(problem, "dual_mode", self.memory_gib), self.entropy)
+
+
+@dataclass(frozen=True)
+class DualModePolicy:
+    """The greedy policy at a belief of 1 on the most likely state (the first of equals)."""
+
+    greedy: Greedy
+    entropy: float
+
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """A question, or the messages that the most likely state needs now."""
+        if entr(belief).sum() > self.entropy:
+            questions, _ = telling_questions(self.greedy.process, visible, belief, most=1)
+            if questions:
+                return AskQuestion(questions[0])
+        return self.greedy.decide(visible, self._sure(belief))
+
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """The most likely state's values."""
+        return self.greedy.values(visible, self._sure(belief))
+
+    def _sure(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.eye(len(belief))[belief.argmax()]
