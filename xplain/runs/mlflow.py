@@ -12,7 +12,7 @@ import logging
 import os
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +27,7 @@ from xplain.runs.terminal import without_passwords
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+    from mlflow.entities import Run
 
 log = logging.getLogger(__name__)
 
@@ -158,7 +159,12 @@ class _Store:
     experiment: str
 
     def send_result(
-        self, folder: Path, results: Results, swept: Mapping[str, str], tags: Mapping[str, str]
+        self,
+        folder: Path,
+        results: Results,
+        swept: Mapping[str, str],
+        tags: Mapping[str, str],
+        among: Sequence[Run] | None = None,
     ) -> str:
         """Sends a result unless its run is there; returns the id of the run.
 
@@ -166,6 +172,7 @@ class _Store:
             folder, results: of the finished run.
             swept: keys of the sweep with this run's values.
             tags: that tell it from runs of the same result in other sweeps.
+            among: runs that may be its; None looks for them.
         """
         from mlflow.entities import Metric, Param
 
@@ -177,7 +184,7 @@ class _Store:
             "xplain.warning": warning_about_oracle(results.learning),
         }
         tags = {RESULT_TAG: results.fingerprint, **(tags or {"xplain.single": "yes"})}
-        run, new = self._run(results.name, "FINISHED", started, tags, about)
+        run, new = self._run(results.name, "FINISHED", started, tags, about, among)
         if new:
             known = figures(results)
             metrics = [Metric(key, round(v, 4), end, 0) for key, v in sorted(known.items())]
@@ -199,15 +206,16 @@ class _Store:
         params = [Param(key, ", ".join(values)[:500]) for key, values in swept.items()]
         self.client.log_batch(parent, params=[*params, Param("jobs", str(len(jobs)))])
         self.client.set_tag(parent, "mlflow.note.content", answer(summary))
+        children = self._known({PARENT_TAG: parent})
         for job in jobs:
             tags = {RESULT_TAG: job.fingerprint, PARENT_TAG: parent}
             if (state := sweep.state(job)) == "finished":
                 own = replace(load_results(sweep.address(job)), name=job.label)
-                self.send_result(sweep.address(job), own, job.values, tags)
+                self.send_result(sweep.address(job), own, job.values, tags, children)
             elif state == "failed":
                 at = int(1000 * (sweep.of(job) / FAILURE).stat().st_mtime)
                 error = {"xplain.error": sweep.failure(job)["error"][:4000]}
-                run, new = self._run(job.label, "FAILED", at, tags, error)
+                run, new = self._run(job.label, "FAILED", at, tags, error, children)
                 if new:
                     self.client.log_artifacts(run, str(sweep.of(job)))
                     self.client.set_terminated(run, "FAILED", at)
@@ -232,6 +240,7 @@ class _Store:
         started: int,
         known_by: Mapping[str, str],
         tags: Mapping[str, str],
+        among: Sequence[Run] | None = None,
     ) -> tuple[str, bool]:
         """The id of the run that is known by these tags, and whether it is new. Runs of another
         status or start are of earlier attempts, or their sender died: they are deleted.
@@ -242,10 +251,11 @@ class _Store:
             started: when, in milliseconds since 1970.
             known_by: tags that tell it from all others.
             tags: more of them, of a new run.
+            among: runs that may be it; None looks for them.
         """
-        wanted = " and ".join(f"tags.`{key}` = '{value}'" for key, value in known_by.items())
+        found = self._known(known_by) if among is None else among
         kept = None
-        for run in self.client.search_runs([self.experiment], wanted, max_results=50):
+        for run in (one for one in found if known_by.items() <= one.data.tags.items()):
             same = (run.info.status, run.info.start_time) == (status or run.info.status, started)
             if same and kept is None:
                 kept = run
@@ -253,8 +263,13 @@ class _Store:
                 self.client.delete_run(run.info.run_id)
         source = {"mlflow.user": os.environ.get("USER", ""), "mlflow.source.name": SOURCE}
         every = {**known_by, **tags, **source}
-        found = kept or self.client.create_run(self.experiment, started, every, name)
-        return str(found.info.run_id), kept is None
+        made = kept or self.client.create_run(self.experiment, started, every, name)
+        return str(made.info.run_id), kept is None
+
+    def _known(self, tags: Mapping[str, str]) -> Sequence[Run]:
+        """The runs with these tags, which are not deleted."""
+        wanted = " and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items())
+        return self.client.search_runs([self.experiment], wanted, max_results=50_000)
 
 
 def figures(results: Results) -> dict[str, float]:
