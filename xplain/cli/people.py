@@ -11,12 +11,13 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.cli.parser import parsed
-from xplain.errors import InputError, XplainError, first_line, mapping, whole_number
+from xplain.errors import InputError, XplainError, first_line, mapping, one_of, whole_number
 from xplain.experiment.config import composed
 
 if TYPE_CHECKING:
@@ -36,11 +37,17 @@ def serve(name: str, arguments: list[str]) -> None:
     The first start fixes it in its database; later starts go on with it. One worker process with
     threads: it alone has the database open. How a lab does it: docs/study.md, docs/collect.md.
     """
+    from xplain.people.server.http import LOOPBACK
+
     cfg = configured(name, arguments)
     # Before the work of a plan: a key that cannot be is refused at once.
     server, path = server_of(cfg), database_of(cfg)
     kind = site(name)
     made = kind.of(running(name, cfg, path, kind))
+    outside = server.address and urlsplit(server.address).hostname not in LOOPBACK
+    if made.plan.unedited and outside and not server.demo:
+        wanted = "demo for a pilot; else fill in [EDIT: …] in the consent text, wording.consent"
+        raise InputError("consent", cfg.consent, wanted)
     print(made.announcement(), end="", file=sys.stderr)
     run_server(made, name, server, path, cfg)
 
@@ -94,6 +101,7 @@ def server_of(cfg: DictConfig) -> Server:
         own = yaml.safe_load(Path(file).read_text(encoding="utf-8")) if file else {}
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise InputError("server.file", file, f"a YAML file ({first_line(error)})") from None
+    given["demo"] = one_of("consent", cfg.consent, ("own", "demo")) == "demo"
     return typed(Server, "server", given | mapping("server.file", own, "keys of server"))
 
 

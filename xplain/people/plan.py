@@ -99,6 +99,8 @@ class Task:
     pictures: tuple[Picture | None, ...] = ()
 
 
+EDIT = "[EDIT"
+"""Begins what a lab has to fill in."""
 FORM = ("token", "sequence", "kind", "ms", "action", "method", "elements", "submit")
 """Names that forms and their own fields have."""
 _NUMBER = re.compile(r"([+-]?[0-9]{1,9})([.]0*)?")
@@ -297,6 +299,11 @@ class StoredPlan:
     pictures: tuple[Picture | None, ...] = ()
     ahead: Ahead | None = None
     config: Mapping[str, Any]
+
+    @property
+    def unedited(self) -> bool:
+        """Whether the consent text still has places that a lab has to fill in."""
+        return any(EDIT in paragraph for paragraph in self.texts.consent)
 
     @property
     def lab_questions(self) -> tuple[LabQuestion, ...]:

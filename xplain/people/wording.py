@@ -16,7 +16,7 @@ from xplain.experiment.config import CONF
 from xplain.people.plan import Ahead, Task, Texts, Told, Way, facts_of
 
 InWords = Callable[[str], str]
-NOT_OF_THE_PLAN = ("database", "host", "port", "threads", "server", "outputs")
+NOT_OF_THE_PLAN = ("consent", "database", "host", "port", "threads", "server", "outputs")
 """Keys that may change between two starts."""
 
 

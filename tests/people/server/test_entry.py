@@ -176,6 +176,23 @@ def test_a_backup_is_made_while_the_server_runs(store: Store, tmp_path: Path) ->
     restored.close()
 
 
+def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(tmp_path: Path) -> None:
+    study = street_study()
+    texts = replace(study.plan.texts, consent=("Responsible: [EDIT: your institution].",))
+    unedited = replace(study, plan=replace(study.plan, texts=texts))
+    store = Store(tmp_path / "s.sqlite", StudySite(unedited))
+    for server, host, status in (
+        (GENEROUS, "https://lab.example.org", 403),
+        (GENEROUS, "http://localhost", 303),
+        (replace(GENEROUS, demo=True), "https://lab.example.org", 303),
+    ):
+        client = create_app(store, server).test_client()
+        token = field(client.get("/", base_url=host).text, "token")
+        sent = {"token": token, "invitation": store.invite(1, "pilot")[0]}
+        assert client.post("/enter", data=sent, base_url=host).status_code == status
+    store.close()
+
+
 def test_pictures_and_consent_are_for_participants(store: Store) -> None:
     client = create_app(store, GENEROUS).test_client()
     for path in ("/consent.txt", "/picture/0"):

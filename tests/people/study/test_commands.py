@@ -17,7 +17,7 @@ from tests.conftest import Command
         ("xplain study", ["prot=1"], "did you mean port?"),
         ("xplain study", ["threads=0"], "threads=0"),
         ("xplain study", ["8080"], "key=value"),
-        ("xplain study", ["server.entry=[anybody]"], "server.entry='anybody'"),
+        ("xplain study", ["server.entry=[anybody]"], "server.entry.0='anybody'"),
         ("xplain study", ["database=broken.sqlite"], "not a study's database"),
         ("xplain study", ["rules.per_cell=0"], "rules.per_cell=0"),
         ("xplain study", ["trace.start=[99,99]"], "trace.start=[99, 99]"),

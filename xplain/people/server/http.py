@@ -25,6 +25,8 @@ ENDINGS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "
 """What a code of its own can be set for, beside the end that all who finish come to."""
 LEAST_KEY, LEAST_SECRET = 12, 32
 """Characters of a key that researchers type, bytes of a secret that signs links."""
+LOOPBACK = ("127.0.0.1", "localhost", "::1", "0.0.0.0", "::")
+"""Hosts whose links open on the server's own computer alone."""
 GUESSES = 10
 """Wrong keys of researchers, a minute and an address, that are answered."""
 PARTICIPANT = "participant"
@@ -57,6 +59,7 @@ class Server:
             ``https://lab.example.org/robots``; "" takes it from each request.
         frames: addresses of pages that may show this one in a frame, such as a survey's.
         key: that researchers type in, of 12 characters or more; "" for one made by the server.
+        demo: whether people may come in although the consent text is not edited: a pilot.
         blinded: whether the researcher's page keeps to itself who has which type and condition.
         https: whether the outside world sees https.
         proxies: how many proxies in front add X-Forwarded-For.
@@ -77,6 +80,7 @@ class Server:
     address: str = ""
     frames: tuple[str, ...] = ()
     key: str = ""
+    demo: bool = False
     blinded: bool = True
     https: bool = False
     proxies: int = 0

@@ -8,6 +8,7 @@ import re
 import secrets
 from dataclasses import replace
 from typing import Any, Literal
+from urllib.parse import urlsplit
 
 from flask import (
     Blueprint,
@@ -28,6 +29,7 @@ from xplain.people.analysis.export import ParticipantRow
 from xplain.people.flow import Conflict, Form
 from xplain.people.server.database import Gone, Unknown
 from xplain.people.server.http import (
+    LOOPBACK,
     PARTICIPANT,
     context,
     error_page,
@@ -77,6 +79,9 @@ def enter() -> AnyResponse:
     own = context()
     if not read_cookie(VISITOR):
         return error_page(403, "no_cookies")
+    here = urlsplit(request.host_url).hostname in LOOPBACK
+    if own.site.plan.unedited and not (own.server.demo or here):
+        return error_page(403, "not_ready")
     if not genuine(read_cookie(VISITOR)):
         return error_page(403, "old_form")
     ids = {key: request.form.get(key, "") for key in own.server.id_names}

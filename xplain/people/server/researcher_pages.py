@@ -29,6 +29,7 @@ from xplain.errors import InputError, Refused
 from xplain.people.analysis.export import write_identifiers
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.server.http import (
+    LOOPBACK,
     PARTICIPANT,
     RESEARCHER,
     context,
@@ -41,8 +42,6 @@ from xplain.people.server.security import COOKIE_PATH, SESSION
 from xplain.people.stages import small
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
-LOOPBACK = ("127.0.0.1", "localhost", "::1", "0.0.0.0", "::")
-"""Hosts whose links open on the server's own computer alone."""
 MOST_INVITATIONS = 500
 MOST_BATCHES = 20
 """Batches of invitations that can be looked at again."""
