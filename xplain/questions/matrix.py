@@ -21,10 +21,10 @@ each time that which comes nearest.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -145,8 +145,8 @@ class Interactions:
             value = np.where(better, value + change[every, best], value)
 
 
-MAX_CELLS = 1 << 25
-"""Labels of all questions by all candidates that are listed; more are searched instead."""
+MAX_CELLS = 1 << 23
+"""Questions by variants that are listed; more are searched instead."""
 EQUAL = 1e-11
 """Questions tie when their P(label 1) lie as far from ½, but for this."""
 
@@ -170,61 +170,81 @@ class WeighedQuestions(Protocol):
 def questions_of(hypotheses: Hypotheses) -> WeighedQuestions:
     """All of them; where they are too many, those that a search finds."""
     count = int((1 << np.bitwise_count(hypotheses.matters).astype(np.int64)).sum())
-    if hypotheses.complete and count * hypotheses.tables[:, :, 0].size <= MAX_CELLS:
+    if hypotheses.complete and count * len(hypotheses.tables) <= MAX_CELLS:
         return QuestionMatrix.of(hypotheses)
     return Interactions.of(hypotheses)
 
 
 @dataclass(frozen=True)
 class QuestionMatrix:
-    """Q questions, D of which all candidates label differently.
+    """Q questions: label functions f, and the facts K that are not told of those S on which each
+    depends. P(label 1) of all K follows from the Möbius transform c of f in |S| sweeps.
 
     Attributes:
-        labels: [(1 + V) · C, D] of 0 and 1.
-        column: [Q] the column of each question.
-        function: [Q] its label function.
+        groups: for each S the number of R ∩ S of each candidate R, [C], and c [1 + V, 2^|S|, G].
+        function: [Q] the label function of each question.
         told: [Q] its messages.
-        transitions: G arrays, which transitions have each function.
+        transitions: which transitions have each function.
     """
 
-    labels: NDArray[np.float64]
-    column: NDArray[np.int64]
+    groups: tuple[tuple[NDArray[np.int64], NDArray[np.int16]], ...]
     function: NDArray[np.int64]
     told: NDArray[np.int64]
     transitions: tuple[NDArray[np.int64], ...]
 
     @classmethod
     def of(cls, hypotheses: Hypotheses) -> QuestionMatrix:
-        """Of all transitions whose label tells anything."""
+        """Of all transitions whose label tells anything. Of hypotheses that list some sets, with
+        each set its subsets, no candidate holds the others, which count for nothing."""
         tables, facts = hypotheses.tables, hypotheses.facts
-        columns, function, told = [], [], []
+        groups, function, told = [], [], []
         transitions: list[NDArray[np.int64]] = []
         for mask in np.unique(hypotheses.matters[hypotheses.matters > 0]).tolist():
             own = np.flatnonzero(hypotheses.matters == mask)
-            bits = np.packbits(tables[:, :, own].reshape(-1, len(own)), axis=0)
-            _, first, which = np.unique(bits, axis=1, return_index=True, return_inverse=True)
-            kept = subsets(indices(mask))  # what is not told
-            rows = hypotheses.row(facts[:, None] & kept)
-            labels = tables[:, rows][..., own[first]]
-            columns.append(labels.reshape(tables[:, :, 0].size, -1))
-            function.append(np.tile(len(transitions) + np.arange(len(first)), len(kept)))
-            told.append(np.repeat(mask & ~kept, len(first)))
-            transitions += [own[which.ravel() == g] for g in range(len(first))]
-        every = np.concatenate(columns, axis=1)
-        number: dict[bytes, int] = {}
-        bits = np.packbits(every, axis=0).T
-        column = np.array([number.setdefault(row.tobytes(), len(number)) for row in bits])
-        distinct = every[:, np.unique(column, return_index=True)[1]].astype(np.float64)
+            kept = subsets(indices(mask))
+            rows = np.minimum(hypotheses.row(kept), len(facts) - 1)
+            values, which = np.unique(tables[:, rows][..., own], axis=2, return_inverse=True)
+            count = values.shape[2]
+            coefficient = values.astype(np.int16)
+            for low, high in _halves(coefficient):
+                high -= low
+            groups.append((np.searchsorted(kept, facts & mask), coefficient))
+            function.append(np.tile(len(transitions) + np.arange(count), len(kept)))
+            told.append(np.repeat(mask & ~kept, count))
+            transitions += [own[which.ravel() == g] for g in range(count)]
         return cls(
-            distinct, column, np.concatenate(function), np.concatenate(told), tuple(transitions)
+            tuple(groups), np.concatenate(function), np.concatenate(told), tuple(transitions)
         )
+
+    def probability(self, weight: NDArray[np.float64]) -> NDArray[np.float64]:
+        """[Q] P(label 1) under the weights [1 + V, C]."""
+        found = []
+        for cell, coefficient in self.groups:
+            size = coefficient.shape[1]
+            above = np.stack([np.bincount(cell, own, size) for own in weight])[:, :, None]
+            for low, high in _halves(above):
+                low += high
+            value = (coefficient * above).sum(axis=0)
+            for low, high in _halves(value):
+                high += low
+            found.append(value.ravel())
+        return np.concatenate(found)
 
     def nearest(self, weight: NDArray[np.float64], middle: float, count: int) -> Nearest:
         """See :class:`WeighedQuestions`."""
-        off = np.abs(weight.ravel() @ self.labels - middle)[self.column]
+        off = np.abs(self.probability(weight) - middle)
         last = min(count, len(off)) - 1
         kept = np.flatnonzero(off <= np.partition(off, last)[last] + EQUAL)
         return Nearest(off[kept], self.function[kept], self.told[kept])
+
+
+def _halves(values: NDArray[Any]) -> Iterator[tuple[NDArray[Any], NDArray[Any]]]:
+    """For each fact views of the values [..., 2^s, G] of all sets without it, and of the same sets
+    with it."""
+    *rest, size, count = values.shape
+    for i in range(size.bit_length() - 1):
+        split = values.reshape(*rest, -1, 2, 1 << i, count)
+        yield split[..., 0, :, :], split[..., 1, :, :]
 
 
 TIE = 1e-9
