@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import importlib
 import json
 import logging
 import os
@@ -217,6 +218,24 @@ def test_a_component_of_the_script_itself_runs_in_this_process(here: Path) -> No
     subprocess.run(command, env=sweeps.environment(), check=True, capture_output=True)
     after = {path.name for path in (here / "outputs" / "results").iterdir()}
     assert len(after) == 2 * len(before)  # another source is another address
+
+
+def test_a_module_that_was_edited_and_loaded_again_is_another_address(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(here))
+    found = []
+    for silent in (True, False):
+        base = "Silent" if silent else "SayAll"
+        (here / "edited_solver.py").write_text(
+            f"from xplain.solvers.simple import {base} as Base\nclass Mine(Base): pass\n"
+        )
+        importlib.invalidate_caches()
+        sys.modules.pop("edited_solver", None)
+        mine = importlib.import_module("edited_solver").Mine
+        found.append(xplain.run(*SMALL, solver=mine()).results)
+    assert found[0].fingerprint != found[1].fingerprint
+    assert found[0].metrics["messages"].mean == 0 < found[1].metrics["messages"].mean
 
 
 class Tee:

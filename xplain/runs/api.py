@@ -45,6 +45,7 @@ from xplain.experiment.config import (
     register,
     require_names,
 )
+from xplain.experiment.fingerprint import clear_caches
 from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.report.comparison import answer, main_table
 from xplain.report.measure import TITLES
@@ -313,6 +314,7 @@ def _started() -> Iterator[None]:
     quiet = bool(logging.getLogger().handlers or own.handlers)
     handler, level = logging.StreamHandler(sys.stderr), own.level
     with _ONE_AT_A_TIME:
+        clear_caches()  # a component may have been edited since the last call
         try:
             if not quiet:
                 own.addHandler(handler)
