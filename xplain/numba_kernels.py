@@ -23,9 +23,11 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
-from numba.core import event
+from llvmlite import ir
+from numba import types, uint64
+from numba.core import cgutils, event
 from numba.core.compiler import Compiler
-from numba.extending import typeof_impl
+from numba.extending import intrinsic, typeof_impl
 
 log = logging.getLogger(__name__)
 
@@ -248,3 +250,83 @@ def tell_when_compiling(say: Callable[[str], None] | None = None) -> None:
             given before, or else to one line in the log.
     """
     _compilation.say = say or _compilation.say or _tell_once
+
+
+part = numba.njit(inline="always")
+"""Decorates what a kernel is made of: it is compiled with each kernel that calls it."""
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def borrow(typing: Any, value: Any) -> Any:
+    """The same arrays, in tuples of any depth, without counting references to them: numba would
+    count at every call and for every row. Whoever called the kernel holds them meanwhile."""
+
+    def uncounted(context: Any, builder: Any, kind: Any, own: Any) -> Any:
+        if isinstance(kind, types.Array):
+            array = context.make_array(kind)(context, builder, own)
+            array.meminfo = cgutils.get_null_value(array.meminfo.type)
+            array.parent = cgutils.get_null_value(array.parent.type)
+            return array._getvalue()
+        for i, each in enumerate(kind if isinstance(kind, types.BaseTuple) else ()):
+            inner = uncounted(context, builder, each, builder.extract_value(own, i))
+            own = builder.insert_value(own, inner, i)
+        return own
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return uncounted(context, builder, value, arguments[0])
+
+    return value(value), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def first_bit(typing: Any, mask: Any) -> Any:
+    """The position of the lowest bit set; undefined for 0."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def count_bits(typing: Any, mask: Any) -> Any:
+    """How many bits are set."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.ctpop(arguments[0])
+
+    return types.int64(types.int64), generate
+
+
+@part
+def nth_bit(mask, r):  # type: ignore[no-untyped-def]
+    """The position of the r-th bit set in a mask, from 0."""
+    for _ in range(r):
+        mask &= mask - 1
+    return first_bit(mask)
+
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+"""What the counter of a random stream advances by."""
+
+
+@part
+def splitmix64(x):  # type: ignore[no-untyped-def]
+    """The word of a counter (Steele, Lea & Flood 2014). Also a hash."""
+    x = (x ^ (x >> uint64(30))) * uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> uint64(27))) * uint64(0x94D049BB133111EB)
+    return x ^ (x >> uint64(31))
+
+
+@part
+def next_below(counter, count):  # type: ignore[no-untyped-def]
+    """A random number in 0 … count − 1, from the next word."""
+    counter[0] += GOLDEN
+    return np.int64(((splitmix64(counter[0]) >> uint64(32)) * uint64(count)) >> uint64(32))
+
+
+@part
+def next_uniform(counter):  # type: ignore[no-untyped-def]
+    """A random number in [0, 1), from the next word."""
+    counter[0] += GOLDEN
+    return np.float64(splitmix64(counter[0]) >> uint64(11)) * 2.0**-53

@@ -1,186 +1,354 @@
-"""The compiled search of :mod:`xplain.solvers.pomcp.solver`: select, expand, evaluate, backward.
+"""The compiled search of :mod:`xplain.solvers.pomcp.solver`: select, expand, evaluate, back up.
 
-``model`` is a :class:`~xplain.solvers.pomcp.search_model.SearchModel`, ``tree`` a
-:class:`~xplain.solvers.pomcp.tree.Tree`, ``options``
-the :class:`~xplain.solvers.pomcp.tree.Options`.
+One source gives two searches: ``missed`` is None where messages land, True where they may be missed
+or forgotten and move the hidden state; ``asks`` is None where there are no questions. numba drops
+the branches of None, so that the paper's search has none of the others' work in it.
+
+What every state answers alike is no news and is not drawn. Labels with the same column P(answer 1)
+are exchangeable, so an observation is known by Σ_i [l_i = 0] · w_i, with one 64-bit hash w a
+distinct column (two observations of a node are taken for one with probability 2^-64).
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import uint64
+from numba import njit, uint64
+from numpy.typing import NDArray
 
-from xplain.numba_kernels import inlined, lean_kernel
-from xplain.solvers.bits import count_bits, nth_bit
-from xplain.solvers.inquiry import answer_probability, hear_answer
-from xplain.solvers.pomcp.growth import (
-    END,
-    ROOT,
-    UNOPENED,
-    UNVISITED,
-    add,
-    find,
-    grow_table,
-    open_,
-    questions_at,
+from xplain.numba_kernels import (
+    GOLDEN,
+    borrow,
+    count_bits,
+    first_bit,
+    next_below,
+    next_uniform,
+    nth_bit,
+    part,
+    splitmix64,
 )
-from xplain.solvers.pomcp.labels import draw_labels, update_belief
-from xplain.solvers.pomcp.rollout import leaf_value, roll_qmdp
-from xplain.solvers.random_words import GOLDEN, next_below, next_uniform, splitmix64
 
+NODE = np.dtype(
+    [
+        ("code", np.uint64),  # of the labels that led here; v after a message
+        ("leaf", np.float64),  # QMDP's value at the belief, NaN until asked for
+        ("value", np.float64),  # of the best action so far, or of the only rollout
+        ("reward", np.float64),  # expected, of *explain*
+        ("given", np.int64),  # v
+        ("actions", np.int64),  # bitmask: messages that matter, *explain* (bit n), questions
+        ("untried", np.int64),  # of these
+        ("edges", np.int32),  # its first edge; 0 until it is visited a second time
+        ("parent", np.int32),  # node before *explain* or a question; ~base after a message
+        ("base", np.int32),  # node where the step began
+        ("visits", np.int32),
+        ("step", np.int32),  # k
+    ],
+    align=True,
+)
+EDGE = np.dtype(
+    [
+        ("value", np.float64),  # estimated return; −inf until tried
+        ("visits", np.int32),
+        ("child", np.int32),  # after a message, or the last after an answer; 0 until known
+    ]
+)
+ENTRY = np.dtype([("node", np.int32), ("tag", np.uint32)])
+MOVE = np.dtype(
+    [("node", np.int32), ("edge", np.int32), ("action", np.int32), ("paid", np.float64)], align=True
+)
+LABEL = np.dtype([("weight", np.uint64), ("informative", np.int64)])
+COLUMN = np.dtype([("p", np.float64), ("probability", np.float64), ("code", np.uint64)])
 MEAN, MAX = 0, 1
+NODES, EDGES, MASK = 0, 1, 2
+"""Positions in ``tree.used``."""
+ROOT, END = np.int64(0), -1
+"""The node that a search begins at, and what comes after the last *explain*."""
+UNVISITED, UNOPENED = 0, 0
+"""``edge.child`` and ``entry.node`` where there is no node (the root is no child), and
+``node.edges`` until a simulation goes on from there (the first edges are unused)."""
+SETTLED = -1
+"""In ``wanted``: the state should not be given any message from here to the end."""
+CERTAIN = 1 - 1e-6
+"""A belief from here on counts as certainty in rollouts."""
+ROUNDING = 1e-12
+"""Messages worth the same but for this are equal, the first is taken."""
+NO_NEWS = 1e-12
+"""Nats below which an answer tells nothing."""
 
 
-@lean_kernel
-def simulate(simulations, model, options, tree, log_root, inverse_root):  # type: ignore[no-untyped-def]
+class SearchModel(NamedTuple):
+    """A :class:`~xplain.solvers.process.Process` and its known values, as simulations read them.
+    The cell of a table for (v, s) is s + Σ_{j ∈ v} stride[j, s].
+
+    Attributes:
+        answered, explain_cost, explain: [m, cells] P(answer 1), and the expected cost and Q of
+            *explain*; stride: [n, S] of these.
+        value: [m + 1, value cells] V, and value_stride: [n, S] of it.
+        wanted: [m, value cells] bitmask of the messages that s should be given next rather than
+            *explain*, or SETTLED; empty where messages may be missed.
+        relevant: [S] bitmask of the messages that matter to s.
+        jump, accept, forget: [n, S], [S] and [N], of the process; empty where messages land.
+        price: [n] λ C_e.
+        asked_answered, likelier: [Q, question cells] P(answer 1), and whether the label is likelier
+            1; question_stride: [n, S] of these.
+        discount, message_discount: γ and γ'.
+        question_cost, most, first: κ, questions asked at most, and whether only at the start.
+    """
+
+    answered: NDArray[np.float64]
+    explain_cost: NDArray[np.float64]
+    explain: NDArray[np.float64]
+    stride: NDArray[np.int64]
+    value: NDArray[np.float64]
+    value_stride: NDArray[np.int64]
+    wanted: NDArray[np.int64]
+    relevant: NDArray[np.int64]
+    jump: NDArray[np.int64]
+    accept: NDArray[np.float64]
+    forget: NDArray[np.float64]
+    price: NDArray[np.float64]
+    asked_answered: NDArray[np.float64]
+    likelier: NDArray[np.bool_]
+    question_stride: NDArray[np.int64]
+    discount: float
+    message_discount: float
+    question_cost: float
+    most: int
+    first: bool
+
+
+class Options(NamedTuple):
+    """How to search.
+
+    Attributes:
+        depth: where simulations end.
+        message_depth: what a message adds to the depth, 0 or 1; *explain* adds 1.
+        exploration: in the problem's unit of cost.
+        backup: MEAN or MAX.
+    """
+
+    depth: int
+    message_depth: int
+    exploration: float
+    backup: int
+
+
+class Tree(NamedTuple):
+    """Room for a search of R simulations: each adds at most one node. Of one search alone.
+
+    Attributes:
+        nodes: [R + 1] NODE.
+        edges: [(R + 2) · (n + 1 + B)] EDGE; a node's are those of its actions, in order. The first
+            n + 1 + B are unused, so that 0 means none.
+        beliefs: [R + 1, S]; where messages land, of nodes that begin a step.
+        table: [a power of two > 2 R + 2] ENTRY, nodes by hash; 0 is none (the root is no child).
+            Only the first ``used[MASK] + 1`` entries are in use; they double as nodes come.
+        seen: [a power of two] hashes of observations, 0 is none, and
+        likelihoods: [.., S] what they are for each state.
+        coded: [a power of two] the message set whose labels are coded here, −1 for none:
+        labels: [.., m] LABEL, ``informative``: how many of the first k + 1 labels states answer
+            differently, and ``weight``, of the informative labels in order: their w;
+        columns: [.., m, S] COLUMN, ``p`` of the informative labels in order; ``probability`` and
+            ``code`` where each of the first k + 1 informative labels is the likelier of the two.
+        path: [(n + 1) m + 1 + Q] MOVE of a simulation.
+        zero: [m] which of the labels drawn last are 0, where not all were the likelier.
+        belief: [S] of a rollout; cells: [S] of a history; gain: [n] what QMDP finds messages
+            worth, 0 between calls.
+        tried: [R + 1, B + 2] of nodes that begin a step: questions, how many, and the question that
+            led there, −1 for none; asked: [Q] before; news: [Q] to work in.
+        used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
+        counter: [1] of the random stream.
+    """
+
+    nodes: NDArray[np.void]
+    edges: NDArray[np.void]
+    beliefs: NDArray[np.float64]
+    table: NDArray[np.void]
+    seen: NDArray[np.uint64]
+    likelihoods: NDArray[np.float64]
+    coded: NDArray[np.int64]
+    labels: NDArray[np.void]
+    columns: NDArray[np.void]
+    path: NDArray[np.void]
+    zero: NDArray[np.bool_]
+    belief: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    gain: NDArray[np.float64]
+    tried: NDArray[np.int32]
+    asked: NDArray[np.bool_]
+    news: NDArray[np.float64]
+    used: NDArray[np.int64]
+    counter: NDArray[np.uint64]
+
+
+@njit(cache=True, nogil=True)
+def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_root):  # type: ignore[no-untyped-def]
     """Runs simulations from the root, whose belief is set. ``log_root[v]`` is sqrt(log v), and
     ``inverse_root[v]`` is 1 / sqrt(v), but 0 for 0: [a number larger than all visits]."""
-    last_type = tree.beliefs.shape[1] - 1
-    while tree.beliefs[ROOT, last_type] <= 0.0:
-        last_type -= 1
+    model, tree, log_root, inverse_root = borrow((model, tree, log_root, inverse_root))
+    n, last = len(model.price), tree.beliefs.shape[1] - 1
+    while tree.beliefs[ROOT, last] <= 0.0:
+        last -= 1
     for _ in range(simulations):
-        grow_table(tree)
-        user_type = draw_type(tree, last_type)
+        _grow_table(tree)
+        state = _draw_state(tree, last)
         node, depth, length, is_new = ROOT, 0, 0, False
         while depth < options.depth and not is_new and node != END:
             if tree.nodes[node].edges == UNOPENED:
-                open_(model, tree, node)
-            edge, action = select(model, options, tree, node, log_root, inverse_root)
-            tree.path[0, length] = node
-            tree.path[1, length] = edge
-            tree.path[2, length] = action
-            if action < len(model.reduced.price):
-                tree.paid[length] = model.reduced.price[action]
+                _open(model, tree, missed, asks, node)
+            edge, action = _select(tree, options, node, log_root, inverse_root)
+            move = tree.path[length]
+            move.node = node
+            move.edge = edge
+            move.action = action
+            if action < n:
+                move.paid = model.price[action]
             length += 1
-            if action <= len(model.reduced.price):  # a question costs no depth
-                depth += 1 if action == len(model.reduced.price) else options.message_depth
-            node, is_new = expand(model, tree, node, edge, action, user_type)
-        value = evaluate(model, tree, node, is_new, user_type)
-        backward(model, options, tree, node, length, value)
+            if action <= n:  # a question costs no depth
+                depth += 1 if action == n else options.message_depth
+            node, is_new, state = _expand(model, tree, missed, asks, node, edge, action, state)
+        value = _evaluate(model, tree, missed, node, is_new, state)
+        _back_up(model, tree, options, node, length, value)
 
 
-@inlined
-def draw_type(tree, last_type):  # type: ignore[no-untyped-def]
-    """A type from the root's belief; the last with positive belief takes what rounding leaves."""
+@part
+def _draw_state(tree, last):  # type: ignore[no-untyped-def]
+    """A state from the root's belief; the last with positive belief takes what rounding leaves."""
     u = next_uniform(tree.counter)
-    t = 0
-    while t < last_type and u >= tree.beliefs[ROOT, t]:
-        u -= tree.beliefs[ROOT, t]
-        t += 1
-    return t
+    s = 0
+    while s < last and u >= tree.beliefs[ROOT, s]:
+        u -= tree.beliefs[ROOT, s]
+        s += 1
+    return s
 
 
-@inlined
-def select(model, options, tree, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
+@part
+def _select(tree, options, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
     """The action to try at an open node, and its edge: those not yet tried come first, in random
     order, then UCB1 decides (Auer et al. 2002)."""
-    record, n = tree.nodes[node], len(model.reduced.price)
-    first, untried = record.edges, np.int64(record.untried)
-    asking = questions_at(tree, node)
-    available = ((1 << (n + 1 + asking)) - 1) & ~np.int64(record.given)
+    record = tree.nodes[node]
+    first, actions, untried = np.int64(record.edges), record.actions, record.untried
     if untried != 0:
         action = nth_bit(untried, next_below(tree.counter, count_bits(untried)))
         record.untried = untried & ~(1 << action)
-        return first + count_bits(available & ((1 << action) - 1)), action
-    last = first + count_bits(available) - 1
+        return first + count_bits(actions & ((1 << action) - 1)), action
     bonus, best, chosen = options.exploration * log_root[record.visits], -np.inf, uint64(first)
     # Unsigned, as numba looks at each index whether it counts from the end.
-    for e in range(uint64(first), uint64(last + 1)):
+    for e in range(uint64(first), uint64(first + count_bits(actions))):
         score = tree.edges[e].value + bonus * inverse_root[uint64(tree.edges[e].visits)]
         if score > best:
             best, chosen = score, e
     edge = np.int64(chosen)
-    return edge, n if edge == last - asking else nth_bit(available, edge - first)
+    return edge, nth_bit(actions, edge - first)
 
 
-@inlined
-def expand(model, tree, node, edge, action, user_type):  # type: ignore[no-untyped-def]
-    """The node that an action leads a user of this type to, and whether it is new to the tree. Its
-    belief is set then; END after the last *explain*."""
-    record = tree.nodes[node]
-    step, given, base = np.int64(record.step), np.int64(record.given), np.int64(record.base)
-    child = np.int64(tree.edges[edge].child)
-    question, answer = np.int64(-1), 0
-    if action < len(model.reduced.price):
-        given |= 1 << action
-        parent, code = ~base, uint64(given)
-    elif action > len(model.reduced.price):
-        question = np.int64(tree.inquired[node, action - len(model.reduced.price) - 1])
-        yes = answer_probability(model.reduced.inquiry, question, given, user_type)
-        answer = int(next_uniform(tree.counter) < yes)
-        parent, code = node, splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
+@part
+def _expand(model, tree, missed, asks, node, edge, action, state):  # type: ignore[no-untyped-def]
+    """The node that an action leads a user in this state to, whether it is new to the tree, and the
+    state after it. The node's belief is set then; END after the last *explain*."""
+    record, n = tree.nodes[node], len(model.price)
+    step, said, base = np.int64(record.step), record.given, np.int64(record.base)
+    question, answer, before = np.int64(-1), False, state
+    if action < n:
+        said |= 1 << action
+        parent, code = ~base, uint64(said)
+        if missed is not None:
+            state = _told(model, tree, state, action)
+    elif action == n:
+        if step + 1 == len(model.explain_cost):
+            return np.int64(END), False, state
+        parent, code = node, _draw_labels(model, tree, missed, step, said, state)
+        if missed is not None:
+            state = _forgetful(model, tree, state)
     else:
-        if step + 1 == model.informative.shape[1]:
-            return np.int64(END), False
-        parent, code = node, draw_labels(model, tree, step, given, user_type)
+        parent, code = node, uint64(0)
+        if asks is not None:
+            question = np.int64(tree.tried[node, action - n - 1])
+            yes = model.asked_answered[question, _cell(model.question_stride, said, state)]
+            answer = next_uniform(tree.counter) < yes
+            code = splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
+    child = np.int64(tree.edges[edge].child)
     if child != UNVISITED and tree.nodes[child].code == code:  # the last answer, as often
-        return child, False
-    slot, tag = find(tree, parent, code)
+        return child, False, state
+    slot, tag = _find(tree, parent, code)
     child = np.int64(tree.table[slot].node)
     is_new = child == UNVISITED
     if is_new:
-        child = add(tree, slot, tag, parent, code)
-        record = tree.nodes[child]
-        record.given = given
-        if action < len(model.reduced.price):
-            record.step, record.base = step, base
-        else:
-            belief = tree.beliefs[child]
-            for t in range(len(belief)):
-                belief[t] = tree.beliefs[base, t]
-            if action == len(model.reduced.price):
-                record.step, record.base = step + 1, child
-                update_belief(model, tree, step, given, user_type, code, belief)
-            else:
-                record.step, record.base = step, child
-                hear_answer(model.reduced.inquiry, question, given, answer, belief)
-            if len(tree.room.found) > 0:
-                tree.inquired[child, len(tree.room.found)] = 0
-                tree.inquired[child, len(tree.room.found) + 1] = question
+        child = _add(tree, slot, tag, parent, code)
+        record, belief = tree.nodes[child], tree.beliefs[child]
+        record.step, record.given, record.base = step, said, base
+        if action >= n or missed is not None:
+            held = base if missed is None else node
+            for s in range(len(belief)):
+                belief[s] = tree.beliefs[held, s]
+        if action >= n:
+            record.base = child
+        if action == n:
+            record.step = step + 1
+            _update_belief(model, tree, missed, step, said, before, code, belief)
+        if missed is not None:
+            if action < n:
+                _say(model, belief, action)
+            elif action == n:
+                record.given = 0
+                _forget(model, belief)
+        if asks is not None and action >= n:
+            tree.tried[child, tree.tried.shape[1] - 1] = question
+            if action > n:
+                _hear_answer(model, question, said, answer, belief)
     tree.edges[edge].child = child
-    return child, is_new
+    return child, is_new, state
 
 
-@inlined
-def evaluate(model, tree, node, is_new, user_type):  # type: ignore[no-untyped-def]
+@part
+def _evaluate(model, tree, missed, node, is_new, state):  # type: ignore[no-untyped-def]
     """The return from where a simulation ended: 0 after the last *explain*, a rollout's from a new
-    node, QMDP's value from a node at the depth limit."""
+    node, QMDP's value from a node at the depth limit. Where messages may be missed QMDP's value in
+    both places: a rollout over so many states takes longer than all the rest."""
     if node == END:
         return 0.0
     record = tree.nodes[node]
-    step, given, belief = np.int64(record.step), np.int64(record.given), tree.beliefs[record.base]
-    if not is_new:
-        if np.isnan(record.leaf):
-            record.leaf = leaf_value(model, tree, step, given, belief)
-        return record.leaf
-    return roll_qmdp(model, tree, step, given, user_type, belief)
+    step, said = np.int64(record.step), record.given
+    belief = tree.beliefs[record.base if missed is None else node]
+    if missed is None and is_new:
+        return _roll_qmdp(model, tree, missed, step, said, state, belief)
+    if np.isnan(record.leaf):
+        _find_cells(model.value_stride, tree, said)
+        if missed is None:
+            messages = max(_wanted(model, tree, step, said), 0)
+        else:
+            messages = _matters(model, belief) & ~said
+        record.leaf = _qmdp(model, tree, missed, step, messages, belief)[0]
+    return record.leaf
 
 
-@inlined
-def backward(model, options, tree, node, length, value):  # type: ignore[no-untyped-def]
+@part
+def _back_up(model, tree, options, node, length, value):  # type: ignore[no-untyped-def]
     """Takes the return from a node up the path to the root.
 
     With MAX a node is worth its best action, and *explain* the mean of what its observations are
     worth now: ``moved`` corrects what earlier arrivals counted as.
     """
-    n, to_max, moved = len(model.reduced.price), options.backup == MAX, 0.0
+    n, to_max, moved = len(model.price), options.backup == MAX, 0.0
     if node != END:
         record = tree.nodes[node]
         moved = record.visits * (value - record.value)
         record.value = value
         record.visits += 1
     for i in range(length - 1, -1, -1):
-        record, edge = tree.nodes[tree.path[0, i]], tree.edges[tree.path[1, i]]
-        is_message, later = tree.path[2, i] < n, model.reduced.discount
+        move = tree.path[i]
+        record, edge = tree.nodes[move.node], tree.edges[move.edge]
+        later = model.discount if move.action == n else 1.0
+        if move.action < n:
+            value = model.message_discount * value - move.paid
+        elif move.action == n:
+            value = record.reward + later * value
+        else:
+            value -= model.question_cost
         edge.visits += 1
         before = edge.value
-        if is_message:
-            value = model.reduced.message_discount * value - tree.paid[i]
-        elif tree.path[2, i] > n:
-            value, later = value - model.reduced.inquiry.cost, 1.0
-        else:
-            value = record.reward + later * value
-        if edge.visits == 1 or (to_max and is_message):
+        if edge.visits == 1 or (to_max and move.action < n):
             edge.value = value
         elif to_max:
             edge.value += (value - before + later * moved) / edge.visits
@@ -192,10 +360,412 @@ def backward(model, options, tree, node, length, value):  # type: ignore[no-unty
                 value = max(record.value, edge.value)
             else:
                 value = edge.value
-                actions = n + 1 - count_bits(np.int64(record.given))
-                actions += questions_at(tree, tree.path[0, i])
-                for e in range(record.edges, record.edges + actions):
+                for e in range(record.edges, record.edges + count_bits(record.actions)):
                     value = max(value, tree.edges[e].value)
             moved = record.visits * (value - record.value)
             record.value = value
         record.visits += 1
+
+
+@part
+def _find(tree, parent, code):  # type: ignore[no-untyped-def]
+    """Where the table holds this child, or has room for it; and the tag it bears there, without
+    which every other child on the way would have to be looked at.
+
+    Children are found by (node, labels) after *explain*, and by (node where the step began, v)
+    after a message: orders of the same messages lead to one node.
+    """
+    mask = tree.used[MASK]
+    h = splitmix64(code + uint64(parent) * GOLDEN)
+    slot, tag = np.int64(h & uint64(mask)), np.uint32(h >> uint64(32))
+    while True:
+        node = tree.table[slot].node
+        if node == UNVISITED:
+            break
+        if tree.table[slot].tag == tag:
+            record = tree.nodes[node]
+            if record.parent == parent and record.code == code:
+                break
+        slot = (slot + 1) & mask
+    return slot, tag
+
+
+@part
+def _grow_table(tree):  # type: ignore[no-untyped-def]
+    """Where the table is half full, spreads the children over twice as much of it: a table no
+    larger than need be stays in the processor's cache."""
+    if 2 * tree.used[NODES] > tree.used[MASK]:
+        tree.used[MASK] = 2 * tree.used[MASK] + 1
+        for slot in range(tree.used[MASK] + 1):
+            tree.table[slot].node = UNVISITED
+        for node in range(1, tree.used[NODES]):
+            record = tree.nodes[node]
+            slot, tag = _find(tree, np.int64(record.parent), record.code)
+            tree.table[slot].node = node
+            tree.table[slot].tag = tag
+
+
+@part
+def _add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
+    """A node without edges; its step, given, base and belief are left to set."""
+    node = tree.used[NODES]
+    tree.used[NODES] += 1
+    tree.table[slot].node = node
+    tree.table[slot].tag = tag
+    record = tree.nodes[node]
+    record.parent = parent
+    record.code = code
+    record.edges = UNOPENED
+    record.visits = 0
+    record.value = 0.0
+    record.leaf = np.nan
+    return node
+
+
+@part
+def _open(model, tree, missed, asks, node):  # type: ignore[no-untyped-def]
+    """Gives a node its edges, and the expected reward of *explain*: for each message that matters
+    to somebody with belief and was not given yet, for *explain*, and where a step begins for each
+    of the most telling questions."""
+    record, n = tree.nodes[node], len(model.price)
+    belief = tree.beliefs[record.base if missed is None else node]
+    questions = 0
+    if asks is not None and record.base == node:
+        questions = _find_questions(model, tree, node, record.step, record.given, belief)
+    record.actions = _matters(model, belief) & ~record.given | ((2 << questions) - 1) << n
+    record.untried = record.actions
+    record.edges = tree.used[EDGES]
+    tree.used[EDGES] += count_bits(record.actions)
+    for e in range(np.int64(record.edges), tree.used[EDGES]):
+        edge = tree.edges[e]
+        edge.value = -np.inf
+        edge.visits = 0
+        edge.child = UNVISITED
+    reward = 0.0
+    for s in range(len(belief)):
+        if belief[s] > 0.0:
+            cell = _cell(model.stride, record.given, s)
+            reward -= belief[s] * model.explain_cost[record.step, cell]
+    record.reward = reward
+
+
+@part
+def _matters(model, belief):  # type: ignore[no-untyped-def]
+    """Bitmask of the messages that change something for some state with belief."""
+    messages = np.int64(0)
+    for s in range(len(belief)):
+        if belief[s] > 0.0:
+            messages |= model.relevant[s]
+    return messages
+
+
+@part
+def _cell(stride, said, s):  # type: ignore[no-untyped-def]
+    """Where a table with these strides has (v, s)."""
+    at = s
+    while said:
+        at += stride[first_bit(said), s]
+        said &= said - 1
+    return at
+
+
+@part
+def _find_cells(stride, tree, said):  # type: ignore[no-untyped-def]
+    """Fills in where tables with these strides have (v, s), for each s."""
+    for s in range(len(tree.cells)):
+        tree.cells[s] = _cell(stride, said, s)
+
+
+@part
+def _wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
+    """The messages that some state should be given next, or SETTLED, at the cells found."""
+    mask, settled = np.int64(0), True
+    for s in range(len(tree.cells)):
+        own = model.wanted[step, tree.cells[s]]
+        if own != SETTLED:
+            settled = False
+            mask |= own
+    return np.int64(SETTLED) if settled else mask & ~said
+
+
+@part
+def _qmdp(model, tree, missed, step, messages, belief):  # type: ignore[no-untyped-def]
+    """max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages, and the action (n is
+    *explain*), at the cells found. A message changes what it is worth to give only for the states
+    that it matters to: ``tree.gain`` sums that up."""
+    best, base, action = 0.0, 0.0, len(model.price)
+    for s in range(len(belief)):
+        if belief[s] <= 0.0:
+            continue
+        at = tree.cells[s]
+        now = model.value[step, at]
+        base += belief[s] * now
+        best += belief[s] * model.explain[step, at if missed is None else s]
+        left = messages & model.relevant[s]
+        while left:
+            j = first_bit(left)
+            left &= left - 1
+            more = at + model.value_stride[j, s]
+            later = model.value[step, more]
+            if missed is not None:
+                landed = model.value[step, more + model.jump[j, s]]
+                later += model.accept[s] * (landed - later)
+            tree.gain[j] += belief[s] * (later - now)
+    while messages:
+        j = first_bit(messages)
+        messages &= messages - 1
+        value = model.message_discount * (base + tree.gain[j]) - model.price[j]
+        tree.gain[j] = 0.0
+        if value > best + ROUNDING:
+            best, action = value, j
+    return best, action
+
+
+@part
+def _roll_qmdp(model, tree, missed, step, said, state, belief):  # type: ignore[no-untyped-def]
+    """The return of following QMDP with exact beliefs, for a user in this state. Once the state is
+    certain QMDP acts as if it were known, and where nothing is worth saying to anybody any more it
+    says nothing: V is the rest of the return."""
+    n, steps, value, scale = len(model.price), len(model.explain_cost), 0.0, 1.0
+    for s in range(len(belief)):
+        tree.belief[s] = belief[s]
+    _find_cells(model.value_stride, tree, said)
+    while step < steps:
+        wanted = _wanted(model, tree, step, said)
+        if tree.belief[state] > CERTAIN or wanted == SETTLED:
+            value += scale * model.value[step, tree.cells[state]]
+            break
+        action = n
+        if wanted != 0:
+            _, action = _qmdp(model, tree, missed, step, wanted, tree.belief)
+        if action < n:
+            value -= scale * model.price[action]
+            scale *= model.message_discount
+            said |= 1 << action
+            for s in range(len(belief)):
+                tree.cells[s] += model.value_stride[action, s]
+        else:
+            value -= scale * model.explain_cost[step, tree.cells[state]]
+            scale *= model.discount
+            if step + 1 < steps:
+                code = _draw_labels(model, tree, missed, step, said, state)
+                _update_belief(model, tree, missed, step, said, state, code, tree.belief)
+            step += 1
+    return value
+
+
+@part
+def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped-def]
+    """Draws the informative labels of a user in state s after *explain* at (k, v): their code.
+
+    A number u decides how many labels in a row are the likelier of the two. Mostly all are, which
+    is one look into a table; else ``tree.zero`` is filled, with a new u after each unlikely label.
+    """
+    at = _place(model, tree, missed, said)
+    code, count = uint64(0), tree.labels[at, step].informative
+    if count > 0:
+        u = next_uniform(tree.counter)
+        code = tree.columns[at, step, s].code
+        if u >= tree.columns[at, step, s].probability:
+            as_likely = 1.0
+            for i in range(count):
+                yes = tree.columns[at, i, s].p
+                zero = yes < 0.5
+                as_likely *= 1.0 - yes if zero else yes
+                if u >= as_likely:
+                    zero = not zero
+                    weight = tree.labels[at, i].weight
+                    code = code + weight if zero else code - weight
+                    u = next_uniform(tree.counter)
+                    as_likely = 1.0
+                tree.zero[i] = zero
+    return code
+
+
+@part
+def _update_belief(model, tree, missed, step, said, state, code, belief):  # type: ignore[no-untyped-def]
+    """belief [S] ∝ itself × likelihood of the labels just drawn, for this state. The likelihoods of
+    labels met before are remembered."""
+    at = _place(model, tree, missed, said)
+    count = tree.labels[at, step].informative
+    if count > 0:
+        shown = said if missed is None else 0
+        key = splitmix64(code + uint64(shown * len(model.answered) + step + 1) * GOLDEN)
+        slot = np.int64(key & uint64(len(tree.seen) - 1))
+        if tree.seen[slot] != key:
+            tree.seen[slot] = key
+            usual = code == tree.columns[at, step, state].code  # nothing was written to ``zero``
+            for s in range(len(belief)):
+                likelihood = 1.0
+                for i in range(count):
+                    zero = tree.columns[at, i, state].p < 0.5 if usual else tree.zero[i]
+                    yes = tree.columns[at, i, s].p
+                    likelihood *= 1.0 - yes if zero else yes
+                tree.likelihoods[slot, s] = likelihood
+        total = 0.0
+        for s in range(len(belief)):
+            belief[s] *= tree.likelihoods[slot, s]
+            total += belief[s]
+        scale = 1.0 / total
+        for s in range(len(belief)):
+            belief[s] *= scale
+
+
+@part
+def _place(model, tree, missed, said):  # type: ignore[no-untyped-def]
+    """Where the labels at v are coded. There is one place for each hash of v: what is coded there
+    for another set is coded anew when that is met again, and is the same."""
+    shown = said if missed is None else np.int64(0)
+    slot = shown
+    if slot >= len(tree.coded):
+        slot ^= slot >> 24 ^ slot >> 48
+        slot = (slot ^ slot >> 12) & (len(tree.coded) - 1)
+    if tree.coded[slot] != shown:
+        _code_labels(model, tree, shown, slot)
+        tree.coded[slot] = shown
+    return slot
+
+
+@njit(nogil=True)
+def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
+    """Codes the labels at v in this place."""
+    steps, states = len(model.answered), len(model.relevant)
+    labels, columns, found = tree.labels[slot], tree.columns[slot], 0
+    cells = np.arange(states)
+    for s in range(states):
+        cells[s] = _cell(model.stride, said, s)
+    for i in range(steps):
+        differs, code = False, GOLDEN
+        first = model.answered[i, cells[0]]
+        for s in range(states):
+            p = model.answered[i, cells[s]]
+            columns[found, s].p = p  # overwritten where this transition is no news
+            differs |= p != first
+            code = splitmix64((code + GOLDEN) ^ np.float64(p).view(np.uint64))
+        for s in range(states):
+            usual, p = columns[i, s], model.answered[i, cells[s]]
+            usual.probability = columns[i - 1, s].probability if i > 0 else 1.0
+            usual.code = columns[i - 1, s].code if i > 0 else np.uint64(0)
+            if differs:
+                usual.probability *= max(p, 1.0 - p)
+                usual.code += code if p < 0.5 else np.uint64(0)
+        if differs:
+            labels[found].weight = code
+            found += 1
+        labels[i].informative = found
+
+
+@part
+def _told(model, tree, state, message):  # type: ignore[no-untyped-def]
+    """The state of a user who was told a message once."""
+    jump = model.jump[message, state]
+    if jump > 0 and next_uniform(tree.counter) < model.accept[state]:
+        state += jump
+    return state
+
+
+@part
+def _forgetful(model, tree, state):  # type: ignore[no-untyped-def]
+    """The state of a user after what is forgotten at the end of a step."""
+    types = len(model.forget)
+    lost, bit = model.forget[state % types], types
+    while lost > 0.0 and bit < len(model.relevant):
+        if state // bit % 2 == 1 and next_uniform(tree.counter) < lost:
+            state -= bit
+        bit *= 2
+    return state
+
+
+@part
+def _say(model, belief, message):  # type: ignore[no-untyped-def]
+    """The belief after a message was said: a part α has it right now."""
+    for s in range(len(belief)):
+        jump = model.jump[message, s]
+        if jump > 0:
+            landed = model.accept[s] * belief[s]
+            belief[s] -= landed
+            belief[s + jump] += landed
+
+
+@part
+def _forget(model, belief):  # type: ignore[no-untyped-def]
+    """The belief after each fact known was lost with φ."""
+    types = len(model.forget)
+    bit = types
+    while bit < len(belief):
+        for s in range(len(belief)):
+            if s // bit % 2 == 0:
+                lost = model.forget[s % types] * belief[s + bit]
+                belief[s + bit] -= lost
+                belief[s] += lost
+        bit *= 2
+
+
+@part
+def _hear_answer(model, question, said, answer, belief):  # type: ignore[no-untyped-def]
+    """belief ∝ itself × likelihood of an answer."""
+    total = 0.0
+    for s in range(len(belief)):
+        yes = model.asked_answered[question, _cell(model.question_stride, said, s)]
+        belief[s] *= yes if answer else 1.0 - yes
+        total += belief[s]
+    for s in range(len(belief)):
+        belief[s] /= total
+
+
+@njit(nogil=True)
+def _find_questions(model, tree, node, step, said, belief):  # type: ignore[no-untyped-def]
+    """Looks up the questions to try at a node where a step begins: those that tell most (mutual
+    information) of the nearest of each kind. Returns how many. A question that tells nothing counts
+    as what another of its kind tells, which may be asked after it alone."""
+    count, slots, asked = 0, tree.tried.shape[1] - 2, tree.asked.copy()
+    if tree.tried[ROOT, slots] < 0 and node == ROOT:  # between a step's messages
+        return 0
+    before = node
+    while before != ROOT:
+        if tree.tried[before, slots + 1] >= 0:
+            asked[tree.tried[before, slots + 1]] = True
+        before = np.int64(tree.nodes[tree.nodes[before].parent].base)
+    if asked.sum() >= model.most or (model.first and (step > 0 or said > 0)):
+        return 0
+    _find_cells(model.question_stride, tree, said)
+    for q in range(len(asked)):
+        tree.news[q] = -1.0 if asked[q] else _news(model.asked_answered[q], tree.cells, belief)
+        for other in range(q):
+            if tree.news[q] >= 0.0 and tree.news[other] >= 0.0:
+                alike = True
+                for s in range(len(belief)):
+                    cell = tree.cells[s]
+                    alike &= model.likelier[q, cell] == model.likelier[other, cell]
+                if alike:
+                    tree.news[other] = max(tree.news[other], tree.news[q])
+                    tree.news[q] = -1.0
+    while count < slots:
+        best = np.argmax(tree.news)
+        if tree.news[best] <= NO_NEWS:
+            break
+        tree.tried[node, count] = best
+        tree.news[best] = -1.0
+        count += 1
+    return count
+
+
+@part
+def _news(answered, cells, belief):  # type: ignore[no-untyped-def]
+    """The mutual information of an answer and what is hidden, in nats; −1 where all states answer
+    alike, which is no question."""
+    mean, certain, alike = 0.0, 0.0, True
+    for s in range(len(belief)):
+        p = answered[cells[s]]
+        alike &= p == answered[cells[0]]
+        mean += belief[s] * p
+        certain += belief[s] * _entropy(p)
+    return -1.0 if alike else max(_entropy(mean) - certain, 0.0)
+
+
+@part
+def _entropy(p):  # type: ignore[no-untyped-def]
+    """Of a bit, in nats."""
+    if p <= 0.0 or p >= 1.0:
+        return 0.0
+    return -p * np.log(p) - (1.0 - p) * np.log1p(-p)

@@ -6,9 +6,9 @@ is worth QMDP's value at its belief; a history not in the tree is added and roll
 depth. Actions are chosen by UCB1:
 
     search(b):  repeat
-                    t ~ b; h ← root
+                    s ~ b; h ← root
                     while h is in the tree and above depth d:
-                        a ← argmax_a V(ha) + c sqrt(log N(h) / N(ha));  h ← ha, and labels ~ t
+                        a ← argmax_a V(ha) + c sqrt(log N(h) / N(ha));  h ← ha, and labels ~ s
                     R ← QMDP's value at b(h) if h was in the tree, else a rollout's return
                     add R to the means of the actions on the way
 
@@ -25,9 +25,9 @@ the mean forgets only slowly.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import lru_cache
 from hashlib import blake2b
 from typing import Annotated, Literal, get_args
 
@@ -35,37 +35,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, Range, checks
-from xplain.explanation.actions import Action, AskQuestion, VisibleState, give
-from xplain.explanation.belief import rounded, told
+from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, GiveMessages, VisibleState, give
+from xplain.explanation.belief import rounded
+from xplain.explanation.label_table import NONE
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Knowledge, Policy, best_action, messages_of
-from xplain.solvers.inquiry import Inquiry, look, make_room
-from xplain.solvers.knowing import make_knowing
+from xplain.solvers.known_type import KnownValues, known_bytes, known_values
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import table_bytes
-from xplain.solvers.pomcp.kernel import MAX, simulate
-from xplain.solvers.pomcp.knowing import KnowingSearch, simulate_knowing
-from xplain.solvers.pomcp.search_model import CodedRooms, SearchModel, model_bytes, model_of
-from xplain.solvers.pomcp.tree import (
+from xplain.solvers.pomcp.kernel import (
+    COLUMN,
+    EDGE,
+    ENTRY,
+    LABEL,
+    MOVE,
+    NODE,
+    ROOT,
+    SETTLED,
     Options,
-    Roots,
-    SearchRoot,
+    SearchModel,
     Tree,
-    make_roots,
-    slots_for,
-    tree_bytes,
+    simulate,
 )
-from xplain.solvers.reminding import Reminding, known_bytes
-from xplain.solvers.restriction import Restricted, actions_of, restricted
-from xplain.solvers.rows import rows_at
+from xplain.solvers.process import Process, before_step, give_all, make_process
 
 # Positions are the kernel's numbers.
 DepthUnit = Literal["steps", "actions"]
 Backup = Literal["mean", "max"]
 CHUNK = 50_000
 """Simulations between two looks at Ctrl-C."""
+QUESTIONS = 4
+"""Questions that a search tries at a belief, at most: the most telling."""
+FIRST_TABLE = 1 << 12
+"""Entries of the table of nodes that a search begins with."""
+REMEMBERED = 1 << 11
+"""Most observations whose likelihoods a search remembers: they stay in the processor's cache."""
+CODED = 1 << 24
+"""Bytes of coded labels, about."""
 
 
 @checks("solver")
@@ -92,208 +99,204 @@ class POMCP:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         tell_when_compiling()
-        if not problem.messages_land:
-            return self._plan_knowing(problem, seed)
-        small, kept = restricted(problem)
-        size = model_bytes(small) + tree_bytes(small, self.simulations)
+        size = 2 * known_bytes(problem) + _tree_bytes(problem, self.simulations)
         check_memory("pomcp", size, self.memory_gib, "search less, or qhr plans without tables")
-        rooms = CodedRooms(model_of(small))
-        search = Search(small, self._options(small), self.simulations, seed, rooms)
-        return Restricted(search, kept)
-
-    def _plan_knowing(self, problem: Problem, seed: int) -> Policy:
-        """Where messages may be missed or forgotten."""
-        tree = tree_bytes(problem, self.simulations)
-        size = 3 * table_bytes(problem) + known_bytes(problem) + tree
-        check_memory("pomcp", size, self.memory_gib, "fewer messages or habits fit")
-        model = KnowingSearch(make_knowing(Reminding(problem)))
-        return Remembering(problem, self._options(problem), self.simulations, seed, model)
-
-    def _options(self, problem: Problem) -> Options:
-        steps, messages = problem.n_steps, problem.n_messages
-        unit = max(
-            problem.inexplicability_cost, problem.trade_off * problem.message_cost.max(initial=0)
-        )
-        again = steps if not problem.messages_land else 1
-        return Options(
+        process = make_process(problem)
+        known, steps, messages = known_values(process), problem.n_steps, problem.n_messages
+        again = 1 if problem.messages_land else steps
+        options = Options(
             depth=self.depth or steps + again * messages + 1,
             message_depth=get_args(DepthUnit).index(self.depth_unit),
-            exploration=float(self.exploration * unit),
+            exploration=float(
+                self.exploration
+                * max(problem.inexplicability_cost, process.price.max(initial=0.0))
+            ),
             backup=get_args(Backup).index(self.backup),
         )
+        return Search(process, _model(process, known), options, self.simulations, seed)
 
 
 @dataclass(frozen=True)
-class Searching(ABC):
+class Search:
     """A policy that searches for each decision, on a random stream of its own.
 
     Attributes:
-        problem: of the plan.
+        process: the model.
+        model: as the kernel wants it.
         options: as the kernel wants them.
         simulations: of a search.
         seed: of the run.
     """
 
-    problem: Problem
+    process: Process
+    model: SearchModel
     options: Options
     simulations: int
     seed: int
-    _last: dict[tuple[object, ...], Mapping[int, float]] = field(default_factory=dict, init=False)
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """As :class:`xplain.solvers.base.Policy` says; where messages may be missed or forgotten,
-        some of them perhaps again, each at most once a step."""
-        said = 0
+        """As :class:`xplain.solvers.base.Policy` says."""
+        chosen = 0
         while True:
-            start = self._start(visible.step, visible.given, said, belief, visible.asked)
-            action = best_action(actions_of(self._values(start)))
+            action = best_action(self._values(visible, chosen, belief))
             if isinstance(action, AskQuestion):
                 return action
             new = messages_of(action)
             if not new:
-                return give(said)
-            said |= new
-            belief = told(self.problem, belief, new)
+                return give(chosen)
+            chosen |= new
+            belief = give_all(self.process, belief, new)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Estimated return of *explain*, of each message and question, where it was tried, before
-        anything is said at this step."""
-        start = self._start(visible.step, visible.given, 0, belief, visible.asked)
-        return actions_of(self._values(start))
+        """Estimated return of *explain*, of each message and question that was tried."""
+        return self._values(visible, 0, belief)
 
-    def _start(
-        self, step: int, given: int, said: int, belief: NDArray[np.float64], asked: int
-    ) -> SearchRoot:
-        """A search's root once messages were ``said`` at this step. Where they may be missed or
-        forgotten, what was said at earlier steps counts as far as it matters."""
-        problem = self.problem
-        if problem.messages_land:
-            return SearchRoot(step, given | said, belief, asked, not said)
-        return SearchRoot(step, said, belief, asked, not said, 0)
+    def _values(
+        self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]
+    ) -> dict[Action, float]:
+        """Where these messages were chosen for this step already."""
+        tree = self.search(visible, chosen, belief)
+        root, n = tree.nodes[ROOT], self.process.n_messages
+        actions = [a for a in range(64) if int(root["actions"]) >> a & 1]
+        edges = tree.edges[root["edges"] : root["edges"] + len(actions)]
+        tried = zip(actions, edges, strict=True)
+        values = {a: float(edge["value"]) for a, edge in tried if edge["visits"] > 0}
+        named: dict[int, Action] = {a: GiveMessages(1 << a) for a in range(n)} | {n: EXPLAIN}
+        named |= {n + 1 + i: AskQuestion(int(q)) for i, q in enumerate(tree.tried[ROOT, :-2])}
+        return {named[a]: value for a, value in values.items()}
 
-    def _values(self, start: SearchRoot) -> Mapping[int, float]:
-        """What is searched for a question is searched for messages next, so the last values are
-        kept."""
-        key = *start[:2], start.belief.tobytes(), *start[3:]
-        found = self._last.get(key)
-        if found is None:
-            found = self._named(start, *self.search(start))
-            self._last.clear()
-            self._last[key] = found
-        return found
+    def stream(self, visible: VisibleState, said: int, belief: NDArray[np.float64]) -> int:
+        """The seed of a search: it comes from what is to be decided, not from what was decided
+        before."""
+        digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
+        asked = (str(visible.asked),) if visible.asked else ()
+        return derived_seed(self.seed, "pomcp", visible.step, said, digest, 0, *asked)
 
-    def _named(
-        self, start: SearchRoot, value: NDArray[np.float64], visits: NDArray[np.int64]
-    ) -> dict[int, float]:
-        """Values of *explain* (0), of each message (its bit) and question (~q) that was tried."""
-        room = make_room(self._inquiry, start.asked, slots_for(self.problem))
-        if len(room.found):
-            look(self._inquiry, start.step, start.given, _exact(start.belief), room)
-        n = self.problem.n_messages
-        names = [1 << j for j in range(n)] + [0] + [~q for q in room.found.tolist()]
-        order = [n, *range(n), *range(n + 1, len(value))]
-        return {names[a]: float(value[a]) for a in order if visits[a]}
+    def search(self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]) -> Tree:
+        """The tree after all simulations."""
+        process, said = self.process, before_step(self.process, visible.given) | chosen
+        belief = rounded(np.ascontiguousarray(belief, dtype=np.float64))
+        seed = self.stream(visible, said, belief)
+        budget = max(self.simulations, process.n_messages + 1 + _slots(process))
+        tree = _rooted(process, budget, seed)
+        tree.nodes[ROOT] = (0, np.nan, 0.0, 0.0, said, 0, 0, 0, 0, 0, 0, visible.step)
+        tree.beliefs[ROOT] = belief
+        tree.tried[ROOT, -2:] = -1 if chosen else 0, -1
+        tree.asked[:] = [visible.asked >> q & 1 for q in range(len(tree.asked))]
+        missed = None if process.jump is None else True
+        asks = True if len(tree.asked) else None
+        roots = _roots(1 << budget.bit_length())
+        for done in range(0, budget, CHUNK):
+            count = min(budget - done, CHUNK)
+            simulate(count, self.model, tree, self.options, missed, asks, *roots)
+        return tree
 
-    def search(self, start: SearchRoot) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Value and visits of each action at the root, [n + 1 + B] each: messages, *explain*, then
-        the most telling questions. The random stream comes from what is to be decided, not from
-        what was decided before."""
-        start = start._replace(belief=_exact(start.belief))
-        digest = int.from_bytes(blake2b(start.belief.tobytes(), digest_size=8).digest(), "little")
-        asked = (str(start.asked),) if start.asked or start.before else ()
-        before = (str(start.before),) if start.before else ()
-        names = "pomcp", start.step, start.given, digest, 0, *asked, *before
-        problem, slots = self.problem, slots_for(self.problem)
-        left = budget = max(self.simulations, problem.n_messages + 1 + slots)
-        tree = Tree.rooted(
-            budget,
-            problem.n_messages,
-            problem.n_steps,
-            start,
-            derived_seed(self.seed, *names),
-            make_room(self._inquiry, start.asked, slots),
+
+def _model(process: Process, known: KnownValues) -> SearchModel:
+    """A process laid out for simulations."""
+    nothing, questions = np.zeros(0), process.questions
+    jump = np.zeros((0, 0), np.int64) if process.jump is None else process.jump
+    forget = np.zeros(process.n_types) if process.forget is None else process.forget
+    return SearchModel(
+        process.answered,
+        process.explain_cost,
+        known.explain,
+        process.cells.stride,
+        known.value,
+        known.value_cells.stride,
+        _wanted(process, known) if process.jump is None else np.zeros((0, 0), np.int64),
+        process.relevant | questions.relevant,
+        jump,
+        nothing if process.accept is None else process.accept,
+        forget,
+        process.price,
+        questions.answered,
+        questions.likelier,
+        questions.cells.stride,
+        process.discount,
+        process.message_discount,
+        questions.cost,
+        questions.most,
+        questions.first,
+    )
+
+
+def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
+    """``wanted`` of :class:`~xplain.solvers.pomcp.kernel.SearchModel`, where messages land."""
+    steps, types = process.n_steps, process.n_types
+    wanted = np.zeros(known.explain.shape, np.int64)
+    for bit, own in enumerate(process.own.T):
+        shape = steps, -1, 2, 1 << bit, types
+        value, explain, found = (
+            table.reshape(shape) for table in (known.value[:-1], known.explain, wanted)
         )
-        roots = make_roots(1 << budget.bit_length())
-        while left > 0:
-            self._simulate(min(left, CHUNK), tree, roots)
-            left -= CHUNK
-        edges = tree.root_edges()
-        return np.where(edges["visits"] > 0, edges["value"], 0.0), edges["visits"].astype(np.int64)
-
-    @property
-    @abstractmethod
-    def _inquiry(self) -> Inquiry:
-        """The questions."""
-
-    @abstractmethod
-    def _simulate(self, count: int, tree: Tree, roots: Roots) -> None:
-        """Runs so many simulations in a tree."""
+        price = np.where(own == NONE, np.inf, process.price[own])
+        given = process.message_discount * value[:, :, 1] - price
+        found[:, :, 0] |= np.where(given > explain[:, :, 0], 1 << np.maximum(own, 0), 0)
+    later = np.logical_or.accumulate(wanted[::-1] != 0, axis=0)[::-1]
+    wanted[~later] = SETTLED
+    return wanted
 
 
-@dataclass(frozen=True)
-class Search(Searching):
-    """Where messages are taken in.
-
-    Attributes:
-        rooms: the model as the kernel wants it, for each search that runs at the same time.
-    """
-
-    rooms: CodedRooms
-
-    @property
-    def model(self) -> SearchModel:
-        """The model as the kernel wants it."""
-        return self.rooms.model
-
-    def _values(self, start: SearchRoot) -> Mapping[int, float]:
-        """A search from a certain belief that backs up maxima finds V* in the limit, as QMDP's
-        rollouts are exact there. So V* is taken at once."""
-        if self.options.backup == MAX and rounded(start.belief).max() == 1.0:
-            return self._known_values(start.step, start.given, int(np.argmax(start.belief)))
-        return super()._values(start)
-
-    @property
-    def _inquiry(self) -> Inquiry:
-        return self.model.reduced.inquiry
-
-    def _simulate(self, count: int, tree: Tree, roots: Roots) -> None:
-        with self.rooms.borrow() as model:
-            simulate(count, model, self.options, tree, *roots)
-
-    def _known_values(self, step: int, given: int, t: int) -> Mapping[int, float]:
-        """Q*_t(k, H, a) of *explain* (0) and of each message (its bit) not given that matters."""
-        optimal, reduced = self.model.optimal, self.model.reduced
-
-        def row(shown: int) -> int:
-            return int(rows_at(reduced.rows, shown)[t])
-
-        later = reduced.discount * optimal[step + 1, row(given), t]
-        values = {0: float(later - self.model.explain_cost[row(given), step, t])}
-        for j, price in enumerate(reduced.price):
-            if reduced.rows.relevant[t] & ~given & 1 << j:
-                said = optimal[step, row(given | 1 << j), t]
-                values[1 << j] = float(reduced.message_discount * said - price)
-        return values
+def _slots(process: Process) -> int:
+    """How many questions a search tries at a belief: no more than a mask has room for."""
+    return min(QUESTIONS, len(process.questions.answered), 61 - process.n_messages)
 
 
-@dataclass(frozen=True)
-class Remembering(Searching):
-    """Where messages may be missed or forgotten, and said again.
+def _rooted(process: Process, simulations: int, seed: int) -> Tree:
+    """A tree without a root yet. Memory that no simulation reaches is never touched."""
+    n, steps, states = process.n_messages, process.n_steps, process.n_states
+    slots, questions = _slots(process), len(process.questions.answered)
+    size, actions, entries = simulations + 1, n + 1 + slots, _entries(simulations)
+    remembered = min(entries, REMEMBERED)
+    sets = 1 if process.jump is not None else _coded(n, steps, states)
+    return Tree(
+        np.empty(size, NODE),
+        np.empty((size + 1) * actions, EDGE),
+        np.empty((size, states)),
+        np.zeros(entries, ENTRY),
+        np.zeros(remembered, np.uint64),
+        np.empty((remembered, states)),
+        np.full(sets, -1, np.int64),
+        np.empty((sets, steps), LABEL),
+        np.empty((sets, steps, states), COLUMN),
+        np.empty((n + 1) * steps + 1 + questions, MOVE),
+        np.empty(steps, np.bool_),
+        np.empty(states),
+        np.empty(states, np.int64),
+        np.zeros(n),
+        np.empty((size if slots else 1, slots + 2), np.int32),
+        np.empty(questions, np.bool_),
+        np.empty(questions),
+        np.array([1, actions, FIRST_TABLE - 1]),
+        np.array([seed], np.uint64),
+    )
 
-    Attributes:
-        model: as the kernel wants it.
-    """
 
-    model: KnowingSearch
-
-    @property
-    def _inquiry(self) -> Inquiry:
-        return self.model.reduced.inquiry
-
-    def _simulate(self, count: int, tree: Tree, roots: Roots) -> None:
-        labels = np.empty(self.problem.n_steps, np.bool_)
-        simulate_knowing(count, self.model, self.options, tree, labels, *roots)
+@lru_cache(maxsize=4)
+def _roots(size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """sqrt(log v) and 1 / sqrt(v) for v = 0 … size (0 for 0), once a size."""
+    v = np.maximum(np.arange(size + 1), 1)
+    inverse = 1 / np.sqrt(v)
+    inverse[0] = 0.0
+    return np.sqrt(np.log(v)), inverse
 
 
-def _exact(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    return rounded(np.ascontiguousarray(belief, dtype=np.float64))
+def _entries(simulations: int) -> int:
+    return max(FIRST_TABLE, 1 << (2 * simulations + 2).bit_length())
+
+
+def _coded(messages: int, steps: int, states: int) -> int:
+    """How many message sets are kept coded: a power of two."""
+    each = steps * (COLUMN.itemsize * states + LABEL.itemsize)
+    return 1 << min(max(CODED // each, 16).bit_length() - 1, 12, messages)
+
+
+def _tree_bytes(problem: Problem, simulations: int) -> int:
+    """The most that a tree takes."""
+    states, n, steps = problem.start.size, problem.n_messages, problem.n_steps
+    node = NODE.itemsize + 8 * (states + 1) + EDGE.itemsize * (n + 1 + QUESTIONS) + 4 * QUESTIONS
+    entries, sets = _entries(simulations), _coded(n, steps, states)
+    coded = sets * steps * (COLUMN.itemsize * states + LABEL.itemsize)
+    remembered = min(entries, REMEMBERED) * 8 * (states + 1)
+    return (simulations + 2) * node + ENTRY.itemsize * entries + remembered + coded
