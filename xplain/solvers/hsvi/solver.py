@@ -1,40 +1,97 @@
 """Certified: searches until the optimum is known to within a gap, and acts on what it found.
 
+HSVI (Smith & Simmons 2004) on a finite lattice, as AO* does: every belief that the search comes to
+carries an upper and a lower bound of its optimal value, which trials from the start tighten until
+they meet. Above: the values of known states, what other beliefs' upper bounds imply (sawtooth), and
+the best action's. Below: silence, alpha vectors of other beliefs, and the best action's. Unlikely
+answers stay coarse, and the unlikeliest are not told apart.
+
 The bounds are of the optimal expected *discounted* return under the model. The policy takes, where
-the search has been, the set of messages with the best certified lower bound; elsewhere (answers so
-unlikely that the search left them coarse, users unlike the model) it searches afresh from there,
-briefly. Its own exact value is :func:`xplain.solvers.evaluate.evaluate`'s to tell.
+the search has been, the action with the best certified lower bound; elsewhere (answers so unlikely
+that the search left them coarse, users unlike the model) it searches from there, briefly.
 """
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import Count, Positive, checks
-from xplain.explanation.actions import Action, VisibleState
+from xplain.errors import Count, Positive, Range, TooLargeError, checks
+from xplain.explanation.actions import Action, AskQuestion, VisibleState, give
+from xplain.explanation.label_table import MAX_RELEVANT, NONE
+from xplain.explanation.message_sets import compress, expand
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import tell_when_compiling
 from xplain.solvers.base import Knowledge, Policy, best_action
-from xplain.solvers.hsvi.explore import Effort, Explored, Gap, explore
-from xplain.solvers.hsvi.initial_bounds import BoundTables, make_tables, table_bytes
-from xplain.solvers.hsvi.knowing import Bounded, CertifiedKnowing
-from xplain.solvers.hsvi.search import Start
-from xplain.solvers.hsvi.tree import NODES
-from xplain.solvers.inquiry import words_of
-from xplain.solvers.memory import check_memory
-from xplain.solvers.model import table_bytes as model_bytes
-from xplain.solvers.reminding import Reminding, known_bytes
-from xplain.solvers.restriction import Restricted, actions_of, coupled
+from xplain.solvers.hsvi import kernel
+from xplain.solvers.hsvi.kernel import (
+    ACTIONS,
+    ANSWERS,
+    DONE,
+    FULL,
+    HASHED,
+    KEPT,
+    NODES,
+    OPENED,
+    PLACES,
+    ROOT,
+    SETS,
+    WORD,
+    Scratch,
+    Store,
+    Tables,
+)
+from xplain.solvers.known_type import known_values
+from xplain.solvers.memory import GIB, check_memory
+from xplain.solvers.process import (
+    Process,
+    before_step,
+    expected_after_forgetting,
+    make_process,
+    set_prices,
+)
 
-KNOWING_NODES = 20_000
-"""Beliefs opened, at most, where messages may be missed or forgotten: a search in Python."""
+log = logging.getLogger(__name__)
+
+CHUNK = 100_000
+"""Work between two looks at the clock and at Ctrl-C: some hundredths of a second."""
+COARSER = 2
+"""A search asks for a gap this much smaller than the last that it closed."""
+GROWTH = 1.2
+"""All nodes are backed up once their number has grown by this factor."""
+TAIL = 0.6
+"""Share of the gap that may come from answers not told apart."""
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
+MISSED = 10
+"""Messages whose sets are weighed together where they may be missed, at most."""
+Gap = Annotated[float, Range(1e-9)]
+
+
+@checks("solver")
+@dataclass(frozen=True)
+class Effort:
+    """When a search may stop.
+
+    Attributes:
+        gap: once upper − lower is at most this.
+        nodes: once so many beliefs were opened (the same on every machine).
+        seconds: once so much time has passed (not the same on every machine).
+        memory_gib: rather than take more.
+    """
+
+    gap: Gap = 1e-3
+    nodes: Count = 1_000_000
+    seconds: float = math.inf
+    memory_gib: Positive = 8.0
 
 
 @checks("solver")
@@ -55,110 +112,320 @@ class Certified:
     memory_gib: Positive = 8.0
     knows: Knowledge = "types"
 
-    @property
-    def _effort(self) -> Effort:
-        seconds = math.inf if self.seconds is None else self.seconds
-        return Effort(self.gap, self.nodes, seconds, self.memory_gib)
-
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        if not problem.messages_land:
-            return self.plan_knowing(problem)
-        small, kept = coupled(problem, "certified")
-        small, tables = tables_within(small, self.memory_gib)
-        found = explore(tables, Start(0, 0, small.prior), self._effort)
+        seconds = math.inf if self.seconds is None else self.seconds
+        effort = Effort(self.gap, self.nodes, seconds, self.memory_gib)
         brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
-        return CertifiedPolicy(Searched(found, brief), kept)
-
-    def plan_knowing(self, problem: Problem) -> CertifiedKnowing:
-        """Where messages may be missed or forgotten."""
-        size = (problem.n_types + 3) * model_bytes(problem) + known_bytes(problem)
-        check_memory("certified", size, self.memory_gib, "solver=qmdp needs less")
-        bounded = Bounded(Reminding(problem))
-        root = bounded.node(0, 0, problem.start, 0)
-        bounded.search(root, replace(self._effort, nodes=min(self.nodes, KNOWING_NODES)))
-        brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
-        return CertifiedKnowing(bounded, root, brief)
-
-
-def tables_within(problem: Problem, memory_gib: float) -> tuple[Problem, BoundTables]:
-    """The problem made dense, and the bounds' tables.
-
-    Raises:
-        TooLargeError: they take more.
-    """
-    instead = "solver=lookahead needs less, and solver=qhr no tables"
-    check_memory("certified", table_bytes(problem), memory_gib, instead)
-    dense = problem.dense()
-    return dense, make_tables(dense)
-
-
-@dataclass(frozen=True)
-class CertifiedPolicy(Restricted):
-    """A restricted policy that also tells the bounds at the root.
-
-    Attributes:
-        policy: the policy over the kept messages.
-    """
-
-    policy: Searched
-
-    @property
-    def lower(self) -> float:
-        """Lower bound on the optimal value."""
-        return self.policy.found.lower
-
-    @property
-    def upper(self) -> float:
-        """Upper bound on the optimal value."""
-        return self.policy.found.upper
+        return CertifiedPolicy(search(problem, effort), brief)
 
 
 @dataclass(frozen=True)
 class Searched:
+    """What a search from one belief found.
+
+    Attributes:
+        process: the model.
+        tables: as the kernel wants it.
+        kept: the messages of the tables, in order.
+        store: the nodes.
+    """
+
+    process: Process
+    tables: Tables
+    kept: tuple[int, ...]
+    store: Store
+
+    @property
+    def lower(self) -> float:
+        """Lower bound on the root's optimal value."""
+        return float(self.store.nodes["lower"][ROOT])
+
+    @property
+    def upper(self) -> float:
+        """Upper bound on the root's optimal value."""
+        return float(self.store.nodes["upper"][ROOT])
+
+    def values(self, node: int = int(ROOT)) -> dict[Action, float]:
+        """Certified lower bounds of the actions not ruled out at an opened node."""
+        opened = self.store.nodes[node]
+        first = int(opened["first_action"])
+        actions = self.store.actions[first : first + int(opened["n_actions"])]
+        names = [
+            AskQuestion(~m) if m < 0 else give(expand(m, self.kept))
+            for m in actions["messages"].tolist()
+        ]
+        return dict(zip(names, actions["lower"].tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class CertifiedPolicy:
     """Acts on certified lower bounds.
 
     Attributes:
-        found: by the search from the prior.
+        found: by the search from the start.
         brief: the effort for a belief not found there.
     """
 
-    found: Explored
+    found: Searched
     brief: Effort
+
+    @property
+    def lower(self) -> float:
+        """Lower bound on the optimal value."""
+        return self.found.lower
+
+    @property
+    def upper(self) -> float:
+        """Upper bound on the optimal value."""
+        return self.found.upper
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         """As :class:`xplain.solvers.base.Policy` says."""
         return best_action(self.values(visible, belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Certified lower bounds by set of messages and question, of those not ruled out."""
-        return actions_of(self._values(*visible, belief))
-
-    def _values(
-        self, step: int, given: int, asked: int, belief: NDArray[np.float64]
-    ) -> Mapping[int, float]:
-        words = words_of(asked, self.found.tables.model.inquiry.words)
-        nodes = self._opened.get((step, given), np.empty(0, dtype=np.int64))
+        """Certified lower bounds of the actions not ruled out. Of equal beliefs that the search came
+        to, the best bounded one answers."""
         store = self.found.store
+        given = before_step(self.found.process, visible.given)
+        place = visible.step, compress(given, self.found.kept)
+        nodes = self._opened.get(place, np.empty(0, np.int64))
         equal = np.abs(store.belief[nodes] - belief).max(axis=1, initial=0) < SAME
-        equal &= (store.evidence[nodes, len(belief) :] == words).all(axis=1)
+        equal &= (store.asked[nodes] == _words(self.found.tables, visible.asked)).all(axis=1)
         if equal.any():
             nodes = nodes[equal]
             return self.found.values(int(nodes[store.nodes["lower"][nodes].argmax()]))
-        start = Start(step, given, belief, words)
-        return explore(self.found.tables, start, self.brief).values()
+        return _Search(self.found, visible, belief, self.brief).run().values()
 
     @cached_property
     def _opened(self) -> dict[tuple[int, int], NDArray[np.int64]]:
-        """The opened nodes at each (k, H)."""
-        store = self.found.store
-        nodes = store.nodes[: store.used[NODES]]
-        opened = np.flatnonzero(nodes["first_action"] >= 0)
-        place = nodes["step"][opened] << 32 | nodes["given"][opened]
-        order = np.argsort(place, kind="stable")
-        keys, starts = np.unique(place[order], return_index=True)
-        groups = np.split(opened[order], starts[1:])
-        return {
-            (int(key) >> 32, int(key) & 0xFFFFFFFF): group
-            for key, group in zip(keys, groups, strict=True)
-        }
+        """The opened nodes of each place."""
+        nodes = self.found.store.nodes[: self.found.store.used[NODES]]
+        opened: dict[tuple[int, int], list[int]] = {}
+        for node in np.flatnonzero(nodes["first_action"] >= 0).tolist():
+            place = int(nodes["step"][node]), int(nodes["given"][node])
+            opened.setdefault(place, []).append(node)
+        return {place: np.array(found) for place, found in opened.items()}
+
+
+def search(
+    problem: Problem, effort: Effort, told: Callable[[float], None] | None = None
+) -> Searched:
+    """Searches from the start of an explanation, within the effort. Ctrl-C is heard throughout.
+
+    Args:
+        problem: of any kind.
+        effort: when to stop.
+        told: receives the gap now and then.
+
+    Raises:
+        TooLargeError: the tables would take more memory, or too many messages matter.
+    """
+    tell_when_compiling()
+    process, tables, kept = _tables(problem, effort.memory_gib)
+    nothing = Searched(process, tables, kept, _store(tables, process.n_states))
+    return _Search(nothing, VisibleState(), process.start, effort, told).run()
+
+
+class _Search:
+    """A search under way, of another's tables."""
+
+    def __init__(
+        self,
+        known: Searched,
+        visible: VisibleState,
+        belief: NDArray[np.float64],
+        effort: Effort,
+        told: Callable[[float], None] | None = None,
+    ) -> None:
+        self.began, self.effort, self.told = time.perf_counter(), effort, told
+        self.process, self.tables, self.kept = known.process, known.tables, known.kept
+        self.missed = None if self.process.jump is None else True
+        self.store, self.answers = _store(self.tables, len(belief)), 256
+        given = compress(before_step(self.process, visible.given), self.kept)
+        start = np.ascontiguousarray(belief, dtype=np.float64)
+        words = _words(self.tables, visible.asked)
+        kernel.make_root(self.tables, self.store, visible.step, given, start, words)
+        self.backed_up = 1  # nodes, when all were
+        # Coarse before fine: a trial for the final gap would first refine what is ruled out later.
+        self.asked = max(float(effort.gap), self.gap / COARSER)
+
+    @property
+    def gap(self) -> float:
+        """Upper − lower bound at the root."""
+        root = self.store.nodes[ROOT]
+        return float(root["upper"] - root["lower"])
+
+    def run(self) -> Searched:
+        """Searches until the effort is spent, or the gap closed as far as it will."""
+        effort, tail_gap = self.effort, self.effort.gap * TAIL / self.process.n_steps
+        limits = effort.nodes, CHUNK
+        while True:
+            scratch = _scratch(self.tables, self.store, self.answers)
+            where = self.tables, self.store, scratch, self.missed
+            status = kernel.sample(*where, self.asked, tail_gap, *limits)
+            if status == FULL and self._grow():
+                continue
+            if self.told is not None:
+                self.told(self.gap)
+            spent = self.store.used[OPENED] >= effort.nodes
+            spent |= time.perf_counter() - self.began > effort.seconds
+            if status == FULL or spent or (status == DONE and self.asked == effort.gap):
+                break
+            if status == DONE or self.store.used[NODES] > GROWTH * self.backed_up:
+                self._back_up_all(scratch)
+            if status == DONE:
+                self.asked = max(float(effort.gap), min(self.asked, self.gap) / COARSER)
+        if self.gap > effort.gap:
+            self._back_up_all(scratch)
+        return Searched(self.process, self.tables, self.kept, self.store)
+
+    def _back_up_all(self, scratch: Scratch) -> None:
+        """Backs up all nodes: what follows a question first, then the step before."""
+        self.backed_up = int(self.store.used[NODES])
+        nodes = self.store.nodes[: self.backed_up]
+        asked = np.bitwise_count(self.store.asked[: self.backed_up]).sum(axis=1)
+        order = np.lexsort((-asked.astype(np.int64), -nodes["step"]))
+        least = kernel.NEWS * self.effort.gap
+        kernel.back_up_all(self.tables, self.store, scratch, self.missed, order, least)
+
+    def _grow(self) -> bool:
+        """Makes room. False where that would take more memory than the effort."""
+        if 2 * sum(array.nbytes for array in self.store) > self.effort.memory_gib * GIB:
+            log.warning("the search stops at solver.memory_gib=%g", self.effort.memory_gib)
+            return False
+        self.store, self.answers = _grown(self.store), 2 * self.answers
+        return True
+
+
+def _words(tables: Tables, asked: int) -> NDArray[np.int64]:
+    """A bitmask of questions in integers of WORD bits, the first questions first."""
+    words = range(-(-len(tables.asked) // WORD))
+    return np.array([asked >> WORD * w & (1 << WORD) - 1 for w in words], np.int64)
+
+
+def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple[int, ...]]:
+    """The process, as the search reads it, and the messages that matter, the cheapest first."""
+    kept, limit = problem.messages_with_effect, MAX_RELEVANT if problem.messages_land else MISSED
+    if len(kept) > limit:
+        raise TooLargeError(
+            f"certified weighs sets of all messages together: {len(kept)} matter on this trace, "
+            f"at most {limit}; solver=qmdp or pomcp gives one after the other"
+        )
+    sets = 1 << len(kept) if problem.messages_land else 1 << 2 * problem.table.relevant.shape[1]
+    size = 48 * (problem.n_steps + 1) * sets * problem.n_types
+    check_memory("certified", size, memory_gib, "solver=qhr plans without tables")
+    process = make_process(problem, dense=True)
+    known = known_values(process, idle=True)
+    kept = tuple(sorted(kept, key=lambda j: float(process.price[j])))
+    if process.jump is None and kept:
+        kept = tuple(process.own[0][process.own[0] != NONE].tolist())
+    cells, states, steps = process.p.shape[1], process.n_states, process.n_steps
+    silence = np.zeros((steps + 1, cells))
+    for k in reversed(range(steps)):
+        later = expected_after_forgetting(process, silence[k + 1])
+        silence[k] = process.discount * later - process.explain_cost[k]
+    prices, factors = set_prices(process, np.array([expand(c, kept) for c in range(1 << len(kept))]))
+    worst = process.explain_cost.max(axis=1) + process.price.sum()
+    questions, nothing = process.questions, np.zeros(0)
+    floor = np.append(-np.cumsum(worst[::-1])[::-1], 0.0) - questions.cost * questions.most
+    jump = np.zeros((0, states), np.int64) if process.jump is None else process.jump[list(kept)]
+    forget = np.zeros(process.n_types) if process.forget is None else process.forget
+    tables = Tables(
+        states if process.jump is None else 0,
+        process.answered,
+        process.explain_cost,
+        np.ascontiguousarray(known.value[:, :cells]),
+        known.explain,
+        silence,
+        floor - 1.0,
+        prices,
+        factors,
+        jump,
+        nothing if process.accept is None else process.accept,
+        forget,
+        process.discount,
+        questions.answered,
+        questions.likelier,
+        questions.cells.stride[list(kept)],
+        questions.cost,
+        questions.most,
+        questions.first,
+    )
+    return process, tables, kept
+
+
+def _store(tables: Tables, states: int, nodes: int = 1 << 10) -> Store:
+    """An empty store, with room for so many nodes."""
+    sets, words = len(tables.price), -(-len(tables.asked) // WORD)
+    actions, rows = max(4 * nodes, 2 * sets), 16
+    visible = sets if tables.width else 1
+    places = np.zeros((len(tables.cost), visible), kernel.PLACE)
+    places["row"] = kernel.NONE
+    return Store(
+        np.zeros(8, np.int64),
+        np.zeros(nodes, kernel.NODE),
+        np.zeros((nodes, states)),
+        np.zeros((nodes, states)),
+        np.zeros((nodes, words), np.int64),
+        np.zeros(actions + len(tables.asked), kernel.ACTION),
+        np.zeros(4 * nodes, kernel.ANSWER),
+        np.zeros((4 * nodes, states)),
+        np.zeros(actions, np.int64),
+        np.zeros((actions, states)),
+        np.zeros((actions, states)),
+        np.zeros((actions, states)),
+        places,
+        np.zeros((rows, 2), np.int64),
+        np.zeros((rows, KEPT, states)),
+        np.zeros((rows, KEPT, states)),
+        np.zeros((rows, KEPT)),
+        np.zeros((rows, KEPT), np.int64),
+        np.zeros((rows, KEPT, 2), np.int64),
+        np.full(4 * nodes, kernel.NONE, np.int32),
+    )
+
+
+GROWS = {
+    NODES: ("nodes", "belief", "alpha", "asked"),
+    ACTIONS: ("actions",),
+    ANSWERS: ("answers", "likelihood"),
+    SETS: ("sets", "base", "over", "under"),
+    PLACES: ("count", "vector", "peak", "height", "by", "source"),
+}
+"""The arrays that grow with what is counted."""
+
+
+def _grown(store: Store) -> Store:
+    """The same store with twice the room for whatever has used up half of it."""
+    arrays: dict[str, Any] = store._asdict()
+    short = {k for k, names in GROWS.items() if 2 * store.used[k] >= len(arrays[names[0]])}
+    for kind in short or set(GROWS):
+        for name in GROWS[kind]:
+            array = arrays[name]
+            # Fresh zeros cost nothing until they are touched.
+            arrays[name] = np.zeros((2 * len(array), *array.shape[1:]), array.dtype)
+            arrays[name][: store.used[kind]] = array[: store.used[kind]]
+    arrays["table"] = np.full(4 * len(arrays["nodes"]), kernel.NONE, np.int32)
+    store.used[HASHED] = 0
+    return Store(**arrays)
+
+
+def _scratch(tables: Tables, store: Store, answers: int) -> Scratch:
+    states, words = store.belief.shape[1], store.asked.shape[1]
+    levels = len(tables.cost) + min(tables.most, len(tables.asked)) + 1
+    return Scratch(
+        np.empty((answers, states)),
+        np.empty((answers, states)),
+        np.empty(states),
+        np.empty(states),
+        np.empty(states),
+        np.empty(words, np.int64),
+        np.empty((len(tables.cost) + 1, states)),
+        np.empty((len(tables.price), states)),
+        np.empty(len(tables.asked)),
+        np.empty(levels, np.int64),
+        np.empty(levels, np.int64),
+        np.empty(levels),
+    )

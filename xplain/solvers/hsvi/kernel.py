@@ -1,0 +1,891 @@
+"""The compiled search of :mod:`xplain.solvers.hsvi.solver`: sample, back up, share.
+
+One source gives two searches: ``missed`` is None where messages land, True where they may be missed
+or forgotten and move the hidden state; numba drops the branches of None.
+
+A node is a belief at (k, v) before a step's messages. Nothing is learned between two *explains* but
+by questions, so an action is a set of messages, the cheapest first, then *explain*; or a question.
+What an action's answers lead to are nodes. A function of a visited *place* (k, v) is linear in the
+belief: what a set of messages costs at once, the bound of its worth from above by known states, and
+from below by silence after it.
+
+Each place keeps the latest bounds that its nodes found. The value of a policy is linear in the
+belief, so its values by state (an alpha vector) bound every belief's optimum from below; and the
+optimum is convex, so an upper bound at one belief bounds the others from above (the sawtooth;
+Hauskrecht 2000).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, uint64
+from numpy.typing import NDArray
+
+from xplain.numba_kernels import GOLDEN, borrow, first_bit, part, splitmix64
+
+NODE = np.dtype(
+    [
+        ("upper", np.float64),  # bounds of the optimal value
+        ("lower", np.float64),
+        ("step", np.int64),  # k
+        ("given", np.int64),  # v
+        ("first_action", np.int64),  # NONE until it is opened
+        ("n_actions", np.int64),
+        ("earned_by", np.int64),  # the action of another node's alpha vector; SILENCE for none
+    ]
+)
+ACTION = np.dtype(
+    [
+        ("messages", np.int64),  # the set given, then *explain*; ~q to ask question q
+        ("upper", np.float64),
+        ("lower", np.float64),
+        ("base", np.float64),  # its expected reward at once
+        ("later", np.float64),  # what discounts what comes after it
+        ("tail_upper", np.float64),  # of the answers that are not told apart
+        ("tail_lower", np.float64),
+        ("first_answer", np.int64),  # NONE until it is expanded
+        ("n_answers", np.int64),
+    ]
+)
+ANSWER = np.dtype([("weight", np.float64), ("node", np.int64)])  # discounted; NONE is the tail
+PLACE = np.dtype([("first_set", np.int64), ("n_sets", np.int64), ("row", np.int64)])
+NODES, ACTIONS, ANSWERS, SETS, PLACES, OPENED, WORK, HASHED = range(8)
+"""What ``store.used`` counts; OPENED nodes, WORK done, and nodes in the hash table."""
+ROOT = np.int64(0)
+NONE = -1
+"""For an index: not opened, not expanded, not listed; in the hash table, free."""
+SILENCE = 1 << 62
+"""Instead of the action that earns a node's lower bound."""
+KEPT = 32
+"""Alpha vectors, and upper bounds, kept at each place."""
+GRAIN = 2.0**40
+"""Beliefs equal when rounded to 1 / GRAIN are one node."""
+HAIR = 1e-12
+"""Relative to 1 + its size, what rounding may change a value by."""
+ROUNDING = 1e-14
+"""Differences below this are rounding."""
+NO_NEWS = 1e-12
+"""Nats below which an answer tells nothing."""
+WORD = 62
+"""Questions whose bits one integer holds."""
+DONE, WORKING, FULL = 0, 1, 2
+"""How a call of :func:`sample` ends."""
+CLOSED, NO_ROOM = -1, -2
+"""Instead of an action: the gap is small enough, the store is full."""
+NEWS = 0.01
+"""Share of the gap by which a bound must improve to be published."""
+
+
+class Tables(NamedTuple):
+    """A process as the search reads it: m steps, S states, messages in the order of their prices.
+    (v, s) is in cell s + v · width.
+
+    Attributes:
+        width: S where messages land; 0 where they may be missed.
+        answered, cost: [m, cells] P(answer 1), and the expected cost of *explain*.
+        known: [m + 1, cells] V of known states, and explain: [m, cells] Q of *explain*.
+        silence: [m + 1, cells] value of saying nothing any more.
+        floor: [m + 1] every policy earns at least this in every state.
+        price, factor: [2^n] discounted price of a set, and what discounts the *explain* after it.
+        jump, accept, forget: [n, S], [S], [N]; empty where messages land.
+        discount: γ.
+        asked: [Q, question cells] P(answer 1), and likelier: whether the label is likelier 1;
+            question_stride: [n, S] of these.
+        question_cost, most, first: κ, questions asked at most, and whether only at the start.
+    """
+
+    width: int
+    answered: NDArray[np.float64]
+    cost: NDArray[np.float64]
+    known: NDArray[np.float64]
+    explain: NDArray[np.float64]
+    silence: NDArray[np.float64]
+    floor: NDArray[np.float64]
+    price: NDArray[np.float64]
+    factor: NDArray[np.float64]
+    jump: NDArray[np.int64]
+    accept: NDArray[np.float64]
+    forget: NDArray[np.float64]
+    discount: float
+    asked: NDArray[np.float64]
+    likelier: NDArray[np.bool_]
+    question_stride: NDArray[np.int64]
+    question_cost: float
+    most: int
+    first: bool
+
+
+class Store(NamedTuple):
+    """What a search found.
+
+    Attributes:
+        used: [8] how much of the rest is in use.
+        nodes: [.] NODE; belief, alpha: [nodes, S], and the values by state of the policy that earns
+            the lower bound; asked: [nodes, words] which questions were asked.
+        actions: [.] ACTION; those of a node lie side by side.
+        answers: [.] ANSWER; those of an action lie side by side; likelihood: [answers, S].
+        sets: [.] sets of messages; those of a place lie side by side; base, over, under: [sets, S]
+            what each is worth at once, at most and at least.
+        places: [m, visible] PLACE, by (k, v).
+        count: [rows, 2] bounds from below and above that were published at a place; the last KEPT:
+        vector: [rows, KEPT, S] alpha vectors; peak: [rows, KEPT, S] beliefs with height: [rows,
+            KEPT] their upper bounds; by: [rows, KEPT] the action of each vector;
+            source: [rows, KEPT, 2] the node of each vector and each peak.
+        table: [.] nodes by (k, v, belief, asked), open addressing.
+    """
+
+    used: NDArray[np.int64]
+    nodes: NDArray[np.void]
+    belief: NDArray[np.float64]
+    alpha: NDArray[np.float64]
+    asked: NDArray[np.int64]
+    actions: NDArray[np.void]
+    answers: NDArray[np.void]
+    likelihood: NDArray[np.float64]
+    sets: NDArray[np.int64]
+    base: NDArray[np.float64]
+    over: NDArray[np.float64]
+    under: NDArray[np.float64]
+    places: NDArray[np.void]
+    count: NDArray[np.int64]
+    vector: NDArray[np.float64]
+    peak: NDArray[np.float64]
+    height: NDArray[np.float64]
+    by: NDArray[np.int64]
+    source: NDArray[np.int64]
+    table: NDArray[np.int32]
+
+
+class Scratch(NamedTuple):
+    """Room to work in, for one search.
+
+    Attributes:
+        like, more: [answers, S] likelihoods of answers, and of one kind of label more.
+        belief, after, tail: [S]; asked: [words]; ways: [m + 1, S] likelihoods of a number of 1s.
+        under: [2^n, S] as of the store, for all sets; news: [Q].
+        path: [levels] nodes of a trial, actions, and gaps before it.
+    """
+
+    like: NDArray[np.float64]
+    more: NDArray[np.float64]
+    belief: NDArray[np.float64]
+    after: NDArray[np.float64]
+    tail: NDArray[np.float64]
+    asked: NDArray[np.int64]
+    ways: NDArray[np.float64]
+    under: NDArray[np.float64]
+    news: NDArray[np.float64]
+    path: NDArray[np.int64]
+    taken: NDArray[np.int64]
+    gaps: NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def sample(tables, store, scratch, missed, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
+    """Trials from the root until its gap is closed, so many nodes are opened, or the work is done.
+
+    Returns:
+        DONE, WORKING (call again), or FULL (grow the store and the scratch, call again).
+    """
+    tables, store, scratch = borrow((tables, store, scratch))
+    _rehash(store)
+    stop, root, status = store.used[WORK] + work, store.nodes[ROOT], DONE
+    while root.first_action < 0 or (
+        root.upper - root.lower > gap and store.used[OPENED] < opened
+    ):
+        if store.used[WORK] >= stop:
+            status = WORKING
+            break
+        found = store.used[OPENED] + store.used[ANSWERS]
+        last = _walk_down(tables, store, scratch, missed, gap, tail_gap)
+        moved = _walk_up(tables, store, scratch, missed, last, NEWS * gap)
+        if scratch.taken[last] == NO_ROOM:
+            status = FULL
+            break
+        if not moved and found == store.used[OPENED] + store.used[ANSWERS]:
+            break  # rounding is all that is left
+    return status
+
+
+@njit(cache=True, nogil=True)
+def back_up_all(tables, store, scratch, missed, order, least):  # type: ignore[no-untyped-def]
+    """Backs up all that is open, and lets every node profit by what others at its place published
+    since it was last visited. ``order`` is that of all nodes, what follows first; ``least`` as of
+    :func:`_publish`."""
+    tables, store, scratch = borrow((tables, store, scratch))
+    for index in order:
+        node = store.nodes[index]
+        upper, lower = node.upper, node.lower
+        _tighten(tables, store, index)
+        for a in range(node.first_action, node.first_action + node.n_actions):
+            if store.actions[a].first_answer >= 0:
+                _back_up(store, index, a)
+        if node.first_action >= 0:
+            _publish(tables, store, scratch, missed, index, upper, lower, least)
+
+
+@njit(cache=True, nogil=True)
+def make_root(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
+    """The first node."""
+    tables, store = borrow((tables, store))
+    _node_of(tables, store, step, given, belief, asked)
+
+
+@part
+def _walk_down(tables, store, scratch, missed, gap, tail_gap):  # type: ignore[no-untyped-def]
+    """A trial: at each node the action with the best upper bound, then the answer whose gap is the
+    most too wide, by probability. Returns the last level visited."""
+    level, index, allowed = 0, ROOT, gap
+    while True:
+        node = store.nodes[index]
+        scratch.path[level], scratch.gaps[level] = index, node.upper - node.lower
+        a = _settle(tables, store, scratch, missed, index, allowed, tail_gap)
+        scratch.taken[level] = a
+        if a < 0:
+            break
+        action = store.actions[a]
+        allowed = (allowed - action.tail_upper + action.tail_lower) / action.later
+        widest, index = ROUNDING, np.int64(NONE)
+        for o in range(action.first_answer, action.first_answer + action.n_answers):
+            answer = store.answers[o]
+            if answer.node >= 0:
+                after = store.nodes[answer.node]
+                excess = answer.weight * (after.upper - after.lower - allowed)
+                if excess > widest:
+                    widest, index = excess, answer.node
+        store.used[WORK] += action.n_answers
+        if index < 0:
+            break
+        level += 1
+    return level
+
+
+@part
+def _walk_up(tables, store, scratch, missed, last, least):  # type: ignore[no-untyped-def]
+    """Backs up a trial, and publishes what improved. Returns whether any bound moved."""
+    moved = False
+    for level in range(last, -1, -1):
+        index, a = scratch.path[level], scratch.taken[level]
+        node = store.nodes[index]
+        if a >= 0:
+            upper, lower, before = node.upper, node.lower, store.actions[a].upper
+            _back_up(store, index, a)
+            # What others at its place published may hide that a node's action has moved.
+            moved = moved or store.actions[a].upper < before
+            _publish(tables, store, scratch, missed, index, upper, lower, least)
+        moved = moved or node.upper - node.lower < scratch.gaps[level]
+    return moved
+
+
+@part
+def _settle(tables, store, scratch, missed, index, allowed, tail_gap):  # type: ignore[no-untyped-def]
+    """Opens a node, and expands its best action until one that is expanded is the best. Returns
+    that action; CLOSED where the gap is small enough, NO_ROOM where the store is full."""
+    node, chosen = store.nodes[index], np.int64(CLOSED)
+    if node.first_action < 0 and not _open(tables, store, scratch, missed, index):
+        chosen = np.int64(NO_ROOM)
+    else:
+        _tighten(tables, store, index)
+        while node.upper - node.lower > allowed + ROUNDING:
+            best = node.first_action
+            for a in range(best, best + node.n_actions):
+                if store.actions[a].upper > store.actions[best].upper:
+                    best = a
+            if store.actions[best].first_answer >= 0:
+                chosen = best
+                break
+            if node.step == len(tables.cost) - 1 and store.actions[best].messages >= 0:
+                break  # nothing comes after it
+            if not _expand(tables, store, scratch, missed, index, best, tail_gap):
+                chosen = np.int64(NO_ROOM)
+                break
+            _back_up(store, index, best)
+    return chosen
+
+
+@part
+def _back_up(store, index, a):  # type: ignore[no-untyped-def]
+    """Both bounds of an expanded action and its node, from its answers'."""
+    node, action = store.nodes[index], store.actions[a]
+    upper, lower = action.base + action.tail_upper, action.base + action.tail_lower
+    for o in range(action.first_answer, action.first_answer + action.n_answers):
+        answer = store.answers[o]
+        if answer.node >= 0:
+            upper += answer.weight * store.nodes[answer.node].upper
+            lower += answer.weight * store.nodes[answer.node].lower
+    store.used[WORK] += action.n_answers
+    action.upper = min(action.upper, upper)
+    action.lower = max(action.lower, min(lower, action.upper))
+    best_upper, best_lower = -np.inf, node.lower
+    for b in range(node.first_action, node.first_action + node.n_actions):
+        best_upper = max(best_upper, store.actions[b].upper)
+        best_lower = max(best_lower, store.actions[b].lower)
+    # Rounding may cross them by a hair.
+    node.upper = min(node.upper, max(best_upper, best_lower))
+    node.lower = min(best_lower, node.upper)
+
+
+@part
+def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
+    """Tightens a node's bounds by what was published at its place."""
+    node, belief = store.nodes[index], store.belief[index]
+    row = store.places[node.step, node.given].row
+    for i in range(min(store.count[row, 0], KEPT) if row >= 0 else 0):
+        value = min(_dot(belief, store.vector[row, i]), node.upper)
+        if value > node.lower and _asked_alike(store, index, store.source[row, i, 0]):
+            messages, begin = store.by[row, i], node.first_action
+            if begin < 0 or _credit(store, begin, begin + node.n_actions, messages, value):
+                node.lower, node.earned_by = value, messages
+                _copy(store.vector[row, i], store.alpha[index])
+    known = tables.known[node.step]
+    first = node.given * tables.width
+    for i in range(min(store.count[row, 1], KEPT) if row >= 0 else 0):
+        if not _asked_alike(store, index, store.source[row, i, 1]):
+            continue
+        share = 1.0
+        for s in range(len(belief)):
+            if store.peak[row, i, s] > 0.0:
+                share = min(share, belief[s] / store.peak[row, i, s])
+        if share > 0.0:
+            value = share * store.height[row, i]
+            for s in range(len(belief)):
+                value += (belief[s] - share * store.peak[row, i, s]) * known[first + s]
+            node.upper = min(node.upper, max(value, node.lower))
+
+
+@part
+def _credit(store, begin, end, messages, value):  # type: ignore[no-untyped-def]
+    """Raises the lower bound of one of these actions to what it is known to earn: the policy takes
+    the best one. False where it is none of them."""
+    found = False
+    for a in range(begin, end):
+        action = store.actions[a]
+        if action.messages == messages:
+            action.upper = max(action.upper, value)  # below it by rounding alone
+            action.lower = max(action.lower, value)
+            found = True
+    return found
+
+
+@part
+def _asked_alike(store, index, other):  # type: ignore[no-untyped-def]
+    """Whether the same questions were asked on the way to two nodes: what is left to be asked is
+    part of what a node is worth."""
+    alike = True
+    for w in range(store.asked.shape[1]):
+        alike &= store.asked[index, w] == store.asked[other, w]
+    return alike
+
+
+@njit(nogil=True)
+def _publish(tables, store, scratch, missed, index, upper, lower, least):  # type: ignore[no-untyped-def]
+    """Keeps a node's bounds for the others at its place, where they are better than ``upper`` and
+    ``lower`` by ``least``."""
+    node = store.nodes[index]
+    row = store.places[node.step, node.given].row
+    if node.upper < upper - least:
+        i = store.count[row, 1] % KEPT
+        _copy(store.belief[index], store.peak[row, i])
+        store.height[row, i], store.source[row, i, 1] = node.upper, index
+        store.count[row, 1] += 1
+    if node.lower > lower + least:
+        best = node.first_action
+        for a in range(best, best + node.n_actions):
+            if store.actions[a].lower > store.actions[best].lower:
+                best = a
+        if store.actions[best].first_answer >= 0:
+            _make_alpha(tables, store, scratch, missed, index, best)
+            i = store.count[row, 0] % KEPT
+            _copy(store.alpha[index], store.vector[row, i])
+            store.by[row, i], store.source[row, i, 0] = store.actions[best].messages, index
+            store.count[row, 0] += 1
+
+
+@part
+def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-untyped-def]
+    """A node's alpha vector: the value by state of taking an expanded action, and then what the
+    alpha vectors of the answers' nodes stand for."""
+    node, action, alpha = store.nodes[index], store.actions[a], store.alpha[index]
+    belief, step, discount = scratch.belief, node.step, tables.discount
+    _copy(store.belief[index], belief)
+    shown = node.given
+    if action.messages < 0:
+        for s in range(len(alpha)):
+            alpha[s] = -tables.question_cost
+        discount = 1.0
+    else:
+        shown |= action.messages if missed is None else 0
+        if missed is not None:
+            _give(tables, action.messages, belief)
+        for s in range(len(alpha)):
+            alpha[s] = -tables.cost[step, shown * tables.width + s]
+    for o in range(action.first_answer, action.first_answer + action.n_answers):
+        after = store.answers[o].node
+        if after >= 0:
+            _copy(store.alpha[after], scratch.after)
+        else:
+            for s in range(len(alpha)):
+                scratch.after[s] = tables.silence[step + 1, shown * tables.width + s]
+        if missed is not None and action.messages >= 0:
+            _expect_forgetting(tables, scratch.after)
+        for s in range(len(alpha)):
+            alpha[s] += discount * store.likelihood[o, s] * scratch.after[s]
+    for s in range(len(alpha)):
+        if belief[s] <= 0.0:
+            alpha[s] = tables.floor[step]
+    if action.messages >= 0:
+        if missed is not None:
+            _expect_giving(tables, action.messages, alpha)
+        for s in range(len(alpha)):
+            alpha[s] = tables.factor[action.messages] * alpha[s] - tables.price[action.messages]
+    for s in range(len(alpha)):
+        if store.belief[index, s] <= 0.0:
+            alpha[s] = tables.floor[step]
+    store.used[WORK] += action.n_answers
+
+
+@part
+def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def]
+    """Lists the actions that may be optimal at a node. False where the store is full."""
+    node, belief = store.nodes[index], store.belief[index]
+    place = store.places[node.step, node.given]
+    if place.row < 0 and not _list_sets(tables, store, scratch, missed, node.step, node.given):
+        return False
+    begin = store.used[ACTIONS]
+    if begin + place.n_sets + len(tables.asked) > len(store.actions):
+        return False
+    best, end, lower = -np.inf, begin, node.lower
+    for c in range(place.first_set, place.first_set + place.n_sets):
+        upper = _dot(belief, store.over[c])
+        # The best is kept even where rounding puts it below the lower bound.
+        if upper > best or not _below(upper, lower):
+            action = store.actions[end]
+            action.messages, action.upper = store.sets[c], upper
+            action.base, action.later = _dot(belief, store.base[c]), tables.discount
+            action.later *= tables.factor[store.sets[c]]
+            action.lower = min(_dot(belief, store.under[c]), upper)
+            end += 1
+            lower = max(lower, action.lower)
+        best = max(best, upper)
+    said = best
+    if len(tables.asked) > 0:
+        most = _dot_cells(tables, belief, tables.known[node.step], node.given)
+        least = _dot_cells(tables, belief, tables.silence[node.step], node.given)
+        most -= tables.question_cost
+        most += HAIR * (1.0 - most)  # bounds from elsewhere may be above it by rounding
+        if not _below(most, lower):
+            _rank_questions(tables, store, scratch, index)
+            for q in range(len(tables.asked)):
+                if scratch.news[q] > NO_NEWS or ~q == node.earned_by:
+                    action = store.actions[end]
+                    action.messages, action.base, action.later = ~q, -tables.question_cost, 1.0
+                    action.upper, action.lower = most, min(least - tables.question_cost, most)
+                    end += 1
+                    best = max(best, most)
+    _credit(store, begin, end, node.earned_by, node.lower)
+    for a in range(begin, end):
+        lower = max(lower, store.actions[a].lower)
+    kept = begin
+    for a in range(begin, end):
+        action = store.actions[a]
+        # Some messages, or none, are always among them: for who may not ask any more.
+        spoken = action.messages >= 0 and action.upper == said
+        if not _below(action.upper, lower) or action.upper == best or spoken:
+            store.actions[kept] = action
+            store.actions[kept].first_answer = NONE
+            kept += 1
+    node.first_action, node.n_actions = begin, kept - begin
+    store.used[ACTIONS] = kept
+    store.used[OPENED] += 1
+    store.used[WORK] += place.n_sets
+    node.upper = min(node.upper, max(best, lower))
+    node.lower = min(lower, node.upper)
+    return True
+
+
+@njit(nogil=True)
+def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-untyped-def]
+    """The sets of messages that may be optimal at a place for some belief: all but those that are
+    worth no more, in any state, than silence after one message less, or none. False where the store
+    is full."""
+    states, all_sets = store.belief.shape[1], len(tables.price)
+    begin, row = store.used[SETS], store.used[PLACES]
+    free = (all_sets - 1) & ~given
+    if begin + all_sets > len(store.sets) or row == len(store.count):
+        return False
+    end, chosen = begin, np.int64(0)
+    while True:
+        shown = (given | chosen if missed is None else 0) * tables.width
+        base, over, under = store.base[end], store.over[end], scratch.under[chosen]
+        for s in range(states):
+            base[s] = -tables.cost[step, shown + s]
+            over[s] = tables.explain[step, shown + s]
+            under[s] = tables.silence[step, shown + s]
+        if missed is not None:
+            for vector in (base, over, under):
+                _expect_giving(tables, chosen, vector)
+        factor, price = tables.factor[chosen], tables.price[chosen]
+        for vector in (base, over, under):
+            for s in range(states):
+                vector[s] = factor * vector[s] - price
+        useful, left = chosen == 0 or not _dominated(over, scratch.under[0]), chosen
+        while left and useful:
+            useful = not _dominated(over, scratch.under[chosen ^ (left & -left)])
+            left &= left - 1
+        if useful:
+            _copy(under, store.under[end])
+            store.sets[end] = chosen
+            end += 1
+        chosen = (chosen - free) & free
+        if chosen == 0:
+            break
+    place = store.places[step, given]
+    place.first_set, place.n_sets, place.row = begin, end - begin, row
+    store.used[PLACES] += 1
+    store.used[SETS] = end
+    store.used[WORK] += all_sets
+    return True
+
+
+@part
+def _dominated(over, under):  # type: ignore[no-untyped-def]
+    """Whether the one is at most the other in every state."""
+    dominated = True
+    for s in range(len(over)):
+        dominated &= over[s] <= under[s]
+    return dominated
+
+
+@part
+def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-untyped-def]
+    """Makes the nodes of an action's answers, but for a tail of unlikely ones that widens the gap
+    by no more than ``gap``. False where the store or the scratch is full."""
+    node, action, belief = store.nodes[index], store.actions[a], scratch.belief
+    step, given, messages = node.step, node.given, action.messages
+    _copy(store.belief[index], belief)
+    _copy(store.asked[index], scratch.asked)
+    action.tail_upper, action.tail_lower = 0.0, 0.0
+    like, count = scratch.like, 2
+    if messages < 0:
+        scratch.asked[~messages // WORD] |= 1 << (~messages % WORD)
+        for s in range(len(belief)):
+            scratch.tail[s] = 0.0
+            like[1, s] = _question(tables, ~messages, given, s)
+            like[0, s] = 1.0 - like[1, s]
+    else:
+        if missed is not None:
+            _give(tables, messages, belief)
+            given = np.int64(0)
+        else:
+            given |= messages
+        negligible = 0.1 * gap
+        while True:
+            count, like = _list_answers(tables, scratch, step, given, belief, negligible)
+            if count < 0:
+                return False
+            for s in range(len(belief)):
+                scratch.after[s] = scratch.tail[s] * belief[s]
+            if missed is not None:
+                _forget(tables, scratch.after)
+            upper = _dot_cells(tables, scratch.after, tables.known[step + 1], given)
+            lower = _dot_cells(tables, scratch.after, tables.silence[step + 1], given)
+            action.tail_upper, action.tail_lower = action.later * upper, action.later * lower
+            if action.tail_upper - action.tail_lower <= gap or negligible == 0.0:
+                break
+            negligible = negligible * 0.2 if negligible > 1e-18 else 0.0
+        step += 1
+    begin = store.used[ANSWERS]
+    if begin + count >= len(store.answers) or store.used[NODES] + count > len(store.nodes):
+        return False
+    end = begin
+    for o in range(count + 1):
+        total = 0.0
+        for s in range(len(belief)):
+            likelihood = like[o, s] if o < count else scratch.tail[s]
+            store.likelihood[end, s] = likelihood
+            scratch.after[s] = belief[s] * likelihood
+            total += scratch.after[s]
+        if total > 0.0:
+            store.answers[end].weight, store.answers[end].node = action.later * total, NONE
+            if o < count:
+                for s in range(len(belief)):
+                    scratch.after[s] /= total
+                if missed is not None and messages >= 0:
+                    _forget(tables, scratch.after)
+                after = _node_of(tables, store, step, given, scratch.after, scratch.asked)
+                store.answers[end].node = after
+            end += 1
+    store.used[ANSWERS] = end
+    store.used[WORK] += 4 * count
+    action.first_answer, action.n_answers = begin, end - begin
+    return True
+
+
+@part
+def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ignore[no-untyped-def]
+    """The likelihoods by state of all answers to *explain* that are more likely than
+    ``negligible``, and in ``scratch.tail`` that of all others: how many, or −1 where they are more
+    than there is room for, and their array. Transitions with equal columns over the states that are
+    possible are exchangeable: their number of 1s is enough."""
+    states, first = len(belief), given * tables.width
+    like, more, count = scratch.like, scratch.more, 1
+    for s in range(states):
+        like[0, s] = 1.0 if belief[s] > 0.0 else 0.0
+        scratch.tail[s] = 0.0
+    for i in range(step + 1):
+        size = _kind_size(tables, step, i, first, belief)
+        if size == 0 or count < 0:
+            continue
+        for s in range(states):
+            yes = tables.answered[i, first + s]
+            for ones in range(size + 1):
+                scratch.ways[ones, s] = _power(yes, ones) * _power(1.0 - yes, size - ones)
+        found = 0
+        for row in range(count):
+            choose = 1.0
+            for ones in range(size + 1):
+                if found == len(more):
+                    return -1, like
+                total = 0.0
+                for s in range(states):
+                    more[found, s] = like[row, s] * choose * scratch.ways[ones, s]
+                    total += belief[s] * more[found, s]
+                if total > negligible:
+                    found += 1
+                else:
+                    for s in range(states):
+                        scratch.tail[s] += more[found, s]
+                choose *= (size - ones) / (ones + 1)
+        like, more, count = more, like, found
+    return count, like
+
+
+@part
+def _power(x, exponent):  # type: ignore[no-untyped-def]
+    value = 1.0
+    for _ in range(exponent):
+        value *= x
+    return value
+
+
+@part
+def _kind_size(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
+    """How many of the labels of a step have the column of label i, where this is the first of them
+    and not the same in all possible states; else 0."""
+    size, news, one = 0, False, -1
+    for s in range(len(belief)):
+        if belief[s] > 0.0:
+            if one < 0:
+                one = s
+            news |= tables.answered[i, first + s] != tables.answered[i, first + one]
+    for j in range(step + 1 if news else 0):
+        same = True
+        for s in range(len(belief)):
+            if belief[s] > 0.0:
+                same &= tables.answered[i, first + s] == tables.answered[j, first + s]
+        if same and j < i:
+            size = 0
+            break
+        size += same
+    return size
+
+
+@part
+def _question(tables, q, given, s):  # type: ignore[no-untyped-def]
+    """P(answer 1) to a question."""
+    return tables.asked[q, _question_cell(tables, given, s)]
+
+
+@part
+def _question_cell(tables, given, s):  # type: ignore[no-untyped-def]
+    at, left = s, given
+    while left:
+        at += tables.question_stride[first_bit(left), s]
+        left &= left - 1
+    return at
+
+
+@njit(nogil=True)
+def _rank_questions(tables, store, scratch, index):  # type: ignore[no-untyped-def]
+    """Fills ``scratch.news`` [Q] with what the questions tell that may be asked at a node (mutual
+    information), −1 for others. A question counts as the most telling of its kind that was not
+    asked, as that may be asked after it alone."""
+    node, belief = store.nodes[index], store.belief[index]
+    left = tables.most
+    for q in range(len(tables.asked)):
+        left -= store.asked[index, q // WORD] >> (q % WORD) & 1
+    late = tables.first and (node.step > 0 or node.given > 0)
+    for q in range(len(tables.asked)):
+        mean, certain, alike = 0.0, 0.0, True
+        for s in range(len(belief)):
+            p = _question(tables, q, node.given, s)
+            alike &= p == _question(tables, q, node.given, 0)
+            mean += belief[s] * p
+            certain += belief[s] * _entropy(p)
+        known = store.asked[index, q // WORD] >> (q % WORD) & 1 == 1
+        closed = alike or known or left <= 0 or late
+        scratch.news[q] = -1.0 if closed else max(_entropy(mean) - certain, 0.0)
+        for other in range(q):
+            if scratch.news[q] >= 0.0 and scratch.news[other] >= 0.0:
+                same = True
+                for s in range(len(belief)):
+                    cell = _question_cell(tables, node.given, s)
+                    same &= tables.likelier[q, cell] == tables.likelier[other, cell]
+                if same:
+                    scratch.news[other] = max(scratch.news[other], scratch.news[q])
+                    scratch.news[q] = -1.0
+
+
+@part
+def _entropy(p):  # type: ignore[no-untyped-def]
+    """Of a bit, in nats."""
+    value = 0.0
+    if 0.0 < p < 1.0:
+        value = -p * np.log(p) - (1.0 - p) * np.log1p(-p)
+    return value
+
+
+@part
+def _node_of(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
+    """The node of a belief; made where there is none, with its first bounds."""
+    slot = _find(store, step, given, belief, asked)
+    index = np.int64(store.table[slot])
+    if index < 0:
+        index = store.used[NODES]
+        store.used[NODES] += 1
+        store.used[HASHED] += 1
+        store.table[slot] = index
+        node = store.nodes[index]
+        node.step, node.given, node.first_action, node.n_actions = step, given, NONE, 0
+        node.earned_by = SILENCE
+        _copy(belief, store.belief[index])
+        _copy(asked, store.asked[index])
+        for s in range(len(belief)):
+            store.alpha[index, s] = tables.silence[step, given * tables.width + s]
+        node.upper = _dot_cells(tables, belief, tables.known[step], given)
+        node.lower = min(_dot(belief, store.alpha[index]), node.upper)
+        _tighten(tables, store, index)
+    return index
+
+
+@part
+def _find(store, step, given, belief, asked):  # type: ignore[no-untyped-def]
+    """The slot that holds this belief's node, or the free one where it belongs."""
+    mask = uint64(len(store.table) - 1)
+    h = uint64(step) * GOLDEN ^ uint64(given)
+    for s in range(len(belief)):
+        h = splitmix64((h + GOLDEN) ^ uint64(np.int64(belief[s] * GRAIN + 0.5)))
+    for w in range(len(asked)):
+        h = splitmix64((h + GOLDEN) ^ uint64(asked[w]))
+    slot = h & mask
+    while True:
+        index = store.table[slot]
+        if index < 0:
+            break
+        node = store.nodes[index]
+        same = node.step == step and node.given == given
+        for s in range(len(belief) if same else 0):
+            rounded = np.int64(store.belief[index, s] * GRAIN + 0.5)
+            same &= rounded == np.int64(belief[s] * GRAIN + 0.5)
+        for w in range(len(asked)):
+            same &= store.asked[index, w] == asked[w]
+        if same:
+            break
+        slot = (slot + uint64(1)) & mask
+    return slot
+
+
+@part
+def _rehash(store):  # type: ignore[no-untyped-def]
+    """Enters into the hash table the nodes that are not in it yet, after the store has grown."""
+    while store.used[HASHED] < store.used[NODES]:
+        index = store.used[HASHED]
+        node = store.nodes[index]
+        slot = _find(store, node.step, node.given, store.belief[index], store.asked[index])
+        store.table[slot] = index
+        store.used[HASHED] += 1
+
+
+@part
+def _give(tables, messages, belief):  # type: ignore[no-untyped-def]
+    """The belief after these messages were said: of each a part α has it right then."""
+    left = messages
+    while left:
+        jump = tables.jump[first_bit(left)]
+        left &= left - 1
+        for s in range(len(belief)):
+            if jump[s] > 0 and belief[s] > 0.0:
+                landed = tables.accept[s] * belief[s]
+                belief[s] -= landed
+                belief[s + jump[s]] += landed
+
+
+@part
+def _expect_giving(tables, messages, values):  # type: ignore[no-untyped-def]
+    """E[v(s') | s], s' after these messages were said."""
+    left = messages
+    while left:
+        jump = tables.jump[first_bit(left)]
+        left &= left - 1
+        for s in range(len(values)):
+            if jump[s] > 0:
+                values[s] += tables.accept[s] * (values[s + jump[s]] - values[s])
+
+
+@part
+def _forget(tables, belief):  # type: ignore[no-untyped-def]
+    """The belief after each fact known was lost with φ."""
+    types = len(tables.forget)
+    bit = types
+    while bit < len(belief):
+        for s in range(len(belief)):
+            if s // bit % 2 == 0:
+                lost = tables.forget[s % types] * belief[s + bit]
+                belief[s + bit] -= lost
+                belief[s] += lost
+        bit *= 2
+
+
+@part
+def _expect_forgetting(tables, values):  # type: ignore[no-untyped-def]
+    """E[v(s') | s], s' what is left of s after a step."""
+    types = len(tables.forget)
+    bit = types
+    while bit < len(values):
+        for s in range(len(values)):
+            if s // bit % 2 == 1:
+                values[s] += tables.forget[s % types] * (values[s - bit] - values[s])
+        bit *= 2
+
+
+@part
+def _dot(belief, values):  # type: ignore[no-untyped-def]
+    """Σ_s b(s) x(s)."""
+    total = 0.0
+    for s in range(len(belief)):
+        total += belief[s] * values[s]
+    return total
+
+
+@part
+def _dot_cells(tables, belief, row, given):  # type: ignore[no-untyped-def]
+    """Σ_s b(s) x(v, s), of a row of a table."""
+    total, first = 0.0, given * tables.width
+    for s in range(len(belief)):
+        total += belief[s] * row[first + s]
+    return total
+
+
+@part
+def _copy(source, target):  # type: ignore[no-untyped-def]
+    """Fills an array from another. (``target[:] = source`` would allocate.)"""
+    for i in range(len(target)):
+        target[i] = source[i]
+
+
+@part
+def _below(upper, lower):  # type: ignore[no-untyped-def]
+    """Whether an upper bound is below a lower one by more than rounding."""
+    return upper < lower - HAIR * (1.0 + abs(lower))
