@@ -18,7 +18,8 @@ from xplain.explanation.literal_pomdp import (
 )
 from xplain.explanation.problem import Problem
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.model import model_of, optimal_values
+from xplain.solvers.known_type import known_values
+from xplain.solvers.process import make_process
 
 
 @settings(deadline=None, max_examples=150)
@@ -35,14 +36,15 @@ def test_qmdp_bounds_the_optimum_from_above_where_no_message_is_a_delay(problem:
     optimum = reduced_optimal_value(problem)
     values = QMDP().plan(problem).values(VisibleState(), problem.prior)
     assert max(values.values()) >= optimum - 1e-9
-    assert problem.prior @ optimal_values(model_of(problem))[0, 0] >= max(values.values()) - 1e-9
+    known = known_values(make_process(problem)).now(0, 0)
+    assert problem.prior @ known >= max(values.values()) - 1e-9
 
 
 def test_one_type_leaves_nothing_to_find_out() -> None:
     rng = np.random.default_rng(1)
     problem = Problem(rng.random((1, 3, 4)), np.array([0.3, 0.7]))
     assert literal_optimal_value(problem) == pytest.approx(
-        float(optimal_values(model_of(problem))[0, 0, 0])
+        float(known_values(make_process(problem)).now(0, 0)[0])
     )
 
 

@@ -21,8 +21,7 @@ from xplain.solvers.bounds import bounds
 from xplain.solvers.cached_policy import CachedPolicy
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.explore import Effort
-from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.hsvi.solver import Certified, Effort
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.process import make_process
 from xplain.solvers.voi import NO_NEWS, telling_questions

@@ -11,15 +11,13 @@ from tests.decisions import worths
 from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
-from xplain.solvers import model
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi import initial_bounds
-from xplain.solvers.hsvi.explore import Effort
+from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.known_type import known_bytes
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.memory import GIB
-from xplain.solvers.restriction import restricted
 from xplain.testing.problems import random_problem
 
 
@@ -96,7 +94,7 @@ def test_as_many_messages_as_masks_hold_are_searched(monkeypatch: pytest.MonkeyP
     wide = (random_problem(rng, max_steps=3, max_messages=2) for _ in range(200))
     problem = next(p for p in wide if _open(p))
     for most, searched in ((2, True), (1, False)):
-        monkeypatch.setattr("xplain.solvers.bounds.MAX_RELEVANT", most)
+        monkeypatch.setattr("xplain.solvers.hsvi.solver.MAX_RELEVANT", most)
         found = bounds(problem)
         assert (found.upper - found.lower <= 1e-3) == searched
         assert found.lower - 1e-9 <= reduced_optimal_value(problem) <= found.upper + 1e-9
@@ -107,14 +105,12 @@ def _open(problem) -> bool:
     much."""
     known = known_type_value(problem)
     optimum = reduced_optimal_value(problem)
-    return len(restricted(problem)[1]) == 2 and known - optimum > 0.1
+    return len(problem.messages_with_effect) == 2 and known - optimum > 0.1
 
 
 def _between(problem) -> float:
-    """Room for the tables of known types, not for those of plans."""
-    small, large = model.table_bytes(problem), initial_bounds.table_bytes(problem)
-    assert small < large
-    return (small + large) / 2 / GIB
+    """Room for the tables of known types, not for those of the search."""
+    return 1.1 * known_bytes(problem) / GIB
 
 
 @pytest.mark.parametrize("key", ["candidates", "answers", "memory_gib"])

@@ -1,4 +1,4 @@
-"""Solvers where messages may be missed or forgotten: kernels against plain references."""
+"""Solvers where messages may be missed or forgotten: against brute force."""
 
 from __future__ import annotations
 
@@ -9,69 +9,16 @@ import pytest
 
 from tests.decisions import question_asked, worths
 from tests.explanation.test_knowledge import problem_of
-from xplain.explanation import knowledge
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.asking import Limits, Questions
-from xplain.explanation.belief import told, update
+from xplain.explanation.belief import told
 from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.problem import Problem
-from xplain.solvers import knowing
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.knowing import CertifiedKnowing
-from xplain.solvers.hsvi.solver import Certified
-from xplain.solvers.knowing import Knowing, make_knowing
+from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.reminding import Reminding
-
-
-def model_of(problem: Problem) -> Knowing:
-    return make_knowing(Reminding(problem))
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_kernels_filter_as_the_belief_does(seed: int) -> None:
-    problem = problem_of(seed, types=3, steps=3)
-    rng, model = np.random.default_rng(seed), model_of(problem)
-    belief = rng.dirichlet(np.ones(problem.start.size))
-    for message in range(problem.n_messages):
-        found = belief.copy()
-        knowing.say(model, found, message)
-        np.testing.assert_allclose(found, told(problem, belief, 1 << message), atol=1e-15)
-    labels = rng.integers(2, size=problem.n_steps).astype(np.uint8)
-    expected = update(problem, belief, 0, labels)
-    found = belief.copy()
-    knowing.hear(model, problem.n_steps - 1, labels.astype(bool), found)
-    if np.isfinite(found).all():  # else the labels were impossible
-        np.testing.assert_allclose(found, expected, atol=1e-12)
-    found = belief.copy()
-    knowing.lose(model, found)
-    lost = knowledge.forget(
-        belief.reshape(-1, problem.n_types), problem.table.relevant, problem.forget
-    )
-    np.testing.assert_allclose(found, lost.ravel(), atol=1e-15)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_user_moves_as_the_belief_says(seed: int) -> None:
-    """Shares of many users drawn, within five standard errors."""
-    problem = problem_of(20 + seed, types=2, steps=2)
-    model, draws = model_of(problem), 4000
-    counter = np.array([seed], np.uint64)
-    labels = np.empty(problem.n_steps, bool)
-    belief = problem.start
-    heard = np.zeros(len(belief))
-    with np.errstate(over="ignore"):
-        for _ in range(draws):
-            state = knowing.draw_state(counter, belief)
-            for message in range(problem.n_messages):
-                state = knowing.told(model, counter, state, message)
-            heard[knowing.shown(model, counter, 0, state, labels)] += 1 / draws
-    expected = told(problem, belief, (1 << problem.n_messages) - 1)
-    knowing.lose(model, expected)
-    error = 5 * np.sqrt(expected * (1 - expected) / draws) + 1e-9
-    assert (np.abs(heard - expected) <= error).all()
 
 
 def needy(seed: int, questions: bool = False, steps: int = 2) -> Problem:
@@ -115,7 +62,7 @@ def test_certified_bounds_hold_and_close(seed: int) -> None:
     """On the optimum by trying every action at every belief."""
     problem = problem_of(40 + seed)
     policy = Certified(gap=1e-7).plan(problem)
-    assert isinstance(policy, CertifiedKnowing)
+    assert isinstance(policy, CertifiedPolicy)
     optimum = literal_optimal_value(problem)
     assert policy.lower - 1e-8 <= optimum <= policy.upper + 1e-8
     assert policy.upper - policy.lower <= 1e-6
@@ -125,7 +72,7 @@ def test_certified_bounds_hold_and_close(seed: int) -> None:
 def test_certified_knows_questions(seed: int) -> None:
     problem = needy(seed, questions=True)
     policy = Certified(gap=1e-7).plan(problem)
-    assert isinstance(policy, CertifiedKnowing)
+    assert isinstance(policy, CertifiedPolicy)
     optimum = literal_optimal_value(problem)
     assert policy.lower == pytest.approx(optimum, abs=1e-7)
     values = worths(policy, 0, 0, problem.start)

@@ -21,7 +21,6 @@ from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.problem import Problem
-from xplain.solvers import restriction
 from xplain.solvers.base import Solver, best_action
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP, Baseline, Conformant, KnownType
@@ -30,7 +29,6 @@ from xplain.solvers.known_type import known_values
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.process import make_process
-from xplain.solvers.restriction import coupled, restricted
 from xplain.solvers.simple import QHR
 
 
@@ -110,11 +108,9 @@ def test_one_message_more_than_sets_are_weighed_for_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     problem = Problem(np.random.default_rng(5).random((2, 3, 8)), np.ones(3))
-    monkeypatch.setattr(restriction, "MAX_RELEVANT", 3)
-    assert coupled(problem, "certified") == restricted(problem)
-    monkeypatch.setattr(restriction, "MAX_RELEVANT", 2)
+    monkeypatch.setattr("xplain.solvers.hsvi.solver.MAX_RELEVANT", 2)
     with pytest.raises(TooLargeError, match=r"certified.*3 matter on.*at most 2"):
-        coupled(problem, "certified")
+        Certified().plan(problem)
 
 
 @composite

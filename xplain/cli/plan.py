@@ -40,9 +40,7 @@ from xplain.report.run_summary import BY_CHANCE
 from xplain.solvers.base import Policy, messages_of
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
 from xplain.solvers.evaluate import evaluate
-from xplain.solvers.hsvi.explore import Effort
-from xplain.solvers.hsvi.knowing import CertifiedKnowing
-from xplain.solvers.hsvi.solver import CertifiedPolicy
+from xplain.solvers.hsvi.solver import CertifiedPolicy, Effort
 
 Row = dict[str, Any]
 
@@ -88,7 +86,7 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
             row["value_se"] = worth.value_se
             row["value_half_width"] = half_width(worth.value_se, cfg.value.episodes - 1)
     lower, upper = None, None
-    if isinstance(policy, CertifiedPolicy | CertifiedKnowing):
+    if isinstance(policy, CertifiedPolicy):
         lower, upper = policy.lower, policy.upper
     elif (found := known or _bounds(problem, cfg)) is not None:
         lower, upper = found.lower, found.upper

@@ -10,17 +10,13 @@ from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
 from xplain.explanation.actions import VisibleState
-from xplain.explanation.label_table import MAX_RELEVANT
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import messages_of
 from xplain.solvers.greedy import Greedy
-from xplain.solvers.hsvi.explore import Effort, explore
-from xplain.solvers.hsvi.search import Start
-from xplain.solvers.hsvi.solver import Certified, tables_within
+from xplain.solvers.hsvi.solver import Effort, search
 from xplain.solvers.known_type import KnownValues, known_bytes, known_values
 from xplain.solvers.memory import check_memory
 from xplain.solvers.process import Process, make_process, set_prices
-from xplain.solvers.restriction import restricted
 
 
 @dataclass(frozen=True)
@@ -50,8 +46,6 @@ class Bounds:
         return max(self.lower - value, 0.0), max(self.upper - value, 0.0)
 
 
-DEARER = 5
-"""A belief over what users know takes so many times as long: so many times fewer are opened."""
 DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
 """Some tenths of a second at most for a trace."""
 
@@ -71,28 +65,20 @@ def bounds(
     Raises:
         TooLargeError: not even the tables of known types fit.
     """
-    if not problem.messages_land:
-        nodes = -(-effort.nodes // DEARER)
-        seconds = effort.seconds if np.isfinite(effort.seconds) else None
-        solver = Certified(effort.gap, nodes, seconds, memory_gib=effort.memory_gib)
-        searched = solver.plan_knowing(problem)
-        known = float(problem.start @ searched.bounded.policy.known(0, 0))
-        return Bounds(float(searched.lower), float(searched.upper), known)
-    small, kept = restricted(problem)
-    if len(kept) > MAX_RELEVANT:
-        return _simple_bounds(small, effort.memory_gib)
     try:
-        small, tables = tables_within(small, effort.memory_gib)
+        found = search(problem, effort, told)
     except TooLargeError:
-        return _simple_bounds(small, effort.memory_gib)
-    found = explore(tables, Start(0, 0, small.prior), effort, told)
-    known = float(small.prior @ tables.optimal[0, 0])
+        if not problem.messages_land:
+            raise
+        return _simple_bounds(problem, effort.memory_gib)
+    start = problem.start
+    known = float(start @ found.tables.known[0, : start.size])
     return Bounds(found.lower, found.upper, known)
 
 
-def _simple_bounds(small: Problem, memory_gib: float) -> Bounds:
-    check_memory("knowing the type", known_bytes(small), memory_gib, "no other solver can")
-    process = make_process(small)
+def _simple_bounds(problem: Problem, memory_gib: float) -> Bounds:
+    check_memory("knowing the type", known_bytes(problem), memory_gib, "no other solver can")
+    process = make_process(problem)
     known = known_values(process)
     sure = known.now(0, 0)
     # A message for the sake of others puts off what a type costs, if it is cheap enough.

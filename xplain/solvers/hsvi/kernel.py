@@ -129,7 +129,7 @@ class Store(NamedTuple):
         sets: [.] sets of messages; those of a place lie side by side; base, over, under: [sets, S]
             what each is worth at once, at most and at least.
         places: [m, visible] PLACE, by (k, v).
-        count: [rows, 2] bounds from below and above that were published at a place; the last KEPT:
+        published: [rows, 2] bounds from below and above at a place; the last KEPT:
         vector: [rows, KEPT, S] alpha vectors; peak: [rows, KEPT, S] beliefs with height: [rows,
             KEPT] their upper bounds; by: [rows, KEPT] the action of each vector;
             source: [rows, KEPT, 2] the node of each vector and each peak.
@@ -149,7 +149,7 @@ class Store(NamedTuple):
     over: NDArray[np.float64]
     under: NDArray[np.float64]
     places: NDArray[np.void]
-    count: NDArray[np.int64]
+    published: NDArray[np.int64]
     vector: NDArray[np.float64]
     peak: NDArray[np.float64]
     height: NDArray[np.float64]
@@ -192,9 +192,7 @@ def sample(tables, store, scratch, missed, gap, tail_gap, opened, work):  # type
     tables, store, scratch = borrow((tables, store, scratch))
     _rehash(store)
     stop, root, status = store.used[WORK] + work, store.nodes[ROOT], DONE
-    while root.first_action < 0 or (
-        root.upper - root.lower > gap and store.used[OPENED] < opened
-    ):
+    while root.first_action < 0 or (root.upper - root.lower > gap and store.used[OPENED] < opened):
         if store.used[WORK] >= stop:
             status = WORKING
             break
@@ -332,7 +330,7 @@ def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
     """Tightens a node's bounds by what was published at its place."""
     node, belief = store.nodes[index], store.belief[index]
     row = store.places[node.step, node.given].row
-    for i in range(min(store.count[row, 0], KEPT) if row >= 0 else 0):
+    for i in range(min(store.published[row, 0], KEPT) if row >= 0 else 0):
         value = min(_dot(belief, store.vector[row, i]), node.upper)
         if value > node.lower and _asked_alike(store, index, store.source[row, i, 0]):
             messages, begin = store.by[row, i], node.first_action
@@ -341,7 +339,7 @@ def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
                 _copy(store.vector[row, i], store.alpha[index])
     known = tables.known[node.step]
     first = node.given * tables.width
-    for i in range(min(store.count[row, 1], KEPT) if row >= 0 else 0):
+    for i in range(min(store.published[row, 1], KEPT) if row >= 0 else 0):
         if not _asked_alike(store, index, store.source[row, i, 1]):
             continue
         share = 1.0
@@ -386,10 +384,10 @@ def _publish(tables, store, scratch, missed, index, upper, lower, least):  # typ
     node = store.nodes[index]
     row = store.places[node.step, node.given].row
     if node.upper < upper - least:
-        i = store.count[row, 1] % KEPT
+        i = store.published[row, 1] % KEPT
         _copy(store.belief[index], store.peak[row, i])
         store.height[row, i], store.source[row, i, 1] = node.upper, index
-        store.count[row, 1] += 1
+        store.published[row, 1] += 1
     if node.lower > lower + least:
         best = node.first_action
         for a in range(best, best + node.n_actions):
@@ -397,10 +395,10 @@ def _publish(tables, store, scratch, missed, index, upper, lower, least):  # typ
                 best = a
         if store.actions[best].first_answer >= 0:
             _make_alpha(tables, store, scratch, missed, index, best)
-            i = store.count[row, 0] % KEPT
+            i = store.published[row, 0] % KEPT
             _copy(store.alpha[index], store.vector[row, i])
             store.by[row, i], store.source[row, i, 0] = store.actions[best].messages, index
-            store.count[row, 0] += 1
+            store.published[row, 0] += 1
 
 
 @part
@@ -513,7 +511,7 @@ def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-
     states, all_sets = store.belief.shape[1], len(tables.price)
     begin, row = store.used[SETS], store.used[PLACES]
     free = (all_sets - 1) & ~given
-    if begin + all_sets > len(store.sets) or row == len(store.count):
+    if begin + all_sets > len(store.sets) or row == len(store.published):
         return False
     end, chosen = begin, np.int64(0)
     while True:

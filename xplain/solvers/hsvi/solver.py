@@ -146,14 +146,17 @@ class Searched:
         """Upper bound on the root's optimal value."""
         return float(self.store.nodes["upper"][ROOT])
 
+    def whole(self, given: int) -> int:
+        """The bitmask of all messages for one of the tables'."""
+        return expand(given, self.kept)
+
     def values(self, node: int = int(ROOT)) -> dict[Action, float]:
         """Certified lower bounds of the actions not ruled out at an opened node."""
         opened = self.store.nodes[node]
         first = int(opened["first_action"])
         actions = self.store.actions[first : first + int(opened["n_actions"])]
         names = [
-            AskQuestion(~m) if m < 0 else give(expand(m, self.kept))
-            for m in actions["messages"].tolist()
+            AskQuestion(~m) if m < 0 else give(self.whole(m)) for m in actions["messages"].tolist()
         ]
         return dict(zip(names, actions["lower"].tolist(), strict=True))
 
@@ -185,8 +188,8 @@ class CertifiedPolicy:
         return best_action(self.values(visible, belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Certified lower bounds of the actions not ruled out. Of equal beliefs that the search came
-        to, the best bounded one answers."""
+        """Certified lower bounds of the actions not ruled out. Of equal beliefs that the search
+        came to, the best bounded one answers."""
         store = self.found.store
         given = before_step(self.found.process, visible.given)
         place = visible.step, compress(given, self.found.kept)
@@ -310,7 +313,7 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
     kept, limit = problem.messages_with_effect, MAX_RELEVANT if problem.messages_land else MISSED
     if len(kept) > limit:
         raise TooLargeError(
-            f"certified weighs sets of all messages together: {len(kept)} matter on this trace, "
+            f"certified weighs sets of messages together: {len(kept)} matter on this trace, "
             f"at most {limit}; solver=qmdp or pomcp gives one after the other"
         )
     sets = 1 << len(kept) if problem.messages_land else 1 << 2 * problem.table.relevant.shape[1]
@@ -326,7 +329,9 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
     for k in reversed(range(steps)):
         later = expected_after_forgetting(process, silence[k + 1])
         silence[k] = process.discount * later - process.explain_cost[k]
-    prices, factors = set_prices(process, np.array([expand(c, kept) for c in range(1 << len(kept))]))
+    prices, factors = set_prices(
+        process, np.array([expand(c, kept) for c in range(1 << len(kept))])
+    )
     worst = process.explain_cost.max(axis=1) + process.price.sum()
     questions, nothing = process.questions, np.zeros(0)
     floor = np.append(-np.cumsum(worst[::-1])[::-1], 0.0) - questions.cost * questions.most
@@ -392,7 +397,7 @@ GROWS = {
     ACTIONS: ("actions",),
     ANSWERS: ("answers", "likelihood"),
     SETS: ("sets", "base", "over", "under"),
-    PLACES: ("count", "vector", "peak", "height", "by", "source"),
+    PLACES: ("published", "vector", "peak", "height", "by", "source"),
 }
 """The arrays that grow with what is counted."""
 

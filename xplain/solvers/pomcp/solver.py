@@ -35,7 +35,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, Range, checks
-from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, GiveMessages, VisibleState, give
+from xplain.explanation.actions import (
+    EXPLAIN,
+    Action,
+    AskQuestion,
+    GiveMessages,
+    VisibleState,
+    give,
+)
 from xplain.explanation.belief import rounded
 from xplain.explanation.label_table import NONE
 from xplain.explanation.problem import Problem
@@ -108,8 +115,7 @@ class POMCP:
             depth=self.depth or steps + again * messages + 1,
             message_depth=get_args(DepthUnit).index(self.depth_unit),
             exploration=float(
-                self.exploration
-                * max(problem.inexplicability_cost, process.price.max(initial=0.0))
+                self.exploration * max(problem.inexplicability_cost, process.price.max(initial=0.0))
             ),
             backup=get_args(Backup).index(self.backup),
         )
@@ -161,8 +167,9 @@ class Search:
         edges = tree.edges[root["edges"] : root["edges"] + len(actions)]
         tried = zip(actions, edges, strict=True)
         values = {a: float(edge["value"]) for a, edge in tried if edge["visits"] > 0}
-        named: dict[int, Action] = {a: GiveMessages(1 << a) for a in range(n)} | {n: EXPLAIN}
-        named |= {n + 1 + i: AskQuestion(int(q)) for i, q in enumerate(tree.tried[ROOT, :-2])}
+        named: dict[int, Action] = {n: EXPLAIN}
+        named.update((a, GiveMessages(1 << a)) for a in range(n))
+        named.update((n + 1 + i, AskQuestion(int(q))) for i, q in enumerate(tree.tried[ROOT, :-2]))
         return {named[a]: value for a, value in values.items()}
 
     def stream(self, visible: VisibleState, said: int, belief: NDArray[np.float64]) -> int:
