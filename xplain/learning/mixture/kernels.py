@@ -11,9 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from xplain.numba_kernels import called, kernel
+from xplain.numba_kernels import kernel
 
 REACH = 64
 """Ones − zeros beyond which a cell's value is beyond doubt."""
@@ -21,7 +22,7 @@ ADDED, TAKEN = np.int64(1), np.int64(-1)
 """Signs of labels that are counted, and counted no longer."""
 
 
-@called
+@njit(nogil=True)
 def packed(subsets, z, mask):  # type: ignore[no-untyped-def]
     """The bits of ``mask`` at the positions of subset z, packed."""
     packed = 0
@@ -32,13 +33,13 @@ def packed(subsets, z, mask):  # type: ignore[no-untyped-def]
     return packed
 
 
-@called
+@njit(nogil=True)
 def table_row(ahead):  # type: ignore[no-untyped-def]
     """Where ones − zeros is in the tables of :class:`~xplain.learning.mixture.sampler.Prior`."""
     return min(max(ahead, -REACH), REACH) + REACH
 
 
-@called
+@njit(nogil=True)
 def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
     """Counts the labels of observer ``o``, of R = ``state.facts[o]``, in ``state.counts``: ADDED
     or TAKEN."""
@@ -50,7 +51,7 @@ def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
         count[t, packed(subsets, subset[t], facts) & ~given[p], label[p]] += sign
 
 
-@called
+@njit(nogil=True)
 def draw(log_weight, size, temperature, rng):  # type: ignore[no-untyped-def]
     """An index below ``size`` with probability ∝ exp(log weight / temperature), and the log of the
     sum of the weights themselves."""
@@ -156,7 +157,7 @@ def resample_transitions(answers, prior, state, held, temperature, rng, scratch)
     return score
 
 
-@called
+@njit(nogil=True)
 def _tally(t, answers, held, scratch):  # type: ignore[no-untyped-def]
     """Counts the answers about transition t by M, once for all subsets; how many M occur."""
     rows, label = answers.rows, answers.label
@@ -185,7 +186,7 @@ def _tally(t, answers, held, scratch):  # type: ignore[no-untyped-def]
     return number
 
 
-@called
+@njit(nogil=True)
 def _random_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
     """The facts of subset z and others at random, WIDE in all, as a bitmask."""
     block = prior.members[z]
@@ -197,7 +198,7 @@ def _random_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
     return block
 
 
-@called
+@njit(nogil=True)
 def _within(members, block, out):  # type: ignore[no-untyped-def]
     """Writes to ``out`` the subsets of the facts in ``block``; how many."""
     size = 0
@@ -208,7 +209,7 @@ def _within(members, block, out):  # type: ignore[no-untyped-def]
     return size
 
 
-@called
+@njit(nogil=True)
 def _weigh(size, distinct, prior, log_noise, scratch):  # type: ignore[no-untyped-def]
     """Writes to ``scratch.weights`` [size · E] the log joint of (S_τ, ε_τ) and the labels, given
     the ``distinct`` M of all answers, for the first ``size`` candidates which S_τ is sought."""
@@ -251,7 +252,7 @@ def _weigh(size, distinct, prior, log_noise, scratch):  # type: ignore[no-untype
             at += 1
 
 
-@called
+@njit(nogil=True)
 def _choose(t, z, e, held, answers, subsets, state):  # type: ignore[no-untyped-def]
     """Sets S_τ to subset z and ε_τ to level e, and counts the labels by cell."""
     rows, label, given = answers.rows, answers.label, answers.message_set
@@ -267,7 +268,7 @@ def _choose(t, z, e, held, answers, subsets, state):  # type: ignore[no-untyped-
         messages_given[p] = packed(subsets, z, given[p])
 
 
-@called
+@njit(nogil=True)
 def _set_shares(noise, log_noise):  # type: ignore[no-untyped-def]
     """Sets ``log_noise`` [E] to the log shares of the levels among ``noise`` [T], smoothed."""
     for e in range(len(log_noise)):
@@ -360,7 +361,7 @@ def resample_facts(answers, prior, state, in_use, number, log_new, temperature, 
         )
 
 
-@called
+@njit(nogil=True)
 def _redraw(o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch):  # type: ignore[no-untyped-def]
     """Draws which of the first BLOCK facts of the order observer o, who has left, holds wrong;
     returns how many fact sets are then in use."""
@@ -380,7 +381,7 @@ def _redraw(o, answers, prior, state, in_use, number, log_new, temperature, rng,
     return number
 
 
-@called
+@njit(nogil=True)
 def _find(facts, number, one):  # type: ignore[no-untyped-def]
     """Where ``one`` is among the first ``number``; ``number`` where it is not."""
     for k in range(number):
@@ -389,7 +390,7 @@ def _find(facts, number, one):  # type: ignore[no-untyped-def]
     return number
 
 
-@called
+@njit(nogil=True)
 def _jump(o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch):  # type: ignore[no-untyped-def]
     """Metropolis-Hastings: observer o takes R of a type in use. It is drawn from the prior (maybe
     a new type: then nothing is tried), so the likelihoods alone decide."""
@@ -407,7 +408,7 @@ def _jump(o, answers, prior, state, in_use, number, log_new, temperature, rng, s
             break
 
 
-@called
+@njit(nogil=True)
 def _combine(facts, order, width, masks):  # type: ignore[no-untyped-def]
     """Writes to ``masks`` [2^width] ``facts`` with the first ``width`` of ``order`` held wrong or
     not, in all ways."""
@@ -421,7 +422,7 @@ def _combine(facts, order, width, masks):  # type: ignore[no-untyped-def]
         masks[i] = mask
 
 
-@called
+@njit(nogil=True)
 def _weigh_types(masks, order, width, in_use, number, log_new, weights):  # type: ignore[no-untyped-def]
     """Writes to ``weights`` the log prior weight of each of ``masks``, by the Chinese restaurant
     process."""
@@ -438,7 +439,7 @@ def _weigh_types(masks, order, width, in_use, number, log_new, weights):  # type
         weights[i] = np.log(weights[i])
 
 
-@called
+@njit(nogil=True)
 def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # type: ignore[no-untyped-def]
     """Adds to ``values`` [masks]: log P(labels of observer o | R = mask, the labels counted).
 

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit, uint64
 from numpy.typing import NDArray
 
-from xplain.numba_kernels import GOLDEN, borrow, first_bit, part, splitmix64
+from xplain.numba_kernels import GOLDEN, borrow, first_bit, kernel, part, splitmix64
 
 NODE = np.dtype(
     [
@@ -182,7 +182,7 @@ class Scratch(NamedTuple):
     gaps: NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample(tables, store, scratch, missed, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
     """Trials from the root until its gap is closed, so many nodes are opened, or the work is done.
 
@@ -207,7 +207,7 @@ def sample(tables, store, scratch, missed, gap, tail_gap, opened, work):  # type
     return status
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def back_up_all(tables, store, scratch, missed, order, least):  # type: ignore[no-untyped-def]
     """Backs up all that is open, and lets every node profit by what others at its place published
     since it was last visited. ``order`` is that of all nodes, what follows first; ``least`` as of
@@ -224,7 +224,7 @@ def back_up_all(tables, store, scratch, missed, order, least):  # type: ignore[n
             _publish(tables, store, scratch, missed, index, upper, lower, least)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def make_root(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
     """The first node."""
     tables, store = borrow((tables, store))

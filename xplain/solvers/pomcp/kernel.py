@@ -22,6 +22,7 @@ from xplain.numba_kernels import (
     borrow,
     count_bits,
     first_bit,
+    kernel,
     next_below,
     next_uniform,
     nth_bit,
@@ -182,7 +183,7 @@ class Tree(NamedTuple):
     counter: NDArray[np.uint64]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_root):  # type: ignore[no-untyped-def]
     """Runs simulations from the root, whose belief is set. ``log_root[v]`` is sqrt(log v), and
     ``inverse_root[v]`` is 1 / sqrt(v), but 0 for 0: [a number larger than all visits]."""
