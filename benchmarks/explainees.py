@@ -37,8 +37,9 @@ from xplain.interaction.explainees import Exact, Explainee, Heedless, Person, Sl
 from xplain.interaction.metrics import Record
 from xplain.interaction.statistics import clustered_mean
 from xplain.solvers.base import Solver
+from xplain.solvers.bounds import bounds
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.hsvi.solver import Effort
 from xplain.solvers.lookahead import Lookahead
 
 DOMAINS = ("rescue", "four_rooms")
@@ -272,10 +273,9 @@ def optimum(seeds: Iterable[int], traces: int) -> None:
                 )
                 for way, belief, solver in ways:
                     costs[accept, forget, way].append(cost(world.meets(people, belief, solver)))
+                effort = Effort(gap=0.01, nodes=2000)
                 found = [
-                    Certified(gap=0.01, nodes=2000).plan_knowing(
-                        problem_of_types(world.prepared, case, world.costs, knowing)
-                    )
+                    bounds(problem_of_types(world.prepared, case, world.costs, knowing), effort)
                     for case in world.prepared.cases
                 ]
                 costs[accept, forget, "least"].append(-float(np.mean([p.upper for p in found])))

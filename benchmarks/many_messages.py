@@ -30,8 +30,6 @@ from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp.solver import POMCP, Search
-from xplain.solvers.pomcp.tree import SearchRoot
-from xplain.solvers.restriction import Restricted
 
 
 def problem_of(
@@ -138,21 +136,20 @@ def pomcp_decisions(quick: bool) -> Table:
     for bearing in (3, 6, 12):
         problem = problem_of(20, 60, 8, 6, bearing=bearing)
         policy = POMCP(simulations=3_000).plan(problem)
-        assert isinstance(policy, Restricted)
-        assert isinstance(policy.policy, Search)
+        assert isinstance(policy, Search)
         policy.decide(VisibleState(), problem.prior)
         rng = np.random.default_rng(0)
         said, searches, decisions = [], [], []
         for k in range(3 if quick else 12):
             belief = rng.dirichlet(np.ones(8))
             began = time.process_time()
-            policy.policy.search(SearchRoot(k, 0, belief))
+            policy.search(VisibleState(k), 0, belief)
             searches.append(time.process_time() - began)
             began = time.process_time()
             said.append(messages_of(policy.decide(VisibleState(k), belief)).bit_count())
             decisions.append(time.process_time() - began)
         shown.add_row(
-            f"up to {bearing}", str(len(policy.kept)), f"{np.median(said):g}",
+            f"up to {bearing}", str(len(problem.messages_with_effect)), f"{np.median(said):g}",
             f"{1e3 * np.median(searches):.2f}", f"{1e3 * np.median(decisions):.2f}",
         )  # fmt: skip
     return shown
@@ -172,7 +169,11 @@ def certified(quick: bool) -> Table:
             assert isinstance(policy, CertifiedPolicy)
             gap = policy.upper - policy.lower
             shown.add_row(
-                f"up to {bearing}", str(seed), str(len(policy.kept)), f"{gap:.4f}", f"{spent:.2f}"
+                f"up to {bearing}",
+                str(seed),
+                str(len(policy.found.kept)),
+                f"{gap:.4f}",
+                f"{spent:.2f}",
             )
     return shown
 

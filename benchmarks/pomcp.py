@@ -29,7 +29,6 @@ import numpy as np
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.problem import Problem
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.pomcp.tree import SearchRoot
 
 DEPTHS = (2, 5, 20)
 EXPLORATION = 10.0
@@ -53,12 +52,11 @@ def problem_of(steps: int = 20, messages: int = 10, types: int = 5, seed: int = 
 def ours(problem: Problem, simulations: int, **settings: Any) -> Callable[[], float]:
     """CPU seconds of one search, planning excluded (as pomdp-py's model is built beforehand)."""
     policy: Any = POMCP(simulations=simulations, **settings).plan(problem)
-    root = SearchRoot(0, 0, problem.prior)
-    policy.policy.search(root)
+    policy.search(VisibleState(), 0, problem.prior)
 
     def run() -> float:
         start = time.process_time()
-        policy.policy.search(root)  # a policy keeps the values of its last decision
+        policy.search(VisibleState(), 0, problem.prior)
         return time.process_time() - start
 
     return run

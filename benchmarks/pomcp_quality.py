@@ -23,26 +23,19 @@ from pomcp import problem_of
 
 from xplain.experiment.config import CONF
 from xplain.explanation.actions import Action, VisibleState, give
+from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.interaction.statistics import clustered_mean
-from xplain.numba_kernels import inlined, kernel
-from xplain.solvers.base import Knowledge, Solver
+from xplain.solvers.base import Knowledge, Solver, best_action, messages_of
 from xplain.solvers.bounds import bounds
-from xplain.solvers.count_lattice import branch, make_answers
 from xplain.solvers.evaluate import evaluate
-from xplain.solvers.hsvi.explore import Effort
-from xplain.solvers.model import (
-    Model,
-    best_set,
-    expected,
-    explain_costs,
-    model_of,
-    one_by_one,
-    optimal_values,
-)
+from xplain.solvers.greedy import Greedy
+from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.known_type import known_values
+from xplain.solvers.process import make_process, matters, outcomes
 
-ANSWERS = 4096
-"""Most distinguishable answers that a look at one *explain* follows."""
+NEGLIGIBLE = 1e-4
+"""Answers less likely than this are worth what known types are."""
 
 
 @dataclass(frozen=True)
@@ -53,101 +46,56 @@ class Limit:
 
     def plan(self, problem: Problem, seed: int = 0) -> LimitPolicy:
         """See :class:`xplain.solvers.base.Solver`."""
-        model = model_of(problem)
-        return LimitPolicy(model, optimal_values(model), explain_costs(model))
+        process = make_process(problem)
+        return LimitPolicy(Greedy(process, known_values(process)))
 
 
 @dataclass(frozen=True)
 class LimitPolicy:
     """Attributes:
-    model: of N types.
-    optimal: [m + 1, 2^n, N] V*_t(k, H).
-    cost: [m, 2^n, N] of *explain*.
+    greedy: QMDP's policy.
     """
 
-    model: Model
-    optimal: NDArray[np.float64]
-    cost: NDArray[np.float64]
+    greedy: Greedy
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         """See :class:`xplain.solvers.base.Policy`."""
-        step, given, _ = visible
-        return give(one_by_one(lambda said: best_set(self._values(step, said, belief)), given))
+        chosen = 0
+        while True:
+            said = visible._replace(given=visible.given | chosen)
+            new = messages_of(best_action(self.values(said, belief)))
+            if not new:
+                return give(chosen)
+            chosen |= new
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """Of *explain*, and of each message alone."""
-        step, given, _ = visible
-        return {give(new): value for new, value in self._values(step, given, belief).items()}
+        return self._values(visible.step, visible.given, belief, 1)
 
-    def _values(self, step: int, given: int, belief: NDArray[np.float64]) -> dict[int, float]:
-        tables = self.model, self.optimal, self.cost
-        room = [make_answers(ANSWERS, self.model.n_steps, self.model.n_types) for _ in "12"]
-        values = _two_actions(*tables, step, given, belief.copy(), *room)
-        masks = [*(1 << j for j in range(len(self.model.price))), 0]
-        return {m: float(v) for m, v in zip(masks, values, strict=True) if not m & given}
+    def _values(
+        self, step: int, said: int, weight: NDArray[np.float64], further: int
+    ) -> dict[Action, float]:
+        """With so many further actions before QMDP's value; for weights that sum to less than 1,
+        times that."""
+        process, known = self.greedy.process, self.greedy.known
+        value = -float(weight @ process.explain_cost[step, process.cells.at(said)])
+        if step + 1 < process.n_steps:
+            found = outcomes(process, step, said, weight, NEGLIGIBLE)
+            assert found is not None
+            later = [self._best(step + 1, said, one, further) for one in found[0]]
+            tail = float(found[1] @ known.now(step + 1, said))
+            value += process.discount * (sum(later) + tail)
+        values: dict[Action, float] = {give(0): value}
+        for j in indices(matters(process, weight) & ~said):
+            after = process.message_discount * self._best(step, said | 1 << j, weight, further)
+            values[give(1 << j)] = after - process.price[j] * weight.sum()
+        return values
 
-
-@inlined
-def _leaf(model, optimal, cost, step, given, weight):  # type: ignore[no-untyped-def]
-    """QMDP's value, max_a Σ_t w(t) Q*_t(k, H, a): with weights that sum to less than 1 it is that
-    of the belief, times its probability."""
-    if step == len(cost):
-        return 0.0
-    total = 0.0
-    for t in range(len(weight)):
-        total += weight[t]
-    best = model.discount * expected(weight, optimal[step + 1, given])
-    best -= expected(weight, cost[step, given])
-    for j in range(len(model.price)):
-        if not given >> j & 1:
-            later = expected(weight, optimal[step, given | 1 << j])
-            best = max(best, model.message_discount * later - model.price[j] * total)
-    return best
-
-
-@kernel
-def _one_action(model, optimal, cost, step, given, weight, answers):  # type: ignore[no-untyped-def]
-    """The best action's value, QMDP's below it; as :func:`_leaf` otherwise."""
-    if step == len(cost):
-        return 0.0
-    total = 0.0
-    for t in range(len(weight)):
-        total += weight[t]
-    best = -expected(weight, cost[step, given])
-    if step + 1 < len(cost):
-        nothing = np.zeros(len(weight), np.int64)
-        count = branch(model, step, given, weight, nothing, 1e-9, answers)
-        assert count >= 0
-        later = expected(answers.tail, optimal[step + 1, given])
-        for a in range(count):
-            later += _leaf(model, optimal, cost, step + 1, given, answers.weight[a])
-        best += model.discount * later
-    for j in range(len(model.price)):
-        if not given >> j & 1:
-            later = _leaf(model, optimal, cost, step, given | 1 << j, weight)
-            best = max(best, model.message_discount * later - model.price[j] * total)
-    return best
-
-
-@kernel
-def _two_actions(model, optimal, cost, step, given, weight, answers, below):  # type: ignore[no-untyped-def]
-    """[n + 1] the value of each action, *explain* last: the best action after it, QMDP then."""
-    values = np.full(len(model.price) + 1, -np.inf)
-    for j in range(len(model.price)):
-        if not given >> j & 1:
-            later = _one_action(model, optimal, cost, step, given | 1 << j, weight, below)
-            values[j] = model.message_discount * later - model.price[j]
-    values[-1] = -expected(weight, cost[step, given])
-    if step + 1 < len(cost):
-        nothing = np.zeros(len(weight), np.int64)
-        count = branch(model, step, given, weight, nothing, 1e-9, answers)
-        assert count >= 0
-        later = expected(answers.tail, optimal[step + 1, given])
-        for a in range(count):
-            own = answers.weight[a].copy()
-            later += _one_action(model, optimal, cost, step + 1, given, own, below)
-        values[-1] += model.discount * later
-    return values
+    def _best(self, step: int, said: int, weight: NDArray[np.float64], further: int) -> float:
+        if further:
+            return max(self._values(step, said, weight, further - 1).values())
+        total = float(weight.sum())
+        return total * max(self.greedy.values(VisibleState(step, said), weight / total).values())
 
 
 def solver_of(choice: str, changes: list[str]) -> Solver:

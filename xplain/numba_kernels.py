@@ -38,6 +38,7 @@ class _Compilation(event.Listener):  # type: ignore[misc]
     """Tells which kernel of ours is compiled, and "" when it is done."""
 
     say: Callable[[str], None] | None = None
+    told = False
 
     def on_start(self, event: event.Event) -> None:
         function = event.data["dispatcher"].py_func
@@ -54,9 +55,9 @@ event.register("numba:compile", _compilation)
 
 
 def _tell_once(kernel: str) -> None:
-    if kernel:
+    if kernel and not _compilation.told:
         log.warning("compiling the solvers' kernels, once (seconds; later runs load them)")
-        _compilation.say = None
+        _compilation.told = True
 
 
 def tell_when_compiling(say: Callable[[str], None] | None = None) -> None:
