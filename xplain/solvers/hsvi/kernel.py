@@ -303,7 +303,7 @@ def _settle(tables, store, scratch, missed, index, allowed, tail_gap):  # type: 
     return chosen
 
 
-@part
+@njit(nogil=True)
 def _back_up(store, index, a):  # type: ignore[no-untyped-def]
     """Both bounds of an expanded action and its node, from its answers'."""
     node, action = store.nodes[index], store.actions[a]
@@ -325,7 +325,7 @@ def _back_up(store, index, a):  # type: ignore[no-untyped-def]
     node.lower = min(best_lower, node.upper)
 
 
-@part
+@njit(nogil=True)
 def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
     """Tightens a node's bounds by what was published at its place."""
     node, belief = store.nodes[index], store.belief[index]
@@ -401,7 +401,7 @@ def _publish(tables, store, scratch, missed, index, upper, lower, least):  # typ
             store.published[row, 0] += 1
 
 
-@part
+@njit(nogil=True)
 def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-untyped-def]
     """A node's alpha vector: the value by state of taking an expanded action, and then what the
     alpha vectors of the answers' nodes stand for."""
@@ -444,7 +444,7 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
     store.used[WORK] += action.n_answers
 
 
-@part
+@njit(nogil=True)
 def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def]
     """Lists the actions that may be optimal at a node. False where the store is full."""
     node, belief = store.nodes[index], store.belief[index]
@@ -556,7 +556,7 @@ def _dominated(over, under):  # type: ignore[no-untyped-def]
     return dominated
 
 
-@part
+@njit(nogil=True)
 def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-untyped-def]
     """Makes the nodes of an action's answers, but for a tail of unlikely ones that widens the gap
     by no more than ``gap``. False where the store or the scratch is full."""
@@ -621,7 +621,7 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
     return True
 
 
-@part
+@njit(nogil=True)
 def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ignore[no-untyped-def]
     """The likelihoods by state of all answers to *explain* that are more likely than
     ``negligible``, and in ``scratch.tail`` that of all others: how many, or −1 where they are more
@@ -745,7 +745,7 @@ def _entropy(p):  # type: ignore[no-untyped-def]
     return value
 
 
-@part
+@njit(nogil=True)
 def _node_of(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
     """The node of a belief; made where there is none, with its first bounds."""
     slot = _find(store, step, given, belief, asked)
@@ -768,7 +768,7 @@ def _node_of(tables, store, step, given, belief, asked):  # type: ignore[no-unty
     return index
 
 
-@part
+@njit(nogil=True)
 def _find(store, step, given, belief, asked):  # type: ignore[no-untyped-def]
     """The slot that holds this belief's node, or the free one where it belongs."""
     mask = uint64(len(store.table) - 1)
