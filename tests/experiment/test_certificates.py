@@ -20,7 +20,6 @@ from xplain.experiment.explanations import Costs, trace_seed
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, update
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import literal_optimal_value, reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import evaluate as policy_value
 from xplain.solvers.base import Policy
@@ -28,6 +27,7 @@ from xplain.solvers.greedy import QMDP, Baseline, KnownType
 from xplain.solvers.known_type import known_bytes
 from xplain.solvers.memory import GIB
 from xplain.solvers.simple import QHR, Silent
+from xplain.testing.literal_pomdp import literal_optimal_value, reduced_optimal_value
 
 COSTS = Costs(0.8, 0.6, 1.5, 0.9, "action", "observers")
 PREPARED = a_prepared(steps=(2, 3))

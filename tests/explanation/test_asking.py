@@ -17,10 +17,10 @@ from xplain.explanation.asking import (
 from xplain.explanation.belief import Independent, Persistent, answered
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
+from xplain.testing.literal_pomdp import literal_optimal_value
 from xplain.testing.problems import random_problem, with_questions
 
 

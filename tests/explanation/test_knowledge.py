@@ -14,12 +14,6 @@ from xplain.explanation import knowledge
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, told, update
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import (
-    EXPLAIN,
-    LiteralPOMDP,
-    LiteralState,
-    literal_optimal_value,
-)
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.interaction.dialogue import Dialogue, Given, Labelled
@@ -27,6 +21,12 @@ from xplain.solvers.greedy import QMDP
 from xplain.solvers.known_type import known_values
 from xplain.solvers.process import make_process
 from xplain.solvers.voi import PATIENCE
+from xplain.testing.literal_pomdp import (
+    EXPLAIN,
+    LiteralPOMDP,
+    LiteralState,
+    literal_optimal_value,
+)
 from xplain.testing.problems import random_problem
 
 seeds = st.integers(0, 2**32 - 1)

@@ -10,16 +10,16 @@ from hypothesis import given, settings
 
 from tests.explanation.problems import tiny_problems
 from xplain.explanation.actions import VisibleState
-from xplain.explanation.literal_pomdp import (
+from xplain.explanation.problem import Problem
+from xplain.solvers.greedy import QMDP
+from xplain.solvers.known_type import known_values
+from xplain.solvers.process import make_process
+from xplain.testing.literal_pomdp import (
     EXPLAIN,
     LiteralPOMDP,
     literal_optimal_value,
     reduced_optimal_value,
 )
-from xplain.explanation.problem import Problem
-from xplain.solvers.greedy import QMDP
-from xplain.solvers.known_type import known_values
-from xplain.solvers.process import make_process
 
 
 @settings(deadline=None, max_examples=150)

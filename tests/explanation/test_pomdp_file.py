@@ -15,9 +15,9 @@ from tests.explanation.flat_pomdp import Flat, read
 from tests.explanation.problems import misleading_problem, tiny_problems
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation import pomdp_file as cassandra
-from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.pomdp_file import lines
 from xplain.explanation.problem import Problem
+from xplain.testing.literal_pomdp import reduced_optimal_value
 
 
 def text_of(problem: Problem) -> str:

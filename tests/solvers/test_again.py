@@ -17,7 +17,6 @@ from tests.solvers.test_knowing import needy
 from xplain.errors import TooLargeError
 from xplain.explanation.belief import told, update
 from xplain.explanation.habits import habits_of
-from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
@@ -29,6 +28,7 @@ from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.process import make_process
 from xplain.solvers.voi import PATIENCE
+from xplain.testing.literal_pomdp import literal_optimal_value
 
 DISCOUNTS = [("step", 1.0), ("action", 0.8), ("action", 0.4)]
 

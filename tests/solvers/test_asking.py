@@ -13,7 +13,6 @@ from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleStat
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import answered, update
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy, best_action
@@ -25,6 +24,7 @@ from xplain.solvers.hsvi.solver import Certified, Effort
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.process import make_process
 from xplain.solvers.voi import NO_NEWS, telling_questions
+from xplain.testing.literal_pomdp import literal_optimal_value
 from xplain.testing.problems import random_problem, with_questions
 
 CLOSE = Effort(gap=1e-9, nodes=100_000, memory_gib=1.0)

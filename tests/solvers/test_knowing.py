@@ -14,11 +14,11 @@ from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import told
 from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.pomcp.solver import POMCP
+from xplain.testing.literal_pomdp import literal_optimal_value
 
 
 def needy(seed: int, questions: bool = False, steps: int = 2) -> Problem:

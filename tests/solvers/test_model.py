@@ -19,7 +19,6 @@ from xplain.explanation.actions import give
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver, best_action
 from xplain.solvers.evaluate import evaluate
@@ -30,6 +29,7 @@ from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.process import make_process
 from xplain.solvers.simple import QHR
+from xplain.testing.literal_pomdp import literal_optimal_value
 
 
 @settings(deadline=None, max_examples=60)

@@ -15,13 +15,13 @@ from tests.decisions import messages_given
 from tests.explanation.problems import tiny_problems
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.belief import rounded, update
-from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.simple import QHR
+from xplain.testing.literal_pomdp import reduced_optimal_value
 
 
 def worth_by_enumeration(

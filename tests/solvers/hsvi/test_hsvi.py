@@ -18,13 +18,13 @@ from tests.decisions import messages_given, worths
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.hsvi import solver
 from xplain.solvers.hsvi.kernel import ACTIONS, NODES, OPENED
 from xplain.solvers.hsvi.solver import TAIL, Certified, CertifiedPolicy, Effort, Searched, search
 from xplain.solvers.memory import GIB
+from xplain.testing.literal_pomdp import reduced_optimal_value
 from xplain.testing.problems import random_problem
 
 

@@ -27,13 +27,13 @@ from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import rounded
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import literal_optimal_value, reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import best_action
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.pomcp import solver as pomcp
 from xplain.solvers.pomcp.kernel import Tree
 from xplain.solvers.pomcp.solver import POMCP, Search
+from xplain.testing.literal_pomdp import literal_optimal_value, reduced_optimal_value
 from xplain.testing.problems import random_problem
 
 
