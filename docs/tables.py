@@ -27,7 +27,7 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from xplain.experiment.config import GROUPS, named, register
+from xplain.experiment.config import GROUPS, register
 from xplain.experiment.fingerprint import configuration
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -230,7 +230,7 @@ def composed(root: Path, choice: str) -> list[tuple[str, str]]:
     """The resolved configuration with a choice, or none, as (key, value), two levels deep."""
     register()
     with initialize_config_dir(str(root / "conf"), version_base="1.3"):
-        found = configuration(compose("config", named([choice] if choice else [])))
+        found = configuration(compose("config", [choice] if choice else []))
     found = {key: plain(value) for key, value in found.items() if key != "seed"}
     return [
         (f"{key}.{inner}".strip("."), json.dumps(part, sort_keys=True))

@@ -101,21 +101,22 @@ def test_a_default_that_differs_is_seen() -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "key", "made"),
+    ("config", "key", "made", "elsewhere"),
     [
-        ("study", "server", Server),
-        ("collect", "server", Server),
-        ("config", "tracking", MLflow),
+        # `server.file` names a file with the other keys; `demo` is the key `consent`.
+        ("study", "server", Server, {"file", "demo"}),
+        ("collect", "server", Server, {"file", "demo"}),
+        ("config", "tracking", MLflow, set()),
     ],
 )
 def test_a_class_and_its_file_have_one_default(
-    config: str, key: str, made: type, monkeypatch: pytest.MonkeyPatch
+    config: str, key: str, made: type, elsewhere: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     GlobalHydra.instance().clear()
     chosen = composed(config, [])[key]
-    told = {name: chosen[name] for name in chosen if name != "_target_"}
-    assert told.keys() == {field.name for field in dataclasses.fields(made)}
+    told = {name: chosen[name] for name in chosen if name not in {"_target_", *elsewhere}}
+    assert told.keys() == {field.name for field in dataclasses.fields(made)} - elsewhere
     assert made(**told) == made()
 
 
@@ -126,4 +127,4 @@ def test_the_schema_has_types_and_no_values() -> None:
     typed = {str(key) for key in schema()} - {"outputs"}  # a folder: known at the start alone
     assert all(OmegaConf.is_missing(schema(), key) for key in typed)
     untyped = {str(key) for key in file} - typed
-    assert untyped == {"defaults", "hydra", "certify", "again"}
+    assert untyped == {"defaults", "hydra", "certify"}
