@@ -112,12 +112,16 @@ def test_a_default_that_differs_is_seen() -> None:
 def test_a_class_and_its_file_have_one_default(
     config: str, key: str, made: type, elsewhere: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    for name in ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME"):
+        monkeypatch.delenv(name, raising=False)
     GlobalHydra.instance().clear()
     chosen = composed(config, [])[key]
-    told = {name: chosen[name] for name in chosen if name not in {"_target_", *elsewhere}}
+    plain = OmegaConf.to_container(chosen, resolve=True)
+    assert isinstance(plain, dict)
+    told = {str(name): plain[name] for name in plain if name not in {"_target_", *elsewhere}}
     assert told.keys() == {field.name for field in dataclasses.fields(made)} - elsewhere
-    assert made(**told) == made()
+    lists = {name: tuple(value) for name, value in told.items() if isinstance(value, list)}
+    assert made(**{**told, **lists}) == made()
 
 
 def test_the_schema_has_types_and_no_values() -> None:
