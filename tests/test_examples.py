@@ -180,8 +180,8 @@ print(q.best, q.none < 0.05, abs(q.posterior.sum() + q.none - 1) < 1e-9)
 
 def test_examples_test_themselves_in_three_lines():
     for name in EXAMPLES:
-        (test,) = (ROOT / "examples" / name / "tests").glob("test_*.py")
-        lines = [line for line in test.read_text().splitlines() if line.strip()]
-        assert len(lines) == 3
+        tests = (ROOT / "examples" / name / "tests").glob("test_*.py")
+        lines = [[line for line in test.read_text().splitlines() if line.strip()] for test in tests]
+        assert min(map(len, lines)) == 3
         (choice,) = (ROOT / "examples" / name / "conf").rglob("*.yaml")
         assert "# " in choice.read_text()

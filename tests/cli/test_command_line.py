@@ -78,7 +78,6 @@ BAD = [
     (["solver=null"], ["solver", "null", "a choice"]),
     (["~solver"], ["solver", "a choice"]),
     (["certify=null"], ["certify", "traces, gap"]),
-    (["+again.foo=1"], ["again.foo", "price, most"]),
     (["--config-name=nowhere"], ["nowhere"]),
     (["--config-path=nowhere"], ["nowhere", "not found"]),
     (["lambda=0.5;1"], ["lambda=0.5;1", "commas"]),

@@ -55,7 +55,7 @@ def jobs(folder: Path, *words: str) -> Kept:
     same kernels."""
     xplain(folder, "-m", *words, "hydra/launcher=basic")
     kept = {}
-    for path in sorted(folder.glob("outputs/sweeps/**/results.json")):
+    for path in sorted(folder.glob("outputs/results/*/results.json")):
         results = json.loads(path.read_text(encoding="utf-8"))
         lines = (path.parent / "episodes.jsonl").read_text(encoding="utf-8").splitlines()
         name = f"{results['choices']['solver']} λ={results['config']['lambda']:g}"

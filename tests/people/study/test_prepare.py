@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from tests.domains.configs import setting_of
-from tests.people.study.stand_in import CONFIG, FAULTLESS, TYPES, Street, street_plan, street_study
+from tests.people.study.stand_in import FAULTLESS, TYPES, Street, street_plan
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.domains.base import cell_name
 from xplain.domains.users.setting import Setting
@@ -196,13 +196,10 @@ def test_each_study_draws_a_seed_of_its_own() -> None:
 
 
 def test_people_are_taken_to_err_as_the_belief_says() -> None:
-    """The plan that comes back from its text has them; what a solver cannot do it says."""
+    """The plan that comes back from its text has them."""
     belief = {"_target_": "xplain.explanation.belief.Persistent", "error": 0.1}
     problem = street_plan(belief=belief).problem
     assert problem.habits.error.tolist() == [0.1]
     assert np.allclose(problem.table.answers, 0.9 * problem.table.p + 0.1 * (1 - problem.table.p))
     forgetful = {"belief": belief | {"forget": 0.1}}
     assert street_plan(**forgetful).problem.forget.tolist() == [0.1] * len(TYPES)
-    other = {"personalized": {"_target_": "xplain.solvers.simple.QHR"}}
-    with pytest.raises(InputError, match=r"belief\.accept, belief\.forget"):
-        street_study(**forgetful, conditions=CONFIG["conditions"] | other)
