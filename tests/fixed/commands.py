@@ -64,7 +64,7 @@ def jobs(folder: Path, *words: str) -> Kept:
             "learning": results["learning"],
             "episodes": [episode(json.loads(line)) for line in lines],
         }
-    return kept
+    return dict(sorted(kept.items()))
 
 
 def episode(line: Kept) -> Kept:
