@@ -154,6 +154,22 @@ def clip_of_the_second_transition() -> Problem:
     return replace(problem, questions=Questions(table, Limits(), shows))
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_questions_that_do_not_say_what_they_show_show_nothing_of_the_trace(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    problem = with_questions(rng, random_problem(rng))
+    asking = problem.questions
+    assert asking is not None
+    beliefs = []
+    for shows in (np.zeros((len(asking), problem.n_steps), np.bool_), np.empty((0, 0), np.bool_)):
+        own = replace(problem, questions=replace(asking, shows=shows))
+        talk = Dialogue(own, AsksAll(own), Persistent())
+        talk.hear(Asked(0), Answered(1))
+        talk.hear(*(Labelled((1,) * k) for k in range(1, own.n_steps + 1)))
+        beliefs.append(talk.state.belief)
+    assert np.array_equal(*beliefs)
+
+
 def test_a_clip_is_the_label_of_its_transition_where_people_repeat_themselves() -> None:
     """Persistent: the belief after clip and labels is that after the labels alone. Afresh: the
     clip counts as a label more."""

@@ -138,8 +138,10 @@ def _evidence(
     evidence = belief_update.evidence(state.visible.given, state.previous, count)
     if not state.clips or belief_update.fresh_labels or problem.questions is None:
         return evidence
-    shows = problem.questions.shows[indices(state.clips), :count]
-    return ~shows.any(axis=0) & np.isin(np.arange(count), np.arange(count)[evidence])
+    known = problem.questions.shows[indices(state.clips), :count].any(axis=0)
+    if not known.any():  # also of questions that say of no transition that they show it
+        return evidence
+    return ~known & np.isin(np.arange(count), np.arange(count)[evidence])
 
 
 @dataclass
