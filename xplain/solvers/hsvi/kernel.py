@@ -7,7 +7,7 @@ A node is a belief at (k, v) before a step's messages. Nothing is learned betwee
 by questions, so an action is a set of messages, the cheapest first, then *explain*; or a question.
 What an action's answers lead to are nodes. A function of a visited *place* (k, v) is linear in the
 belief: what a set of messages costs at once, the bound of its worth from above by known states, and
-from below by silence after it.
+from below by silence after it. Plans that ignore all answers bound beliefs from below, too.
 
 Each place keeps the latest bounds that its nodes found. The value of a policy is linear in the
 belief, so its values by state (an alpha vector) bound every belief's optimum from below; and the
@@ -86,7 +86,8 @@ class Tables(NamedTuple):
         width: S where messages land; 0 where they may be missed.
         answered, cost: [m, cells] P(answer 1), and the expected cost of *explain*.
         known: [m + 1, cells] V of known states, and explain: [m, cells] Q of *explain*.
-        silence: [m + 1, cells] value of saying nothing any more.
+        plans: [U, m + 1, cells] values of plans that ignore all answers, which bound every belief
+            from below; the last is silence.
         floor: [m + 1] every policy earns at least this in every state.
         price, factor: [2^n] discounted price of a set, and what discounts the *explain* after it.
         jump, accept, forget: [n, S], [S], [N]; empty where messages land.
@@ -101,7 +102,7 @@ class Tables(NamedTuple):
     cost: NDArray[np.float64]
     known: NDArray[np.float64]
     explain: NDArray[np.float64]
-    silence: NDArray[np.float64]
+    plans: NDArray[np.float64]
     floor: NDArray[np.float64]
     price: NDArray[np.float64]
     factor: NDArray[np.float64]
@@ -222,6 +223,34 @@ def back_up_all(tables, store, scratch, missed, order, least):  # type: ignore[n
                 _back_up(store, index, a)
         if node.first_action >= 0:
             _publish(tables, store, scratch, missed, index, upper, lower, least)
+
+
+@kernel
+def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[no-untyped-def]
+    """Fills in the optimal plan of each type, where messages land: its value for every type.
+
+    Args:
+        known, explain, cost: as of :class:`Tables`.
+        price: [n] of each message.
+        discounts: γ of *explain* and γ' of a message.
+        plans: [U, m + 1, cells] with N plans before the last.
+    """
+    types, sets = len(plans) - 1, cost.shape[1] // (len(plans) - 1)
+    for k in range(len(cost) - 1, -1, -1):
+        for u in range(types):
+            for given in range(sets - 1, -1, -1):
+                at, best, chosen = given * types, explain[k, given * types + u], NONE
+                for j in range(len(price)):
+                    value = discounts[1] * known[k, (given | 1 << j) * types + u] - price[j]
+                    if not given >> j & 1 and value > best + HAIR:
+                        best, chosen = value, j
+                for t in range(types):
+                    if chosen < 0:
+                        value = discounts[0] * plans[u, k + 1, at + t] - cost[k, at + t]
+                    else:
+                        value = discounts[1] * plans[u, k, (given | 1 << chosen) * types + t]
+                        value -= price[chosen]
+                    plans[u, k, at + t] = value
 
 
 @kernel
@@ -425,7 +454,7 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
             _copy(store.alpha[after], scratch.after)
         else:
             for s in range(len(alpha)):
-                scratch.after[s] = tables.silence[step + 1, shown * tables.width + s]
+                scratch.after[s] = tables.plans[-1, step + 1, shown * tables.width + s]
         if missed is not None and action.messages >= 0:
             _expect_forgetting(tables, scratch.after)
         for s in range(len(alpha)):
@@ -463,14 +492,22 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
             action.messages, action.upper = store.sets[c], upper
             action.base, action.later = _dot(belief, store.base[c]), tables.discount
             action.later *= tables.factor[store.sets[c]]
-            action.lower = min(_dot(belief, store.under[c]), upper)
+            action.lower = _dot(belief, store.under[c])
+            if missed is None:  # then no answer changes what a plan expects of this belief
+                shown = node.given | action.messages
+                plan = _best_plan(tables, belief, node.step + 1, shown)
+                row = tables.plans[plan, node.step + 1]
+                ahead = action.base + action.later * _dot_cells(tables, belief, row, shown)
+                action.lower = max(action.lower, ahead)
+            action.lower = min(action.lower, upper)
             end += 1
             lower = max(lower, action.lower)
         best = max(best, upper)
     said = best
     if len(tables.asked) > 0:
         most = _dot_cells(tables, belief, tables.known[node.step], node.given)
-        least = _dot_cells(tables, belief, tables.silence[node.step], node.given)
+        plan = _best_plan(tables, belief, node.step, node.given)
+        least = _dot_cells(tables, belief, tables.plans[plan, node.step], node.given)
         most -= tables.question_cost
         most += HAIR * (1.0 - most)  # bounds from elsewhere may be above it by rounding
         if not _below(most, lower):
@@ -520,7 +557,7 @@ def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-
         for s in range(states):
             base[s] = -tables.cost[step, shown + s]
             over[s] = tables.explain[step, shown + s]
-            under[s] = tables.silence[step, shown + s]
+            under[s] = tables.plans[-1, step, shown + s]
         if missed is not None:
             for vector in (base, over, under):
                 _expect_giving(tables, chosen, vector)
@@ -588,7 +625,7 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
             if missed is not None:
                 _forget(tables, scratch.after)
             upper = _dot_cells(tables, scratch.after, tables.known[step + 1], given)
-            lower = _dot_cells(tables, scratch.after, tables.silence[step + 1], given)
+            lower = _dot_cells(tables, scratch.after, tables.plans[-1, step + 1], given)
             action.tail_upper, action.tail_lower = action.later * upper, action.later * lower
             if action.tail_upper - action.tail_lower <= gap or negligible == 0.0:
                 break
@@ -760,12 +797,24 @@ def _node_of(tables, store, step, given, belief, asked):  # type: ignore[no-unty
         node.earned_by = SILENCE
         _copy(belief, store.belief[index])
         _copy(asked, store.asked[index])
+        plan = _best_plan(tables, belief, step, given)
         for s in range(len(belief)):
-            store.alpha[index, s] = tables.silence[step, given * tables.width + s]
+            store.alpha[index, s] = tables.plans[plan, step, given * tables.width + s]
         node.upper = _dot_cells(tables, belief, tables.known[step], given)
         node.lower = min(_dot(belief, store.alpha[index]), node.upper)
         _tighten(tables, store, index)
     return index
+
+
+@njit(nogil=True)
+def _best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def]
+    """The plan that earns most at (k, v) and a belief."""
+    best, most = 0, -np.inf
+    for u in range(len(tables.plans)):
+        value = _dot_cells(tables, belief, tables.plans[u, step], given)
+        if value > most:
+            best, most = u, value
+    return best
 
 
 @njit(nogil=True)

@@ -3,7 +3,8 @@
 HSVI (Smith & Simmons 2004) on a finite lattice, as AO* does: every belief that the search comes to
 carries an upper and a lower bound of its optimal value, which trials from the start tighten until
 they meet. Above: the values of known states, what other beliefs' upper bounds imply (sawtooth), and
-the best action's. Below: silence, alpha vectors of other beliefs, and the best action's. Unlikely
+the best action's. Below: plans that ignore answers, alpha vectors of other beliefs, and the best
+action's. Unlikely
 answers stay coarse, and the unlikeliest are not told apart.
 
 The bounds are of the optimal expected *discounted* return under the model. The policy takes, where
@@ -325,10 +326,15 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
     if process.jump is None and kept:
         kept = tuple(process.own[0][process.own[0] != NONE].tolist())
     cells, states, steps = process.p.shape[1], process.n_states, process.n_steps
-    silence = np.zeros((steps + 1, cells))
+    above = np.ascontiguousarray(known.value[:, :cells])
+    by_type = 8 * states * (steps + 1) * cells <= memory_gib * GIB - size and process.jump is None
+    plans = np.zeros((states + 1 if by_type else 1, steps + 1, cells))
     for k in reversed(range(steps)):
-        later = expected_after_forgetting(process, silence[k + 1])
-        silence[k] = process.discount * later - process.explain_cost[k]
+        later = expected_after_forgetting(process, plans[-1, k + 1])
+        plans[-1, k] = process.discount * later - process.explain_cost[k]
+    if by_type:
+        price, discounts = process.price[list(kept)], (process.discount, process.message_discount)
+        kernel.make_plans(above, known.explain, process.explain_cost, price, discounts, plans)
     prices, factors = set_prices(
         process, np.array([expand(c, kept) for c in range(1 << len(kept))])
     )
@@ -341,9 +347,9 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
         states if process.jump is None else 0,
         process.answered,
         process.explain_cost,
-        np.ascontiguousarray(known.value[:, :cells]),
+        above,
         known.explain,
-        silence,
+        plans,
         floor - 1.0,
         prices,
         factors,
