@@ -2,6 +2,7 @@
 
     python benchmarks/pddl_folders.py COLLECTION            an hour for 150 folders
     python benchmarks/pddl_folders.py COLLECTION --only blocks gripper
+    python benchmarks/pddl_folders.py --quick       two of the tasks of this package
 
 COLLECTION holds one folder for each domain, as the benchmarks of the planning competitions do
 (https://github.com/aibasel/downward-benchmarks). A folder's own files are tried, or those of the
@@ -27,10 +28,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from xplain.domains.pddl import domain as pddl_domain
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.task import read_task
 from xplain.errors import TooLargeError, XplainError
 
+SHIPPED = Path(pddl_domain.__file__).parent / "tasks"
 UNSUPPORTED = r"a condition with \w+ is not|derived predicates"
 """Reasons to refuse what is more than STRIPS with types, negation, conditional effects, costs."""
 
@@ -124,13 +127,16 @@ def classify(result: dict[str, object]) -> str:
 def main() -> None:
     """Prints a row for each folder and a summary."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("collection", type=Path)
+    parser.add_argument("collection", type=Path, nargs="?", default=SHIPPED)
+    parser.add_argument("--quick", action="store_true", help="two of the tasks of this package")
     parser.add_argument("--only", nargs="+", help="names of folders")
     parser.add_argument("--states", type=int, default=10_000)
     parser.add_argument("--seconds", type=int, default=120)
     parser.add_argument("--gib", type=float, default=6)
     parser.add_argument("--build", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.quick:
+        options.collection, options.only = SHIPPED, ["blocks", "rover"]
     if options.build:
         domain, problem = options.build
         print(build(domain, problem, options.states))
