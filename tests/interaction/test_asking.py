@@ -242,3 +242,13 @@ def test_a_trace_that_grows_keeps_what_was_asked() -> None:
         assert session.cost == cost
         assert session._talk.problem.questions is not None
         assert session._talk.problem.questions.shows.tolist() == [[False, True, False]]
+
+
+@pytest.mark.xfail(strict=True, reason="a problem does not know which transitions are copies")
+def test_a_copy_of_a_transition_is_no_news_where_people_repeat_themselves() -> None:
+    session = Explainer(TYPES, trade_off=100, belief_update=Persistent(0.1)).session([0, 0])
+    for labels in ([0], [0, 0]):
+        assert session.messages() == ()
+        before = session.belief
+        session.observe(labels)
+    assert session.belief == before
