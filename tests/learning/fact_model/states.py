@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.learning.mixture.kernels import TransitionScratch as TransitionScratch
 from xplain.learning.mixture.kernels import resample_transitions
 from xplain.learning.mixture.sampler import ChainState, Prior, SortedLabels, init
 
@@ -15,12 +14,8 @@ def begun(
 ) -> ChainState:
     """Each R as given, and S and ε drawn once, so that some fact matters."""
     state = init(answers, prior, facts)
-    scratch = TransitionScratch.of(
-        answers.transition_start, len(prior.size), prior.subsets.shape[1], len(prior.log_flip)
-    )
-    held = state.facts[answers.owner] & ~answers.message_set
     while not (prior.size[state.subset] > 0).any():
-        resample_transitions(answers, prior, state, held, 1.0, rng, scratch)
+        resample_transitions(answers, prior, state, 1.0, rng)
     return state
 
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.learning.fact_model.states import begun, counted
-from xplain.learning.mixture.kernels import FactScratch, InUse, resample_facts
+from xplain.learning.mixture.kernels import resample_facts
 from xplain.learning.mixture.sampler import CELL, NOISE, ChainState, Prior, SortedLabels
 
 N, CONCENTRATION = 2, 0.7
@@ -20,13 +20,13 @@ def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
     rng = np.random.default_rng(seed)
     answers, prior = some_answers(rng), Prior.of(N, 2)
     state = begun(answers, prior, rng.integers(1 << N, size=2), rng)
-    log_new, scratch = np.log(CONCENTRATION) - N * np.log(2), FactScratch.of(N, 2)
+    log_new, room = np.log(CONCENTRATION) - N * np.log(2), np.zeros(2, dtype=np.int64)
     visits = np.zeros((20, 1 << N, 1 << N))
     for batch in visits:
         for _ in range(1000):
             used, members = np.unique(state.facts, return_counts=True)
-            in_use = InUse.of(used, members, 2)
-            resample_facts(answers, prior, state, in_use, len(used), log_new, 1.0, rng, scratch)
+            in_use = np.append(used, room), np.append(members, room), len(used)
+            resample_facts(answers, prior, state, *in_use, log_new, 1.0, rng)
             batch[tuple(state.facts)] += 1e-3
     assert (state.counts == counted(answers, prior, state)).all()
     error = visits.std(axis=0, ddof=1) / len(visits) ** 0.5

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,12 +9,7 @@ from scipy.special import gammaln
 
 from tests.learning.fact_model.states import counted
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.mixture.kernels import (
-    REACH,
-    WIDE,
-    TransitionScratch,
-    resample_transitions,
-)
+from xplain.learning.mixture.kernels import REACH, WIDE, resample_transitions
 from xplain.learning.mixture.sampler import (
     CELL,
     NOISE,
@@ -72,16 +65,6 @@ def log_joint(
     return found
 
 
-def begun(
-    answers: SortedLabels, prior: Prior, facts: Any
-) -> tuple[ChainState, NDArray[np.int64], TransitionScratch]:
-    state = init(answers, prior, np.array(facts))
-    scratch = TransitionScratch.of(
-        answers.transition_start, len(prior.size), prior.subsets.shape[1], len(NOISE)
-    )
-    return state, state.facts[answers.owner] & ~answers.message_set, scratch
-
-
 @pytest.mark.parametrize(
     ("n", "depth", "size", "temperature"),
     [
@@ -96,12 +79,12 @@ def test_subsets_and_noise_are_drawn_from_their_posterior(
 ) -> None:
     rng = np.random.default_rng(3)
     answers, prior = some_answers(rng, n, size, 0.6), Prior.of(n, depth)
-    state, held, scratch = begun(answers, prior, [(1 << n) - 1, 1, 3])
+    state = init(answers, prior, np.array([(1 << n) - 1, 1, 3]))
     visits = np.zeros((20, 2, len(prior.size), len(NOISE)))
     for batch in visits:
         for _ in range(1000):
             state.log_noise[:] = LOG_NOISE
-            resample_transitions(answers, prior, state, held, temperature, rng, scratch)
+            resample_transitions(answers, prior, state, temperature, rng)
             batch[[0, 1], state.subset, state.noise] += 1e-3
     assert (state.counts == counted(answers, prior, state)).all()
     share = np.bincount(state.noise, minlength=len(NOISE)) + 0.02
@@ -119,9 +102,9 @@ def test_the_score_is_the_sum_over_all_of_them_however_many_labels_agree(ones: f
     """Also beyond the table's reach, where hundreds of labels of a cell are alike."""
     rng = np.random.default_rng(4)
     answers, prior = some_answers(rng, 2, 12 * REACH, ones), Prior.of(2, 2)
-    state, held, scratch = begun(answers, prior, [3, 1, 0])
+    state = init(answers, prior, np.array([3, 1, 0]))
     state.log_noise[:] = LOG_NOISE
-    score = resample_transitions(answers, prior, state, held, 1.0, rng, scratch)
+    score = resample_transitions(answers, prior, state, 1.0, rng)
     expected = np.logaddexp.reduce(log_joint(answers, prior, state).reshape(2, -1), axis=1)
     assert score == pytest.approx(expected.sum(), rel=1e-9)
 

@@ -8,18 +8,13 @@ of an array is counted by numba, and that costs more than the work in the innerm
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from xplain.numba_kernels import kernel
+from xplain.numba_kernels import kernel, part
 
 REACH = 64
 """Ones − zeros beyond which a cell's value is beyond doubt."""
-ADDED, TAKEN = np.int64(1), np.int64(-1)
-"""Signs of labels that are counted, and counted no longer."""
 
 
 @njit(nogil=True)
@@ -39,10 +34,20 @@ def table_row(ahead):  # type: ignore[no-untyped-def]
     return min(max(ahead, -REACH), REACH) + REACH
 
 
+@part
+def log_cell_of(zeros, ones, c, e, prior):  # type: ignore[no-untyped-def]
+    """:func:`~xplain.learning.mixture.likelihood.log_cell` of labels in cell c, of errors e."""
+    right, false, ahead = prior.log_flip[e, 0], prior.log_flip[e, 1], ones - zeros
+    value = ones * right + zeros * false + prior.marginal[int(c == 0), e, table_row(ahead)]
+    if ahead < -REACH:  # beyond the table it is a straight line
+        value += (ahead + REACH) * (false - right)
+    return value
+
+
 @njit(nogil=True)
 def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
-    """Counts the labels of observer ``o``, of R = ``state.facts[o]``, in ``state.counts``: ADDED
-    or TAKEN."""
+    """Adds the labels of observer ``o``, of R = ``state.facts[o]``, to ``state.counts`` (sign 1),
+    or takes them away (sign −1)."""
     transition, label, given = answers.transition, answers.label, state.messages_given
     subset, subsets, count = state.subset, prior.subsets, state.counts
     facts = state.facts[o]
@@ -79,73 +84,29 @@ def draw(log_weight, size, temperature, rng):  # type: ignore[no-untyped-def]
 WIDE = 12
 """Up to so many facts every S_τ is tried at once; with more, those among so many facts: the ones
 that matter now, and others at random."""
-GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-"""2^64 over the golden ratio: multiplied by it, keys spread over the table (Fibonacci hashing)."""
-
-
-class TransitionScratch(NamedTuple):
-    """Room for the answers about one transition and for what is weighed; no value outlives it.
-
-    Up to A answers are about one transition; Z subsets, E levels of noise.
-
-    Attributes:
-        wrong: [A] int64 each M that occurs.
-        times: [A, 2] int64 its labels 0 and 1.
-        slots: [2^b ≥ 2 A] int64 a hash table of indices into ``wrong``; −1 free, as all are
-            between transitions.
-        where: [A] int64 the slot of each M.
-        cell: [A] int64 the cell of each M, of the subset that is being weighed.
-        cells: [2^depth, 4] int64 of each cell that occurs, labels 0 and 1, and where it is in
-            ``marginal``: first and last index.
-        candidates: [Z] int64 subsets that are weighed.
-        weights: [Z · E] log joint of each candidate and ε with the labels.
-    """
-
-    wrong: NDArray[np.int64]
-    times: NDArray[np.int64]
-    slots: NDArray[np.int64]
-    where: NDArray[np.int64]
-    cell: NDArray[np.int64]
-    cells: NDArray[np.int64]
-    candidates: NDArray[np.int64]
-    weights: NDArray[np.float64]
-
-    @classmethod
-    def of(
-        cls, transition_start: NDArray[np.int64], subsets: int, depth: int, levels: int
-    ) -> TransitionScratch:
-        """For transitions whose answers begin at ``transition_start`` [T + 1]."""
-        answers = int(np.diff(transition_start).max(initial=1))
-        wrong, where, cell = np.zeros((3, answers), dtype=np.int64)
-        return cls(
-            wrong=wrong,
-            times=np.zeros((answers, 2), dtype=np.int64),
-            slots=np.full(1 << (2 * answers - 1).bit_length(), -1),
-            where=where,
-            cell=cell,
-            cells=np.zeros((1 << depth, 4), dtype=np.int64),
-            candidates=np.arange(subsets),
-            weights=np.zeros(subsets * levels),
-        )
 
 
 @kernel
-def resample_transitions(answers, prior, state, held, temperature, rng, scratch):  # type: ignore[no-untyped-def]
+def resample_transitions(answers, prior, state, temperature, rng):  # type: ignore[no-untyped-def]
     """Draws (S_τ, ε_τ) of every transition, and counts the labels by the cells that this makes.
 
-    ``held`` [P] is M of each answer. Returns log P(all labels | everybody's R), f integrated out, S
-    and ε summed out; where messages are more than WIDE each S_τ is drawn among the subsets of WIDE
-    facts only, and it is log P(all labels, S and ε as drawn | everybody's R).
+    Returns log P(all labels | everybody's R), f integrated out, S and ε summed out; where messages
+    are more than WIDE each S_τ is drawn among the subsets of WIDE facts only, and it is log P(all
+    labels, S and ε as drawn | everybody's R).
     """
-    candidates, weights = scratch.candidates, scratch.weights
     levels, size, n = len(state.log_noise), len(prior.size), answers.n_messages
+    held = state.facts[answers.owner] & ~answers.message_set
+    block, candidates, weights = (1 << n) - 1, np.arange(size), np.empty(size * levels)
+    number = np.full(1 << min(n, WIDE), -1)  # of M, as the block's facts have it
+    wrong, times = np.empty(len(number), np.int64), np.empty((len(number), 2), np.int64)
+    cell, cells = np.empty(len(number), np.int64), np.empty((state.counts.shape[1], 4), np.int64)
     score = 0.0
     for t in range(len(state.subset)):
-        distinct = _tally(t, answers, held, scratch)
         if n > WIDE:
             block = _random_block(prior, state.subset[t], n, rng)
             size = _within(prior.members, block, candidates)
-        _weigh(size, distinct, prior, state.log_noise, scratch)
+        distinct = _tally(t, answers, held, block, number, wrong, times)
+        _weigh(candidates[:size], wrong[:distinct], times, prior, state, cell, cells, weights)
         if n > WIDE:  # this block is likelier to be drawn from some S than from others: that counts
             for i in range(size * levels):
                 weights[i] += prior.log_block[prior.size[candidates[i // levels]]]
@@ -153,37 +114,43 @@ def resample_transitions(answers, prior, state, held, temperature, rng, scratch)
         z = candidates[chosen // levels]
         score += weights[chosen] - prior.log_block[prior.size[z]] if n > WIDE else total
         _choose(t, z, chosen % levels, held, answers, prior.subsets, state)
-    _set_shares(state.noise, state.log_noise)
+    shares = np.full(levels, 0.02)
+    for e in state.noise:
+        shares[e] += 1.0
+    state.log_noise[:] = np.log(shares / shares.sum())
     return score
 
 
 @njit(nogil=True)
-def _tally(t, answers, held, scratch):  # type: ignore[no-untyped-def]
-    """Counts the answers about transition t by M, once for all subsets; how many M occur."""
-    rows, label = answers.rows, answers.label
-    wrong, times, slots, where = scratch.wrong, scratch.times, scratch.slots, scratch.where
-    shift = np.uint64(64)
-    room = len(slots)
-    while room > 1:
-        room >>= 1
-        shift -= np.uint64(1)
-    number = 0
+def _tally(t, answers, held, block, number, wrong, times):  # type: ignore[no-untyped-def]
+    """Counts the answers about transition t, once for all subsets: ``wrong`` lists the M that
+    differ in facts of ``block``, ``times`` the labels 0 and 1 of each. Returns how many they are.
+    ``number`` is −1 before and after."""
+    rows, distinct = answers.rows, 0
     for i in range(answers.transition_start[t], answers.transition_start[t + 1]):
         mask = held[rows[i]]
-        at = np.int64((np.uint64(mask) * GOLDEN) >> shift)
-        while slots[at] >= 0 and wrong[slots[at]] != mask:
-            at = (at + 1) & (len(slots) - 1)
-        if slots[at] < 0:
-            slots[at] = number
-            where[number] = at
-            wrong[number] = mask
-            times[number, 0] = 0
-            times[number, 1] = 0
-            number += 1
-        times[slots[at], label[rows[i]]] += 1
-    for i in range(number):
-        slots[where[i]] = -1
-    return number
+        at = _packed_block(block, mask, answers.n_messages)
+        if number[at] < 0:
+            number[at] = distinct
+            wrong[distinct] = mask
+            times[distinct, 0] = 0
+            times[distinct, 1] = 0
+            distinct += 1
+        times[number[at], answers.label[rows[i]]] += 1
+    for i in range(distinct):
+        number[_packed_block(block, wrong[i], answers.n_messages)] = -1
+    return distinct
+
+
+@njit(nogil=True)
+def _packed_block(block, mask, n):  # type: ignore[no-untyped-def]
+    """The bits of ``mask`` at the positions of the bits of ``block``, packed."""
+    packed, size = 0, 0
+    for j in range(n):
+        if block >> j & 1:
+            packed |= (mask >> j & 1) << size
+            size += 1
+    return packed
 
 
 @njit(nogil=True)
@@ -210,46 +177,37 @@ def _within(members, block, out):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def _weigh(size, distinct, prior, log_noise, scratch):  # type: ignore[no-untyped-def]
-    """Writes to ``scratch.weights`` [size · E] the log joint of (S_τ, ε_τ) and the labels, given
-    the ``distinct`` M of all answers, for the first ``size`` candidates which S_τ is sought."""
-    wrong, times, cell, cells = scratch.wrong, scratch.times, scratch.cell, scratch.cells
-    candidates, weights = scratch.candidates, scratch.weights
-    subsets, sizes, log_subset = prior.subsets, prior.size, prior.log_subset
-    log_flip, marginal = prior.log_flip, prior.marginal
-    at = 0
-    for a in range(size):
+def _weigh(candidates, wrong, times, prior, state, cell, cells, weights):  # type: ignore[no-untyped-def]
+    """Writes to ``weights`` the log joint of (S_τ, ε_τ) and the labels, for each candidate for S_τ
+    and each level of ε, given the distinct M of all answers and the ``times`` of their labels.
+
+    ``cell`` [M] and ``cells`` [2^depth, 4] are overwritten.
+    """
+    subsets, sizes, levels = prior.subsets, prior.size, len(state.log_noise)
+    for a in range(len(candidates)):
         z = candidates[a]
         for c in range(1 << sizes[z]):
             cells[c, 0] = 0
             cells[c, 1] = 0
-        for i in range(distinct):
+        for i in range(len(wrong)):
             cell[i] = 0
         for j in range(sizes[z]):  # packed(), of all M at once
             fact = subsets[z, j]
-            for i in range(distinct):
+            for i in range(len(wrong)):
                 cell[i] |= (wrong[i] >> fact & 1) << j
-        for i in range(distinct):
+        for i in range(len(wrong)):
             cells[cell[i], 0] += times[i, 0]
             cells[cell[i], 1] += times[i, 1]
         used = 0
         for c in range(1 << sizes[z]):
-            zeros, ones = cells[c, 0], cells[c, 1]
-            if zeros + ones > 0:  # moved to the front: c ≥ used
-                cells[used, 0], cells[used, 1] = zeros, ones
-                cells[used, 2], cells[used, 3] = int(c == 0), table_row(ones - zeros)
+            if cells[c, 0] + cells[c, 1] > 0:  # moved to the front: c ≥ used
+                cells[used, 0], cells[used, 1], cells[used, 2] = cells[c, 0], cells[c, 1], c
                 used += 1
-        for e in range(len(log_flip)):
-            value = log_subset[z] + log_noise[e]
-            right, false = log_flip[e, 0], log_flip[e, 1]
-            for c in range(used):
-                zeros, ones = cells[c, 0], cells[c, 1]
-                value += ones * right + zeros * false
-                value += marginal[cells[c, 2], e, cells[c, 3]]
-                if ones - zeros < -REACH:  # beyond the table it is a straight line
-                    value += (ones - zeros + REACH) * (false - right)
-            weights[at] = value
-            at += 1
+        for e in range(levels):
+            value = prior.log_subset[z] + state.log_noise[e]
+            for i in range(used):
+                value += log_cell_of(cells[i, 0], cells[i, 1], cells[i, 2], e, prior)
+            weights[a * levels + e] = value
 
 
 @njit(nogil=True)
@@ -268,117 +226,51 @@ def _choose(t, z, e, held, answers, subsets, state):  # type: ignore[no-untyped-
         messages_given[p] = packed(subsets, z, given[p])
 
 
-@njit(nogil=True)
-def _set_shares(noise, log_noise):  # type: ignore[no-untyped-def]
-    """Sets ``log_noise`` [E] to the log shares of the levels among ``noise`` [T], smoothed."""
-    for e in range(len(log_noise)):
-        log_noise[e] = 0.02
-    for t in range(len(noise)):
-        log_noise[noise[t]] += 1.0
-    total = 0.0
-    for e in range(len(log_noise)):
-        total += log_noise[e]
-    for e in range(len(log_noise)):
-        log_noise[e] = np.log(log_noise[e] / total)
-
-
 BLOCK = 8
 """Facts whose combinations are tried at once for an observer."""
 
 
-class InUse(NamedTuple):
-    """The customers at each table of the Chinese restaurant.
-
-    Attributes:
-        facts: [K + O] int64 fact sets in use; a sweep appends those that nobody held before.
-        members: [K + O] int64 observers of each, maybe 0.
-    """
-
-    facts: NDArray[np.int64]
-    members: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, used: NDArray[np.int64], members: NDArray[np.int64], observers: int) -> InUse:
-        """``used`` [K] and its ``members`` [K], with room for a type of each observer's own."""
-        room = np.zeros((2, len(used) + observers), dtype=np.int64)
-        room[0, : len(used)] = used
-        room[1, : len(used)] = members
-        return cls(room[0], room[1])
-
-
-class FactScratch(NamedTuple):
-    """Room for what is weighed for one observer; no value outlives it.
-
-    Attributes:
-        masks: [2^BLOCK] int64 fact sets to choose from.
-        weights: [2^BLOCK] their log weights.
-        by_cell: [2^depth] log-likelihood of the labels about one transition, by the facts of S_τ
-            held wrong.
-        pair: [2] int64 the fact set held, and one to jump to.
-        values: [2] their log-likelihoods.
-    """
-
-    masks: NDArray[np.int64]
-    weights: NDArray[np.float64]
-    by_cell: NDArray[np.float64]
-    pair: NDArray[np.int64]
-    values: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, n: int, depth: int) -> FactScratch:
-        """For n messages, of which at most ``depth`` matter at a transition."""
-        masks = 1 << min(n, BLOCK)
-        return cls(
-            masks=np.zeros(masks, dtype=np.int64),
-            weights=np.zeros(masks),
-            by_cell=np.zeros(1 << depth),
-            pair=np.zeros(2, dtype=np.int64),
-            values=np.zeros(2),
-        )
-
-
 @kernel
-def resample_facts(answers, prior, state, in_use, number, log_new, temperature, rng, scratch):  # type: ignore[no-untyped-def]
+def resample_facts(answers, prior, state, used, members, number, log_new, temperature, rng):  # type: ignore[no-untyped-def]
     """Draws R of every observer among all fact sets; ``state.facts`` and ``state.counts`` follow.
 
     Where facts are more than BLOCK, an observer may first jump to a type in use, and draws BLOCK
     facts, chosen at random, anew (``state.order``).
 
-    ``number`` fact sets are in use at first; ``log_new`` is the log weight of one that nobody
-    holds, where each that somebody holds weighs log(observers).
+    The first ``number`` of ``used`` [K + O] are the fact sets in use, the tables of the Chinese
+    restaurant, which ``members`` observers hold; those that nobody held before are appended.
+    ``log_new`` is the log weight of a fact set that nobody holds, where each that somebody holds
+    weighs log(observers).
     """
-    order = state.order
-    for o in range(len(state.facts)):
-        count_rows(o, TAKEN, answers, prior, state)
-        in_use.members[_find(in_use.facts, number, state.facts[o])] -= 1
+    facts, order = state.facts, state.order
+    width = min(len(order), BLOCK)
+    masks, weights = np.empty(1 << width, np.int64), np.empty(1 << width)
+    by_cell = np.empty(state.counts.shape[1])
+    pair, values = np.empty(2, np.int64), np.empty(2)
+    for o in range(len(facts)):
+        count_rows(o, -1, answers, prior, state)
+        members[_find(used, number, facts[o])] -= 1
         if len(order) > BLOCK:
-            _jump(o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch)
+            k = _from_prior(members, number, np.exp(log_new + len(order) * np.log(2.0)), rng)
+            if k < number:  # Metropolis-Hastings: drawn from the prior, so the likelihoods decide
+                pair[0], pair[1] = facts[o], used[k]
+                values[:] = 0.0
+                _add_log_likelihood(o, pair, answers, prior, state, by_cell, values)
+                if np.log(rng.random()) * temperature < values[1] - values[0]:
+                    facts[o] = pair[1]
             for j in range(BLOCK):  # the first facts of a random order
                 other = rng.integers(j, len(order))
                 order[j], order[other] = order[other], order[j]
-        number = _redraw(
-            o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch
-        )
-
-
-@njit(nogil=True)
-def _redraw(o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch):  # type: ignore[no-untyped-def]
-    """Draws which of the first BLOCK facts of the order observer o, who has left, holds wrong;
-    returns how many fact sets are then in use."""
-    facts, masks, weights = state.facts, scratch.masks, scratch.weights
-    width = min(len(state.order), BLOCK)
-    _combine(facts[o], state.order, width, masks)
-    _weigh_types(masks, state.order, width, in_use, number, log_new, weights)
-    _add_log_likelihood(o, masks, answers, prior, state, scratch.by_cell, weights)
-    chosen, _ = draw(weights, len(weights), temperature, rng)
-    facts[o] = masks[chosen]
-    at = _find(in_use.facts, number, facts[o])
-    if at == number:
-        in_use.facts[number] = facts[o]
-        number += 1
-    in_use.members[at] += 1
-    count_rows(o, ADDED, answers, prior, state)
-    return number
+        _combine(facts[o], order, width, masks)
+        _weigh_types(masks, order, width, used, members, number, log_new, weights)
+        _add_log_likelihood(o, masks, answers, prior, state, by_cell, weights)
+        facts[o] = masks[draw(weights, len(weights), temperature, rng)[0]]
+        at = _find(used, number, facts[o])
+        if at == number:
+            used[number] = facts[o]
+            number += 1
+        members[at] += 1
+        count_rows(o, 1, answers, prior, state)
 
 
 @njit(nogil=True)
@@ -391,21 +283,14 @@ def _find(facts, number, one):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def _jump(o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch):  # type: ignore[no-untyped-def]
-    """Metropolis-Hastings: observer o takes R of a type in use. It is drawn from the prior (maybe
-    a new type: then nothing is tried), so the likelihoods alone decide."""
-    pair, values = scratch.pair, scratch.values
-    n = len(state.order)
-    left = rng.random() * (len(state.facts) - 1 + np.exp(log_new + n * np.log(2.0)))
+def _from_prior(members, number, new, rng):  # type: ignore[no-untyped-def]
+    """A type in use, drawn by its ``members``; ``number`` for a new one, of weight ``new``."""
+    left = rng.random() * (members[:number].sum() + new)
     for k in range(number):
-        left -= in_use.members[k]
+        left -= members[k]
         if left < 0:
-            pair[0], pair[1] = state.facts[o], in_use.facts[k]
-            values[0], values[1] = 0.0, 0.0
-            _add_log_likelihood(o, pair, answers, prior, state, scratch.by_cell, values)
-            if np.log(rng.random()) * temperature < values[1] - values[0]:
-                state.facts[o] = pair[1]
-            break
+            return k
+    return number
 
 
 @njit(nogil=True)
@@ -423,18 +308,18 @@ def _combine(facts, order, width, masks):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def _weigh_types(masks, order, width, in_use, number, log_new, weights):  # type: ignore[no-untyped-def]
+def _weigh_types(masks, order, width, used, members, number, log_new, weights):  # type: ignore[no-untyped-def]
     """Writes to ``weights`` the log prior weight of each of ``masks``, by the Chinese restaurant
     process."""
     for i in range(len(masks)):
         weights[i] = np.exp(log_new)
     for k in range(number):
-        if in_use.members[k] > 0:
+        if members[k] > 0:
             at = 0
             for j in range(width):
-                at |= (in_use.facts[k] >> order[j] & 1) << j
-            if masks[at] == in_use.facts[k]:
-                weights[at] += in_use.members[k]
+                at |= (used[k] >> order[j] & 1) << j
+            if masks[at] == used[k]:
+                weights[at] += members[k]
     for i in range(len(masks)):
         weights[i] = np.log(weights[i])
 
@@ -471,3 +356,24 @@ def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # ty
             for i in range(len(masks)):
                 values[i] += by_cell[packed(subsets, z, masks[i])]
         begin = end
+
+
+@kernel
+def log_likelihood(state, prior):  # type: ignore[no-untyped-def]
+    """log P(all labels | M of every answer, S, ε), f integrated out."""
+    total, counts = 0.0, state.counts
+    for t in range(len(counts)):
+        for c in range(counts.shape[1]):
+            zeros, ones = counts[t, c, 0], counts[t, c, 1]
+            if zeros + ones > 0:
+                total += log_cell_of(zeros, ones, c, state.noise[t], prior)
+    return total
+
+
+@kernel
+def relabel(members, new, answers, prior, state):  # type: ignore[no-untyped-def]
+    """Gives the observers ``members`` the fact set ``new``; ``state.counts`` follows."""
+    for o in members:
+        count_rows(o, -1, answers, prior, state)
+        state.facts[o] = new
+        count_rows(o, 1, answers, prior, state)

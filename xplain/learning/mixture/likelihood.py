@@ -26,7 +26,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from xplain.domains.users.hypotheses import Hypotheses
@@ -36,6 +36,21 @@ from xplain.learning.answers import summed
 from xplain.learning.data.dataset import numbered, places
 
 log = logging.getLogger(__name__)
+
+
+def log_cell(
+    one: NDArray[np.float64], given_zero: ArrayLike, given_one: ArrayLike
+) -> NDArray[np.float64]:
+    """log Σ_f P(f) P(answers in the cell | f): the likelihood of all searches for types.
+
+    Args:
+        one: P(f = 1) before any answer, inside (0, 1).
+        given_zero, given_one: log P(answers | f), of shapes that fit to that of ``one``.
+    """
+    zero, own = np.asarray(given_zero), np.asarray(given_one)
+    top = np.maximum(zero, own)
+    return np.asarray(np.log((1 - one) * np.exp(zero - top) + one * np.exp(own - top)) + top)
+
 
 WRONG = 0.05
 """Probability of a wrong answer, where it is not known."""

@@ -41,20 +41,15 @@ from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.classes import answer_classes
 from xplain.learning.mixture.kernels import (
-    ADDED,
     REACH,
-    TAKEN,
     WIDE,
-    InUse,
-    count_rows,
+    log_likelihood,
+    relabel,
     resample_facts,
     resample_transitions,
-    table_row,
 )
-from xplain.learning.mixture.kernels import FactScratch as ObserverScratch
-from xplain.learning.mixture.kernels import TransitionScratch as TransitionScratch
+from xplain.learning.mixture.likelihood import log_cell
 from xplain.learning.types import Clustering, shares_of
-from xplain.numba_kernels import kernel
 from xplain.randomness import derived_seed, stream
 
 NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
@@ -142,11 +137,11 @@ class Prior(NamedTuple):
         for z, one in enumerate(chosen):
             subsets[z, : len(one)] = one
         prior = np.array([SUBSET ** len(one) / comb(n, len(one)) for one in chosen])
-        ahead = np.arange(-REACH, REACH + 1)[None, None, :]
-        cell, noise = CELL[:, None, None], NOISE[None, :, None]
-        odds = np.log(cell / (1 - cell)) + ahead * np.log((1 - noise) / noise)
-        is_one = 1 / (1 + np.exp(-odds))
-        next_one = is_one * (1 - noise) + (1 - is_one) * noise
+        ahead = np.arange(-REACH - 1, REACH + 2)
+        flip = np.log(np.stack([1 - NOISE, NOISE], axis=1))
+        odds = ahead * (flip[:, 0] - flip[:, 1])[:, None]
+        marginal = log_cell(CELL[:, None, None], -odds, 0.0)  # [2, E, 2 · REACH + 3]
+        likelier = flip[:, ::-1, None] + np.stack([marginal[..., :-2], marginal[..., 2:]], axis=2)
         return cls(
             subsets=subsets,
             size=np.array([len(one) for one in chosen]),
@@ -155,9 +150,9 @@ class Prior(NamedTuple):
             log_block=np.array(
                 [-np.log(comb(max(n - k, 0), max(WIDE - k, 0)) or 1) for k in range(depth + 1)]
             ),
-            predictive=np.log(np.stack([1 - next_one, next_one], axis=-1)),
-            marginal=np.log(cell) + np.logaddexp(0, -odds),
-            log_flip=np.log(np.stack([1 - NOISE, NOISE], axis=1)),
+            predictive=np.moveaxis(likelier - marginal[:, :, None, 1:-1], 2, 3).copy(),
+            marginal=marginal[..., 1:-1].copy(),
+            log_flip=flip,
         )
 
 
@@ -224,38 +219,31 @@ def sample(
     Over the first half of the sweeps probabilities are taken to the power 1 / temperature, the
     temperature falling from ``initial_temperature`` to 1.
     """
-    n, depth = answers.n_messages, prior.subsets.shape[1]
+    n, observers = answers.n_messages, len(first)
     log_new = math.log(concentration) - n * math.log(2)
-    of_transition = TransitionScratch.of(
-        answers.transition_start, len(prior.size), depth, len(prior.log_flip)
-    )
-    of_observer = ObserverScratch.of(n, depth)
-    state = init(answers, prior, first)
+    state, room = init(answers, prior, first), np.zeros(observers, dtype=np.int64)
     best, best_score = state, -np.inf
     types = np.zeros(sweeps, dtype=np.int64)
     for sweep in range(sweeps):
         # From the initial temperature straight down to 1 over the first half, 1 from there on.
         heat = max(1.0 - sweep / max(sweeps // 2, 1), 0.0)
         temperature = 1.0 + (initial_temperature - 1.0) * heat
-        held = state.facts[answers.owner] & ~answers.message_set
-        score = resample_transitions(answers, prior, state, held, temperature, rng, of_transition)
+        score = resample_transitions(answers, prior, state, temperature, rng)
         used, members = np.unique(state.facts, return_counts=True)
         score += _log_restaurant(members, log_new)
         types[sweep] = len(set((used & facts_that_matter(prior, state)).tolist()))
         if score > best_score:
             best, best_score = state.copy(), score
-        in_use = InUse.of(used, members, len(first))
-        about = answers, prior, state, in_use, len(used), log_new, temperature
-        resample_facts(*about, rng, of_observer)
-        if len(first) >= MANY_OBSERVERS:
+        in_use = np.append(used, room), np.append(members, room), len(used)
+        resample_facts(answers, prior, state, *in_use, log_new, temperature, rng)
+        if observers >= MANY_OBSERVERS:
             split_merge(answers, prior, state, log_new, temperature, rng)
-    if len(first) >= MANY_OBSERVERS:
+    if observers >= MANY_OBSERVERS:
         best_score += merge_types(answers, prior, best, log_new)
         if n <= WIDE:  # merges compare with S and ε fixed; chains are compared with both summed out
-            held = best.facts[answers.owner] & ~answers.message_set
-            merged = answers, prior, best.copy(), held, 1.0, rng, of_transition
             members = np.unique(best.facts, return_counts=True)[1]
-            best_score = resample_transitions(*merged) + _log_restaurant(members, log_new)
+            best_score = resample_transitions(answers, prior, best.copy(), 1.0, rng)
+            best_score += _log_restaurant(members, log_new)
     return Chain(best, best_score, types[sweeps // 2 :])
 
 
@@ -285,23 +273,6 @@ MOVES = 20
 """So many of these moves are tried in a sweep."""
 
 
-class Move(NamedTuple):
-    """Observers who may take another fact set.
-
-    Attributes:
-        members: their indices.
-        old, new: the fact set they all hold, and the one they may take.
-        log_prior: log of the ratio of the prior probabilities after and before.
-        log_proposal: log of the ratio of the probabilities to propose the way back, and this.
-    """
-
-    members: NDArray[np.int64]
-    old: int
-    new: int
-    log_prior: float
-    log_proposal: float
-
-
 def split_merge(
     answers: SortedLabels,
     prior: Prior,
@@ -318,20 +289,13 @@ def split_merge(
         temperature: of the target.
         rng: the chain's stream.
     """
-    before = _log_likelihood(prior, state)
+    now = log_likelihood(state, prior)
     for _ in range(MOVES):
         move = _propose(state.facts, answers.n_messages, exp(log_new), rng)
-        if move is None:
-            continue
-        count = state.counts.copy()
-        relabel(move.members, move.new, answers, prior, state)
-        after = _log_likelihood(prior, state)
-        gain = move.log_prior - before + after
-        if math.log(rng.random()) < gain / temperature + move.log_proposal:
-            before = after
-        else:
-            state.facts[move.members] = move.old
-            state.counts[:] = count
+        if move is not None:
+            members, new, log_prior, log_proposal = move
+            least = temperature * (math.log(rng.random()) - log_proposal) - log_prior
+            now += _take(members, new, least, now, answers, prior, state)
 
 
 def merge_types(answers: SortedLabels, prior: Prior, state: ChainState, log_new: float) -> float:
@@ -340,36 +304,53 @@ def merge_types(answers: SortedLabels, prior: Prior, state: ChainState, log_new:
     Returns:
         By how much all of it does (log).
     """
-    gained, urn, facts = 0.0, exp(log_new), state.facts
-    before = _log_likelihood(prior, state)
+    gained, facts = 0.0, state.facts
     used = np.unique(facts)
     for old in used:
         members = np.flatnonzero(facts == old)
-        size = len(members)
         for new in used:
             others = int((facts == new).sum())
             if new == old or others == 0:
                 continue
-            count = state.counts.copy()
-            relabel(members, new, answers, prior, state)
-            after = _log_likelihood(prior, state)
-            change = _log_merged(size, others, urn) - before + after
-            if change > 0:
-                gained += change
-                before = after
+            urn, now = _log_merged(len(members), others, exp(log_new)), log_likelihood(state, prior)
+            gained += _take(members, new, -urn, now, answers, prior, state)
+            if facts[members[0]] == new:
+                gained += urn
                 break
-            facts[members] = old
-            state.counts[:] = count
     return gained
 
 
-def _propose(facts: NDArray[np.int64], n: int, urn: float, rng: np.random.Generator) -> Move | None:
+def _take(
+    members: NDArray[np.int64],
+    new: int,
+    least: float,
+    now: float,
+    answers: SortedLabels,
+    prior: Prior,
+    state: ChainState,
+) -> float:
+    """Gives observers who share a type the fact set ``new``, where that makes the labels likelier
+    by more than ``least`` than the log-likelihood ``now``; returns by how much (0: it does not)."""
+    old, counts = state.facts[members[0]], state.counts.copy()
+    relabel(members, new, answers, prior, state)
+    gain = float(log_likelihood(state, prior)) - now
+    if gain > least:
+        return gain
+    state.facts[members] = old
+    state.counts[:] = counts
+    return 0.0
+
+
+def _propose(
+    facts: NDArray[np.int64], n: int, urn: float, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], int, float, float] | None:
     """A merge, by which all of a type take the fact set of another, or a split, by which a part of
-    it, of random size, takes one that nobody holds. None: there is no such type or part."""
+    it, of random size, takes one that nobody holds: its observers, their new fact set, and the log
+    ratios of the prior after and before, and of the probabilities to propose the way back and this.
+    None: there is no such type or part."""
     used = np.unique(facts)
     a = rng.integers(0, len(used))
-    old = int(used[a])
-    members = np.flatnonzero(facts == old)
+    members = np.flatnonzero(facts == used[a])
     size = len(members)
     if rng.random() < 0.5:
         if len(used) == 1:
@@ -377,14 +358,14 @@ def _propose(facts: NDArray[np.int64], n: int, urn: float, rng: np.random.Genera
         new = int(used[(a + rng.integers(1, len(used))) % len(used)])
         others = int((facts == new).sum())
         back = math.log(len(used)) - n * math.log(2) - _log_ways(size + others, size)
-        return Move(members, old, new, _log_merged(size, others, urn), back)
+        return members, new, _log_merged(size, others, urn), back
     new = int(rng.integers(0, 1 << n))
     if size == 1 or (facts == new).any():
         return None
     part = int(rng.integers(1, size))
     rng.shuffle(members)
     back = _log_ways(size, part) + n * math.log(2) - math.log(len(used) + 1)
-    return Move(members[:part], old, new, -_log_merged(part, size - part, urn), back)
+    return members[:part], new, -_log_merged(part, size - part, urn), back
 
 
 def _log_merged(size: int, others: int, urn: float) -> float:
@@ -397,35 +378,6 @@ def _log_ways(whole: int, part: int) -> float:
     """log of the ways to choose a part of 1 … whole − 1, all sizes equally likely."""
     choose = lgamma(whole + 1) - lgamma(part + 1) - lgamma(whole - part + 1)
     return math.log(whole - 1) + choose
-
-
-def _log_likelihood(prior: Prior, state: ChainState) -> float:
-    return float(log_likelihood(state.counts, state.noise, prior.marginal, prior.log_flip))
-
-
-@kernel
-def log_likelihood(count, noise, marginal, log_flip):  # type: ignore[no-untyped-def]
-    """log P(all labels | M of every answer, S, ε), f integrated out."""
-    total = 0.0
-    for t in range(len(count)):
-        right, wrong = log_flip[noise[t], 0], log_flip[noise[t], 1]
-        for c in range(count.shape[1]):
-            zeros, ones = count[t, c, 0], count[t, c, 1]
-            if zeros + ones > 0:
-                total += ones * right + zeros * wrong
-                total += marginal[int(c == 0), noise[t], table_row(ones - zeros)]
-                if ones - zeros < -REACH:
-                    total += (ones - zeros + REACH) * (wrong - right)
-    return total
-
-
-@kernel
-def relabel(members, new, answers, prior, state):  # type: ignore[no-untyped-def]
-    """Gives the observers ``members`` the fact set ``new``; ``state.counts`` follows."""
-    for o in members:
-        count_rows(o, TAKEN, answers, prior, state)
-        state.facts[o] = new
-        count_rows(o, ADDED, answers, prior, state)
 
 
 log = logging.getLogger(__name__)
