@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from xplain.cli.discover import main as discover
+import xplain
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.interaction.statistics import clustered_mean
@@ -62,8 +62,8 @@ def found_types(plan: CollectPlan, folder: Path, seed: int) -> tuple[Path, float
     kept = {f"{i:03d}": state for i, state in enumerate(states) if not why_left_out(state)}
     write_table(dataset_of(plan, kept), folder / "labels.csv")
     (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
-    data = [f"data={folder}/labels.csv", f"hypotheses={folder}/hypotheses.npz"]
-    row = discover([*data, "labeler=hypotheses", "held_out=false", f"output={folder}/found"])
+    given = {"labeler": "hypotheses", "hypotheses": f"{folder}/hypotheses.npz", "held_out": False}
+    row = xplain.discover(folder / "labels.csv", **given, output=folder / "found").row
     truth = truth_of(plan, PEOPLE)[[int(who) for who in kept]]
     found = [row["assignment"][who] for who in kept]
     return folder / "found" / "types.npz", float(adjusted_rand_score(truth, found))

@@ -19,7 +19,6 @@ _PROCESSES = multiprocessing.get_context("forkserver")
 _PROCESSES.set_forkserver_preload(
     [
         "xplain.cli.main",
-        "xplain.cli.run",
         "xplain.runs.command",
         "xplain.runs.job",
         "xplain.runs.sweep",

@@ -1,4 +1,4 @@
-"""``python -m xplain plan`` and ``xplain.cli.export`` as a person or a program meets them."""
+"""``python -m xplain plan`` and ``export`` as a person or a program meets them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.explanation.flat_pomdp import read
-from xplain.cli import export, plan
 from xplain.cli.main import main
 from xplain.experiment.config import CONF
 from xplain.explanation.asking import Limits, Questions
@@ -34,10 +33,10 @@ def file(tmp_path):
 
 @pytest.fixture
 def command(capsys):
-    def run(module, *arguments: object):
+    def run(name, *arguments: object):
         code = 0
         try:
-            main([module.__name__.rpartition(".")[2], *map(str, arguments)])
+            main([name, *map(str, arguments)])
         except SystemExit as error:
             code = error.code
         out = capsys.readouterr()
@@ -57,7 +56,7 @@ def worth_of_first(problem: Problem, messages: list[int]) -> float:
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_last_line_is_the_plan(command, file, solver) -> None:
-    code, out, err = command(plan, f"problem={file}", f"solver={solver}", "seed=0")
+    code, out, err = command("plan", f"problem={file}", f"solver={solver}", "seed=0")
     assert (code, err) == (0, "") or "compiling" in err
     row = json.loads(out.splitlines()[-1])
     assert set(row) >= KEYS | {"seconds"}
@@ -80,7 +79,7 @@ def test_the_last_line_is_the_plan(command, file, solver) -> None:
 
 
 def test_all_prints_a_comparison_and_one_list(command, file) -> None:
-    _, out, _ = command(plan, f"problem={file}", "solver=all")
+    _, out, _ = command("plan", f"problem={file}", "solver=all")
     rows = json.loads(out.splitlines()[-1])
     assert [row["solver"] for row in rows] == SOLVERS
     table = out.split("[{")[0]
@@ -91,15 +90,15 @@ def test_all_prints_a_comparison_and_one_list(command, file) -> None:
 
 def test_options_of_the_solver_and_simulated_values(command, file) -> None:
     arguments = [f"problem={file}", "solver=certified", "solver.gap=0.5", "value.beliefs=1"]
-    _, out, _ = command(plan, *arguments, "bounds.nodes=0")
+    _, out, _ = command("plan", *arguments, "bounds.nodes=0")
     row = json.loads(out.splitlines()[-1])
     assert row["value_is"] == "simulated"
     assert row["value_se"] > 0
-    _, out, _ = command(plan, *arguments[:3], "bounds.nodes=0")
+    _, out, _ = command("plan", *arguments[:3], "bounds.nodes=0")
     exact = json.loads(out.splitlines()[-1])
     assert exact["value_is"] == "exact"
     assert abs(row["value"] - exact["value"]) < 4 * row["value_se"]
-    _, out, _ = command(plan, f"problem={file}", "bounds.nodes=0")
+    _, out, _ = command("plan", f"problem={file}", "bounds.nodes=0")
     row = json.loads(out.splitlines()[-1])
     assert (row["optimal_lower"], row["optimal_upper"]) == (None, None)
 
@@ -132,7 +131,7 @@ def broken(tmp_path, **changes: object) -> str:
     ],
 )
 def test_bad_files_are_one_line(command, tmp_path, changes, said) -> None:
-    code, out, err = command(plan, broken(tmp_path, **changes))
+    code, out, err = command("plan", broken(tmp_path, **changes))
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert said in err
 
@@ -148,34 +147,34 @@ def test_bad_files_are_one_line(command, tmp_path, changes, said) -> None:
     ],
 )
 def test_bad_arguments_are_one_line(command, arguments, said) -> None:
-    for module in (plan, export):
-        if module is plan or said in ("No such file", "nonsense", "key=value"):
-            more = [] if module is plan else ["output=x.pomdp"]
-            code, out, err = command(module, *arguments, *more)
+    for name in ("plan", "export"):
+        if name == "plan" or said in ("No such file", "nonsense", "key=value"):
+            more = [] if name == "plan" else ["output=x.pomdp"]
+            code, out, err = command(name, *arguments, *more)
             assert (code, out, err.count("\n")) == (2, "", 1)
             assert said in err
 
 
 def test_bad_seed(command, file) -> None:
     for seed in ("x", "-1", "0.5"):
-        code, out, err = command(plan, f"problem={file}", f"seed={seed}")
+        code, out, err = command("plan", f"problem={file}", f"seed={seed}")
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert "seed" in err
         assert seed in err
 
 
 def test_a_solver_too_small_for_the_problem_says_who_can(command, file) -> None:
-    code, _, err = command(plan, f"problem={file}", "solver=certified", "solver.memory_gib=1e-7")
+    code, _, err = command("plan", f"problem={file}", "solver=certified", "solver.memory_gib=1e-7")
     assert code == 2
     assert "solver=qhr" in err
 
 
 def test_export_writes_the_file_whole(command, file, tmp_path) -> None:
-    code, _, _ = command(export, f"problem={file}", f"output={tmp_path / 'p.pomdp'}")
+    code, _, _ = command("export", f"problem={file}", f"output={tmp_path / 'p.pomdp'}")
     assert code == 0
     assert read((tmp_path / "p.pomdp").read_text()).states == 2 * 3 * 4 + 1
     code, _, err = command(
-        export, f"problem={file}", f"output={tmp_path / 'q.pomdp'}", "format=word"
+        "export", f"problem={file}", f"output={tmp_path / 'q.pomdp'}", "format=word"
     )
     assert (code, err) == (2, "xplain: format='word': pomdp\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["p.pomdp", "problem.npz"]
@@ -195,7 +194,7 @@ def asking(tmp_path):
 @pytest.mark.parametrize("solver", ["qmdp", "certified"])
 def test_a_saved_question_is_planned_with(command, asking, solver) -> None:
     """Half of the users need the message, at 2; asked first, the plan costs .125 + 1."""
-    code, out, _ = command(plan, f"problem={asking}", f"solver={solver}")
+    code, out, _ = command("plan", f"problem={asking}", f"solver={solver}")
     row = json.loads(out.splitlines()[-1])
     assert (code, row["first_messages"]) == (0, None)
     assert row["first_question"] == {"number": 0, "question": "refuels"}
@@ -208,7 +207,7 @@ def test_a_saved_question_is_planned_with(command, asking, solver) -> None:
 
 def test_a_solver_that_never_asks_is_compared_as_one_that_does_not(command, asking) -> None:
     """Without the question, half of the users see an inexplicable step or all get the message."""
-    code, out, _ = command(plan, f"problem={asking}", "solver=all")
+    code, out, _ = command("plan", f"problem={asking}", "solver=all")
     rows = {row["solver"]: row for row in json.loads(out.splitlines()[-1])}
     assert code == 0
     assert rows["conformant"]["first_question"] is None
@@ -219,7 +218,7 @@ def test_a_solver_that_never_asks_is_compared_as_one_that_does_not(command, aski
 
 def test_questions_are_not_exported(command, asking, tmp_path) -> None:
     output = tmp_path / "asking.pomdp"
-    code, _, err = command(export, f"problem={asking}", f"output={output}")
+    code, _, err = command("export", f"problem={asking}", f"output={output}")
     assert (code, err.count("\n")) == (2, 1)
     assert "question" in err
     assert not output.exists()

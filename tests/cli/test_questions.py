@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from xplain import Hypotheses, LearnedTypes
-from xplain.cli.questions import main as questions
 from xplain.errors import InputError
+from xplain.experiment.config import composed
+from xplain.runs.observing import listed_questions
+
+
+def questions(words):
+    """Writes the list; returns what is known of it."""
+    return listed_questions(composed("questions", words, with_hydra=True))[1]
+
 
 TABLE = """text,image,inexplicable_if
 Drives over the cable,cable.jpg,cable

@@ -14,7 +14,8 @@ from tests.people.test_replay import answered as answered
 from tests.people.test_replay import changed
 from tests.people.test_replay import kind as kind
 from tests.people.test_replay import snapshot as snapshot
-from xplain.cli import people
+from xplain.cli.commands import COMMANDS
+from xplain.cli.main import main
 from xplain.errors import InputError, XplainError
 from xplain.people.analysis.stored import read_plan
 from xplain.people.server.store import Store
@@ -37,7 +38,7 @@ def test_an_earlier_form_is_refused_with_what_to_do(kind: str, snapshot: Path) -
     planned(snapshot, version="2 or before")
     for command in (["replay", str(snapshot)], ["export", str(snapshot), "out"]):
         with pytest.raises(InputError, match=r"exported and replayed with the version that began"):
-            getattr(people, command[0])(kind, command[1:])
+            COMMANDS[f"{kind} {command[0]}"].main(command[1:], standalone_mode=False)
     with pytest.raises(InputError, match=r"goes on, .* with the version that began it"):
         read_plan(snapshot, site_of(kind).PLAN)
 
@@ -50,4 +51,4 @@ def test_code_that_decides_otherwise_does_not_go_on_with_what_was_begun(
     with pytest.raises(XplainError, match="go on and replay with that version"):
         Store(snapshot, site_of(kind))
     with pytest.raises(SystemExit):
-        people.replay(kind, [str(snapshot)])
+        main([kind, "replay", str(snapshot)])

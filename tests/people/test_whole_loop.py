@@ -13,7 +13,6 @@ import pytest
 
 from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor, pages
-from xplain.cli.discover import main as discover
 from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.experiment.config import composed
@@ -66,7 +65,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def found(data: Path, folder: Path, *arguments: str) -> Path:
     """The file of the types in these labels."""
     given = (f"data={data}/labels_bot.csv", f"hypotheses={data}/hypotheses.npz", "held_out=false")
-    discover([*given, "labeler=hypotheses", f"output={folder}", *arguments])
+    main(["discover", *given, "labeler=hypotheses", f"output={folder}", *arguments])
     return folder / "types.npz"
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from tests.report import handmade
-from xplain.cli.plan import _how_known
+from xplain.cli.plan import how_known
 from xplain.experiment.results import Figure
 from xplain.report.measure import NEGATIVE
 from xplain.report.run_summary import print_certificates, print_summary
@@ -43,10 +43,10 @@ def test_a_simulated_value_beyond_the_proven_optimum_is_said_to_be_chance(capsys
 def test_a_comparison_of_solvers_says_so_too(value: float, chance: bool) -> None:
     row = {"value": value, "value_is": "simulated", "value_half_width": 0.08}
     for upper, expected in ((-3.0, chance), (None, False)):
-        words = _how_known(row | {"optimal_upper": upper})
+        words = how_known(row | {"optimal_upper": upper})
         assert words.startswith("simulated ± 0.0800")
         assert ("by sampling error" in words) == expected
-    assert _how_known({"value": -3.0, "value_is": "exact", "optimal_upper": -3.0}) == "exact"
+    assert how_known({"value": -3.0, "value_is": "exact", "optimal_upper": -3.0}) == "exact"
 
 
 @pytest.mark.parametrize("regret", [-0.25, 0.25])

@@ -8,7 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from xplain.runs.folder import SweepFolder
+from tests.report import handmade
+from tests.runs.sweeps import planned
+from xplain.cli.main import main
+from xplain.errors import InputError
+from xplain.experiment.results import save_results
+from xplain.runs.folder import SweepFolder, unlisted_results
 
 
 def test_one_at_a_time_has_a_sweep_also_before_its_folder_is_there(
@@ -31,3 +36,31 @@ def test_one_at_a_time_has_a_sweep_also_before_its_folder_is_there(
     waiting.join()
     assert order == ["first", "second"]
     assert "nobody has it" not in caplog.messages
+
+
+def result_at(folder: Path, fingerprint: str) -> None:
+    """A result, and only it."""
+    folder.mkdir(parents=True)
+    save_results(folder, handmade.results(fingerprint, {}, ()))
+
+
+def test_results_that_no_run_and_no_sweep_has_are_listed_and_deleted_when_told(
+    tmp_path: Path,
+) -> None:
+    outputs = tmp_path / "outputs"
+    folder = planned(outputs, 2)
+    by_another_sweeper = folder.path.with_name("basic") / "jobs" / "f7"
+    by_another_sweeper.mkdir(parents=True)
+    for name in ("f0", "f1", "f7", "run", "lost", "old"):
+        result_at(outputs / "results" / name, name)
+    result_at(outputs / "runs" / "mine", "run")
+    assert {path.name for path in unlisted_results(outputs)} == {"lost", "old"}
+    assert all(size > 0 for size in unlisted_results(outputs).values())
+    main(["clean", "--outputs", str(outputs)])
+    assert len([*(outputs / "results").iterdir()]) == 6
+    main(["clean", "--outputs", str(outputs), "--delete"])
+    left = {path.name for path in (outputs / "results").iterdir()}
+    assert left == {"f0", "f1", "f7", "run"}
+    (folder.path / "sweep.json").write_text("not JSON")  # whose results are they?
+    with pytest.raises(InputError):
+        unlisted_results(outputs)

@@ -16,13 +16,12 @@ from mlflow.entities import Run
 
 from tests.report import handmade
 from tests.runs.sweeps import planned
-from xplain.cli.sync import sync
 from xplain.errors import InputError, XplainError
 from xplain.experiment.results import ElbowFigures, Figure, save_results
 from xplain.report.summary import Summary
 from xplain.runs import mlflow
 from xplain.runs.folder import FAILURE, Listed, SweepFolder, mark_failed
-from xplain.runs.mlflow import MLflow, view
+from xplain.runs.mlflow import MLflow, sync, view
 from xplain.runs.terminal import without_passwords
 
 PARENT = "mlflow.parentRunId"

@@ -1,53 +1,97 @@
-"""The commands behind the door, in the order of the help text."""
+"""What a command is: a function with click's options, its help, and its place behind the door."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import inspect
+from collections.abc import Callable
+from functools import partial, wraps
+from pathlib import Path
+from typing import Any
+
+import click
+
+from xplain.errors import InputError, quoted
+
+FILE = click.Path(path_type=Path)
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(click.Command):
     """A command.
 
     Attributes:
-        module: has ``main(arguments)``, and a docstring that is the command's help; or
-            ``module:function``, which is called and has the docstring. What it returns is printed
-            as a line of JSON.
         meaning: in a line.
         config: name of its file in conf/, "" where it has none of its own.
-        of: study or collect, for a command that both have: what is called takes it first, and it
-            stands for NAME in the help. "" for all others.
+        text: its help, before the names of the commands below it and its file.
     """
 
-    module: str
     meaning: str
-    config: str = ""
-    of: str = ""
+    config: str
+    text: str
+
+    def get_help(self, ctx: click.Context) -> str:
+        """The docstring of its function, the commands below it, and its file in conf/."""
+        from xplain.experiment.config import CONF
+
+        parts = [self.text, "\n".join(lines_of(str(self.name)))]
+        if self.config:
+            parts.append((CONF / f"{self.config}.yaml").read_text(encoding="utf-8"))
+        return "\n\n".join(part for part in parts if part)
 
 
-COMMANDS = {
-    "discover": Command("discover", "find the user types in a table of labels", "discover"),
-    "observe": Command("observe", "write labels of simulated observers", "observe"),
-    "questions": Command("questions", "what to ask people, as a list", "questions"),
-    "plan": Command("plan", "plan for a saved explanation problem", "plan"),
-    "export": Command("export", "write a saved problem for POMDP solvers", "export"),
-    "report": Command("report", "tables, plots and a page of a sweep, anew"),
-    "sync": Command("sync", "send results on disk to MLflow"),
-    "demo": Command("demo", "play one explanation, with a simulated user or you"),
-    "collect": Command("people:serve", "collect labels from people", "collect", "collect"),
-    "collect bots": Command("people:bots", "let simulated people give labels", of="collect"),
-    "collect export": Command("people:export", "the labels as tables", of="collect"),
-    "collect backup": Command("people:backup", "copy its database, even in use", of="collect"),
-    "collect erase": Command("people:erase", "forget a participant", of="collect"),
-    "collect replay": Command("people:replay", "compute it again from its log", of="collect"),
-    "collect habits": Command("people:habits", "how people listened and answered", of="collect"),
-    "study": Command("people:serve", "serve the user study", "study", "study"),
-    "study bots": Command("people:bots", "let simulated participants take part", of="study"),
-    "study export": Command("people:export", "its data as tables", of="study"),
-    "study replay": Command("people:replay", "compute it again from its log", of="study"),
-    "study backup": Command("people:backup", "copy its database, even in use", of="study"),
-    "study erase": Command("people:erase", "forget a participant", of="study"),
-    "study preregister": Command("study:preregister", "a document of the plan, to register"),
-    "study analyse": Command("study:analyse", "the paper's Table 2 of its data"),
-    "study habits": Command("people:habits", "how participants listened and answered", of="study"),
-}
+COMMANDS: dict[str, Command] = {}
+"""All commands by name, in the order of the help text."""
+
+
+def command(name: str, meaning: str, config: str = "", of: str = "", **settings: Any) -> Decorator:
+    """Makes a function a command.
+
+    Args:
+        name: as it is typed.
+        meaning: in a line.
+        config: name of its file in conf/, if it has one.
+        of: study or collect, for a function that both have: it takes this first, and it stands for
+            NAME in the help.
+        settings: of click's parser.
+    """
+
+    def register(function: Callable[..., Any]) -> Callable[..., Any]:
+        options = getattr(function, "__click_params__", [])[::-1]
+        called = partial(function, of) if of else function
+        settings["help_option_names"] = ["--help", "-h"]
+        made = Command(name, callback=called, params=options, context_settings=settings)
+        made.meaning, made.config = meaning, config
+        made.text = inspect.cleandoc(function.__doc__ or "").replace("NAME", of)
+        COMMANDS[name] = made
+        return function
+
+    return register
+
+
+def keys(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Lets a command take ``key=value`` words, and ``--config-dir FOLDER`` as Hydra's own command
+    line does: the function gets one list of words."""
+
+    @wraps(function)
+    def with_keys(*given: Any, words: tuple[str, ...], config_dir: str | None, **more: Any) -> Any:
+        where = []
+        if config_dir is not None:
+            folder = Path(config_dir).absolute()
+            if not folder.is_dir():
+                raise InputError("--config-dir", str(folder), "a folder with choices of your own")
+            where = [f"hydra.searchpath=[{quoted(f'file://{folder}')}]"]
+        return function(*given, [*words, *where], **more)
+
+    words = click.argument("words", nargs=-1)
+    return words(click.option("--config-dir", "-cd")(with_keys))
+
+
+def lines_of(group: str) -> list[str]:
+    """A line a command of the group ("" is the door), in whose line its own are named."""
+    lines = []
+    for name, made in COMMANDS.items():
+        if name.rpartition(" ")[0] == group:
+            lines.append(f"  {name:{18 if group else 11}} {made.meaning}")
+            below = [other.rpartition(" ")[2] for other in COMMANDS if other.startswith(f"{name} ")]
+            lines += [f"  {name} ...".ljust(14) + ", ".join(below)] if below else []
+    return lines

@@ -5,17 +5,18 @@ Nothing heavy is imported before it is known what to do.
 
 from __future__ import annotations
 
-import ast
 import json
 import logging
 import os
 import sys
-from importlib import import_module
-from pathlib import Path
+from itertools import groupby
+
+from click import ClickException
 
 from xplain import __version__
-from xplain.cli.commands import COMMANDS
-from xplain.errors import InputError, left_at_once, quoted
+from xplain.cli import method, people  # noqa: F401  (they register their commands)
+from xplain.cli.commands import COMMANDS, lines_of
+from xplain.errors import InputError, XplainError, left_at_once
 from xplain.experiment.progress import is_terminal
 
 HELP = """\
@@ -32,6 +33,12 @@ All keys with their defaults and choices: xplain --hydra-help, docs/config.md. O
 `python -m xplain` is the same as `xplain`.
 """
 
+FLAGS = (
+    *("help", "hydra-help", "version", "cfg", "resolve", "package", "run", "multirun"),
+    *("shell-completion", "config-path", "config-name", "config-dir", "info"),
+)
+"""Hydra's."""
+
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command; an error that a person can put right is one line, exit code 2.
@@ -46,11 +53,12 @@ def main(arguments: list[str] | None = None) -> None:
 
     with report_errors():
         if given[:1] in (["--help"], ["-h"]):
-            print(HELP.format(commands="\n".join(_commands(""))), end="")
+            print(HELP.format(commands="\n".join(lines_of(""))), end="")
         elif given == ["--version"]:
             print(f"xplain {__version__}")
         else:
-            _run(given)
+            name, rest = split(given)
+            _experiment(given) if name is None else _command(name, rest)
 
 
 def _tell(given: list[str], what: str) -> None:
@@ -59,62 +67,45 @@ def _tell(given: list[str], what: str) -> None:
         print(what, end="\r", file=sys.stderr, flush=True)
 
 
-def _run(given: list[str]) -> None:
-    name, rest = split(given)
-    if name is None:
-        with left_at_once():
-            from xplain.cli import run
-
-        _tell(given, "composing …")
-        # A person waits: MLflow would try a server that is away for minutes.
-        os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
-        os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")  # read when MLflow is imported
-        logging.getLogger("mlflow").setLevel(logging.ERROR)  # where it is imported already
-        run.main(given)
-        return
-    from xplain.experiment.config import CONF
-
-    command = COMMANDS[name]
-    module, _, function = command.module.partition(":")
-    if any(word in ("--help", "-h") for word in rest):
-        print(_told(module, function).replace("NAME", command.of), end="\n\n")
-        if below := _commands(name):
-            print("\n".join(below) + "\n")
-        if command.config:
-            print((CONF / f"{command.config}.yaml").read_text(encoding="utf-8"))
-        return
-    with left_at_once():
-        found = import_module(f"xplain.cli.{module}")
+def _command(name: str, words: list[str]) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    called, words = getattr(found, function or "main"), _with_own_choices(rest)
-    said = called(command.of, words) if command.of else called(words)
-    if said is not None:
+    try:
+        said = COMMANDS[name].main(words, f"xplain {name}", standalone_mode=False)
+    except ClickException as error:
+        text = " ".join(error.format_message().split())
+        raise XplainError(f"{text} See xplain {name} --help") from None
+    if isinstance(said, dict | list):
         print(json.dumps(said))
 
 
-def _told(module: str, function: str) -> str:
-    """The docstring of a command, read without the imports that it needs to run."""
-    whole = ast.parse(Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8"))
-    own = (node for node in whole.body if isinstance(node, ast.FunctionDef))
-    return ast.get_docstring(next((f for f in own if f.name == function), whole)) or ""
-
-
-def _with_own_choices(words: list[str]) -> list[str]:
-    """``--config-dir FOLDER``, as Hydra's own command line has it, for every command.
+def _experiment(words: list[str]) -> None:
+    """One run, or a sweep, as Hydra's command line has it.
 
     Raises:
-        InputError: there is no such folder.
+        XplainError: a flag that Hydra has not, or where it cannot take it.
+        SystemExit: 1 when jobs of a sweep failed.
     """
-    flags = ("--config-dir", "-cd")
+    with left_at_once():
+        from xplain.experiment.config import require_names
+        from xplain.runs import command
     for i, word in enumerate(words):
-        flag, equals, folder = word.partition("=")
-        if flag in flags:
-            end = i + 1 if equals else i + 2
-            own = Path(folder if equals else "".join(words[i + 1 : end])).absolute()
-            if not own.is_dir():
-                raise InputError(flag, str(own), "a folder with choices of your own")
-            return [*words[:i], *words[end:], f"hydra.searchpath=[{quoted(f'file://{own}')}]"]
-    return words
+        key, _, value = word.removeprefix("--").partition("=")
+        if word.startswith("--") and key not in FLAGS:
+            after = words[i + 1 : i + 2]
+            value = value or (after[0] if after and "=" not in after[0] else "VALUE")
+            raise XplainError(
+                f"{word}: no such flag; keys are written without dashes: {key}={value}"
+            )
+    turns = [kind for kind, _ in groupby("=" in w and not w.startswith("-") for w in words)]
+    if turns.count(True) > 1:
+        raise XplainError("-m and other flags stand before all keys, or after all of them")
+    require_names(words)
+    _tell(words, "composing …")
+    # A person waits: MLflow would try a server that is away for minutes.
+    os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
+    os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")  # read when MLflow is imported
+    logging.getLogger("mlflow").setLevel(logging.ERROR)  # where it is imported already
+    command.main()
 
 
 def split(words: list[str]) -> tuple[str | None, list[str]]:
@@ -131,15 +122,3 @@ def split(words: list[str]) -> tuple[str | None, list[str]]:
         allowed = ", ".join(name for name in COMMANDS if " " not in name)
         raise InputError("command", words[0], f"key=value, or one of {allowed}")
     return None, words
-
-
-def _commands(group: str) -> list[str]:
-    """A line a command of the group, in whose line its own are named."""
-    own = {name: command for name, command in COMMANDS.items() if name.rpartition(" ")[0] == group}
-    lines = []
-    for name, command in own.items():
-        below = [other.rpartition(" ")[2] for other in COMMANDS if other.startswith(f"{name} ")]
-        lines.append(f"  {name:{18 if group else 11}} {command.meaning}")
-        if below:
-            lines.append(f"  {name} ...".ljust(14) + ", ".join(below))
-    return lines

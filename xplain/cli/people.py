@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import fields
 from functools import partial
@@ -13,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+import click
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.cli.parser import parsed
+from xplain.cli.commands import FILE, Decorator, command, keys
 from xplain.errors import InputError, XplainError, first_line, mapping, one_of, whole_number
 from xplain.experiment.config import composed
 
@@ -30,7 +32,23 @@ def site(name: str) -> type[Site[Any]]:
     return getattr(import_module(f"xplain.people.{name}.site"), f"{name.capitalize()}Site")
 
 
-def serve(name: str, arguments: list[str]) -> None:
+def _of_both(
+    name: str, study: str, collect: str = "", config: bool = False, **settings: Any
+) -> Decorator:
+    """Makes a function a command of the study and of a collection; ``name`` is "" for those that
+    serve pages."""
+
+    def register(function: Callable[..., Any]) -> Callable[..., Any]:
+        for of, meaning in (("collect", collect or study), ("study", study)):
+            command(f"{of} {name}".strip(), meaning, of if config else "", of, **settings)(function)
+        return function
+
+    return register
+
+
+@_of_both("", "serve the user study", "collect labels from people", config=True)
+@keys
+def serve(name: str, words: list[str]) -> None:
     """Serves the user study, or pages on which people give labels, until it is stopped:
     ``xplain NAME port=8080``; of one's own robot with ``transitions=TABLE.csv facts=FACTS.csv``.
 
@@ -39,7 +57,7 @@ def serve(name: str, arguments: list[str]) -> None:
     """
     from xplain.people.server.http import LOOPBACK
 
-    cfg = configured(name, arguments)
+    cfg = configured(name, words)
     # Before the work of a plan: a key that cannot be is refused at once.
     server, path = server_of(cfg), database_of(cfg)
     kind = site(name)
@@ -185,7 +203,31 @@ def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: Dict
     Application().run()
 
 
-def bots(name: str, arguments: list[str]) -> None:
+@_of_both(
+    "bots",
+    "let simulated participants take part",
+    "let simulated people give labels",
+    ignore_unknown_options=True,
+)
+@click.option("--url", default="http://127.0.0.1:8080")
+@click.option("--key", required=True)
+@click.option("--count", type=click.IntRange(1, 10_000), default=40)
+@click.option("--at-once", type=click.IntRange(1, 10_000), default=8)
+@click.option("--pace", default=0.0)
+@click.option("--seed", default=0)
+@click.option("--save", type=FILE)
+@click.argument("flags", nargs=-1, type=click.UNPROCESSED)
+def bots(
+    name: str,
+    url: str,
+    key: str,
+    count: int,
+    at_once: int,
+    pace: float,
+    seed: int,
+    save: Path | None,
+    flags: tuple[str, ...],
+) -> None:
     """Lets simulated people take part in what a server runs, over HTTP. They are marked as bots in
     the data for ever, take nobody's place, and are never mixed with people.
 
@@ -203,26 +245,29 @@ def bots(name: str, arguments: list[str]) -> None:
     from xplain.people.simulation.bots import Researcher, crowd
 
     own = import_module(f"xplain.people.{name}.bot")
-    habits = {one.name: one.default for one in fields(own.Habits)}
-    server = {"url": "http://127.0.0.1:8080", "key": ..., "save": Path}
-    numbers = {"count": 40, "at_once": 8, "pace": 0.0, "seed": 0}
-    given = parsed(f"xplain {name} bots", arguments, **server, **numbers, **habits)
-    for flag, value in (("--count", given.count), ("--at-once", given.at_once)):
-        whole_number(flag, value, 1, 10_000)
-    habits = own.Habits(**{habit: getattr(given, habit) for habit in habits})
+    options = [
+        click.Option([f"--{one.name.replace('_', '-')}"], default=one.default)
+        for one in fields(own.Habits)
+    ]
+    given = click.Command("bots", params=list[click.Parameter](options))
+    habits = own.Habits(**given.make_context(f"xplain {name} bots", [*flags]).params)
     try:
-        researcher = Researcher(given.url, given.key)
-        person = partial(own.bot, researcher.plan(site(name).PLAN), habits, given.seed)
-        stages = crowd(researcher, given.count, given.at_once, given.pace, person)
-        archive = researcher.archive() if given.save else b""
+        researcher = Researcher(url, key)
+        person = partial(own.bot, researcher.plan(site(name).PLAN), habits, seed)
+        stages = crowd(researcher, count, at_once, pace, person)
+        archive = researcher.archive() if save else b""
     except (RequestException, ConnectionError, TimeoutError) as error:
-        raise XplainError(f"--url={given.url}: the server went away ({error})") from None
-    if given.save:
-        given.save.write_bytes(archive)
+        raise XplainError(f"--url={url}: the server went away ({error})") from None
+    if save:
+        save.write_bytes(archive)
     print(", ".join(f"{number} {stage}" for stage, number in stages.most_common()))
 
 
-def export(name: str, arguments: list[str]) -> None:
+@_of_both("export", "its data as tables", "the labels as tables")
+@click.argument("database", type=FILE)
+@click.argument("folder", type=FILE)
+@click.option("--identifiers", type=FILE)
+def export(name: str, database: Path, folder: Path, identifiers: Path | None) -> None:
     """The data as tables, and their codebook, from a database that no server has open (or from a
     snapshot): CSV and Parquet; of a collection also the labels that ``xplain discover`` reads.
 
@@ -231,31 +276,34 @@ def export(name: str, arguments: list[str]) -> None:
     ``--identifiers`` writes who is who into a file apart: completion codes, and the platform's ids
     where the server keeps them.
     """
-    flags = {"identifiers": Path}
-    given = parsed(f"xplain {name} export", arguments, "database", "folder", **flags)
-    digest = site(name).export(given.database, given.folder)
-    if given.identifiers:
+    digest = site(name).export(database, folder)
+    if identifiers:
         from xplain.people.analysis.export import write_identifiers
 
-        write_identifiers(given.database, given.identifiers)
-    print(f"tables and codebook in {given.folder}\nSHA-256 of events.csv: {digest}")
+        write_identifiers(database, identifiers)
+    print(f"tables and codebook in {folder}\nSHA-256 of events.csv: {digest}")
 
 
-def backup(name: str, arguments: list[str]) -> None:
+@_of_both("backup", "copy its database, even in use")
+@click.argument("database", type=FILE)
+@click.argument("file", type=FILE)
+def backup(name: str, database: Path, file: Path) -> None:
     """Copies a database into a new file, safely while its server runs, with its key beside it.
 
         xplain NAME backup DATABASE FILE
 
     To restore it, put both files in the place of the old ones while no server runs.
     """
-    given = parsed(f"xplain {name} backup", arguments, "database", "file")
     from xplain.people.analysis.stored import copied
 
-    copied(given.database, Path(given.file))
-    print(f"backup in {given.file}, its key in {given.file}.key: keep both secret")
+    copied(database, file)
+    print(f"backup in {file}, its key in {file}.key: keep both secret")
 
 
-def erase(name: str, arguments: list[str]) -> None:
+@_of_both("erase", "forget a participant")
+@click.argument("database", type=FILE)
+@click.argument("reference")
+def erase(name: str, database: Path, reference: str) -> None:
     """Erases everything that one participant did or said, by the reference they were given.
 
         xplain NAME erase DATABASE REFERENCE
@@ -268,17 +316,18 @@ def erase(name: str, arguments: list[str]) -> None:
     others, stays in the log without answers or reference: the questions of those who came after
     followed from it.
     """
-    given = parsed(f"xplain {name} erase", arguments, "database", "reference")
-    if not given.database.is_file():
-        raise InputError("database", str(given.database), site(name).PLAN.OF + "'s database")
+    if not database.is_file():
+        raise InputError("database", str(database), site(name).PLAN.OF + "'s database")
     from xplain.people.server.database import Database
 
-    with closing(Database(given.database)) as database:
-        database.erase(given.reference)
-    print(f"erased {given.reference}; delete exports and backups that were made before, too")
+    with closing(Database(database)) as opened:
+        opened.erase(reference)
+    print(f"erased {reference}; delete exports and backups that were made before, too")
 
 
-def replay(name: str, arguments: list[str]) -> None:
+@_of_both("replay", "compute it again from its log")
+@click.argument("database", type=FILE)
+def replay(name: str, database: Path) -> None:
     """Says whether the plan would decide all of it again: beliefs and messages of a study,
     questions and posteriors of a collection.
 
@@ -286,11 +335,10 @@ def replay(name: str, arguments: list[str]) -> None:
 
     The database is one that no server has open. Exit code 1 where anything differs.
     """
-    given = parsed(f"xplain {name} replay", arguments, "database")
     from xplain.people.analysis.stored import plan_of, reading
 
     kind = site(name)
-    with reading(given.database) as connection:
+    with reading(database) as connection:
         plan = plan_of(connection, kind.PLAN)
         found = kind.of(plan).replay(connection)
     for difference in found.differences:
@@ -302,7 +350,10 @@ def replay(name: str, arguments: list[str]) -> None:
         sys.exit(1)
 
 
-def habits(name: str, arguments: list[str]) -> None:
+@_of_both("habits", "how participants listened and answered", "how people listened and answered")
+@click.argument("database", type=FILE)
+@click.option("--stream", default="person")
+def habits(name: str, database: Path, stream: str) -> None:
     """How people listened and answered, learned from the log: how often they err, take a message in
     and forget, as keys for a study or an experiment.
 
@@ -313,11 +364,10 @@ def habits(name: str, arguments: list[str]) -> None:
     collection has to be begun with ``rules.listening``; a step after which something may be
     forgotten is a page of it.
     """
-    given = parsed(f"xplain {name} habits", arguments, "database", stream="person")
     from xplain.explanation.listening import learned_habits
 
     listening = import_module(f"xplain.people.{name}.listening")
-    listeners = listening.listeners_in(given.database, given.stream)
+    listeners = listening.listeners_in(database, stream)
     found = learned_habits(listeners)
     print(f"{len(listeners)} participants: rates, and how many people have them")
     for key in ("error", "accept", "forget"):
@@ -325,3 +375,58 @@ def habits(name: str, arguments: list[str]) -> None:
         mean = sum(rate * share for rate, share in shares.items())
         written = ",".join(f"{rate:g}:{share:.3f}" for rate, share in shares.items())
         print(f"belief.{key}={{{written}}}   mean {mean:.3f}")
+
+
+@command("study preregister", "a document of the plan, to register")
+@click.argument("database", type=FILE)
+@click.option("--out", type=FILE)
+def preregister(database: Path, out: Path | None) -> None:
+    """A document to register before the first participant, from the plan: hypotheses, design,
+    measures, exclusions, analysis and sample size.
+
+        xplain study preregister DATABASE [--out FILE]
+
+    DATABASE holds a study that was started once: what is registered is what runs.
+    """
+    from xplain.people.analysis.stored import read_plan
+    from xplain.people.study.plan import StudyPlan
+    from xplain.people.study.preregistration import document
+
+    plan = read_plan(database, StudyPlan)
+    if plan is None:
+        raise InputError("database", str(database), "one in which a study was started")
+    text = document(plan)
+    if out is None:
+        print(text, end="")
+        return
+    out.write_text(text, encoding="utf-8")
+    print(f"preregistration in {out}")
+
+
+@command("study analyse", "the paper's Table 2 of its data")
+@click.argument("folder", type=FILE)
+@click.option("--stream", default="person")
+@click.option("--exclude", type=FILE)
+@click.option("--seed", default=0)
+@click.option("--out", type=FILE)
+def analyse(folder: Path, stream: str, exclude: Path | None, seed: int, out: Path | None) -> None:
+    """The paper's Table 2 from an export of the study, with plots; where a condition asks, also how
+    it compares with the personalized one.
+
+        xplain study analyse FOLDER [--stream person] [--exclude FILE] [--seed 0] [--out FOLDER]
+
+    FOLDER holds participants.csv, as exported; ``--stream`` is person, pilot or bot; ``--exclude``
+    a CSV file with the columns participant and reason; ``--seed`` that of the permutation tests.
+    """
+    from rich.console import Console
+
+    from xplain.people.study import table2
+    from xplain.people.study.report import exclusions, save, show
+
+    found = table2.analyses(table2.read(folder), stream, exclusions(exclude), seed=seed)
+    out = out or folder
+    files: list[str] = []
+    for name, analysis in found.items():
+        files += save(analysis, out, name)
+        show(analysis, Console(width=None if Console().is_terminal else 150))
+    print(f"{', '.join(dict.fromkeys(files))} in {out}")

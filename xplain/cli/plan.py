@@ -1,23 +1,4 @@
-"""Plans for a saved problem: ``xplain plan problem=FILE.npz solver=NAME seed=0``.
-
-The last line on standard output is one JSON object:
-
-- ``solver``;
-- ``first_messages``: indices of the messages given before the first *explain*; null where they
-  depend on a type that only the solver is told (oracle, clairvoyant);
-- where the problem has questions: ``first_question``, what is asked before that (``number`` and
-  words), null for nothing; ``question_values``, what the policy expects of asking each that it
-  looked into, the best first; ``asks``, false of a solver that cannot. With a question first,
-  ``first_messages`` depend on its answer and are null;
-- ``value``: expected discounted return of the executed policy under the model; for a solver that
-  is told the type, Σ_t prior(t) V*_t;
-- ``value_is``: "exact", or "simulated" with its standard error ``value_se`` and half of its 95 %
-  interval, ``value_half_width``;
-- ``optimal_lower``, ``optimal_upper``: bounds of the optimal value; null where not computed;
-- ``seconds``: time to plan and to take the first decision.
-
-``solver=all`` prints a comparison first, and the line is a list of such objects.
-"""
+"""What the command ``plan`` does with a saved problem."""
 
 from __future__ import annotations
 
@@ -45,24 +26,38 @@ from xplain.solvers.hsvi.solver import CertifiedPolicy, Effort
 Row = dict[str, Any]
 
 
-def main(arguments: list[str]) -> Row | list[Row]:
-    """Plans; returns what the command prints, below a table where solvers are compared.
-    ``arguments`` override conf/plan.yaml."""
+def compared(words: list[str]) -> list[Row]:
+    """Prints a table of all solvers on one problem; returns a row each.
 
-    if "solver=all" not in arguments:
-        return _plan_one(composed("plan", arguments, with_hydra=True))
-    rest = [argument for argument in arguments if argument != "solver=all"]
+    Args:
+        words: overrides of conf/plan.yaml, without the solver.
+    """
     names = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
-    configs = [composed("plan", [*rest, f"solver={name}"], with_hydra=True) for name in names]
+    configs = [composed("plan", [*words, f"solver={name}"], with_hydra=True) for name in names]
     known = _bounds(load(configs[0].problem), configs[0])
-    rows = [_plan_one(cfg, known) for cfg in configs]
-    _compare(rows)
+    rows = [planned(cfg, known) for cfg in configs]
+    table = Table("solver", "first decision", "value", "", "optimum", "seconds")
+    for row in rows:
+        lower, upper = row["optimal_lower"], row["optimal_upper"]
+        table.add_row(
+            row["solver"],
+            _first(row),
+            f"{row['value']:.4f}",
+            how_known(row),
+            "" if lower is None else f"{lower:.4f} … {upper:.4f}",
+            f"{row['seconds']:.3f}",
+        )
+    Console().print(table)
     return rows
 
 
-def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
-    """One solver's row."""
+def planned(cfg: DictConfig, known: Bounds | None = None) -> Row:
+    """One solver's row, as the command's help says.
 
+    Args:
+        cfg: conf/plan.yaml with what overrides it, and the ``hydra`` node.
+        known: bounds of the optimum, where they are known already.
+    """
     run_seed(cfg.seed)
     problem = load(cfg.problem)
     solver = instantiate(cfg.solver)
@@ -114,16 +109,14 @@ def _first_question(problem: Problem, policy: Policy) -> Row:
 
 
 def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
-
     if cfg.bounds.nodes == 0:
         return None
     effort = Effort(cfg.bounds.gap, cfg.bounds.nodes, memory_gib=cfg.bounds.memory_gib)
     return bounds(problem, effort)
 
 
-def _how_known(row: Row) -> str:
+def how_known(row: Row) -> str:
     """``simulated ± 0.0412``, half of the 95 % interval."""
-
     if "value_half_width" not in row:
         return str(row["value_is"])
     upper = row["optimal_upper"]
@@ -137,22 +130,3 @@ def _first(row: Row) -> str:
         return f"ask {question['number']}"
     first = row["first_messages"]
     return "by type" if first is None else " ".join(map(str, first)) or "none"
-
-
-def _compare(rows: list[Row]) -> None:
-
-    asks = any("asks" in row for row in rows)
-    table = Table(
-        "solver", "first decision" if asks else "first messages", "value", "", "optimum", "seconds"
-    )
-    for row in rows:
-        lower, upper = row["optimal_lower"], row["optimal_upper"]
-        table.add_row(
-            row["solver"],
-            _first(row),
-            f"{row['value']:.4f}",
-            _how_known(row),
-            "" if lower is None else f"{lower:.4f} … {upper:.4f}",
-            f"{row['seconds']:.3f}",
-        )
-    Console().print(table)

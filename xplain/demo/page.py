@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
-from xplain.demo.play import DemoSetup, Played
+from xplain.demo.play import DemoSetup, Played, play, stage
 from xplain.experiment.results import told
 from xplain.interaction.moves import Why
-from xplain.storage import encode
+from xplain.storage import encode, write_text
 
 SHOWN = 6
 """Number of values shown for a decision, the best ones."""
+
+
+def write_page(overrides: Sequence[str], trace: int | None, user: str | None, path: Path) -> None:
+    """Plays one session with a simulated user and writes its page.
+
+    Args:
+        overrides: of the experiment's configuration.
+        trace: which one; None takes one that shows much.
+        user: the simulated user's true type; None takes one for whom the trace shows most.
+        path: of the page.
+
+    Raises:
+        XplainError, HydraException: a value that is not allowed.
+    """
+    scene = stage(overrides, trace, user)
+    write_text(path, page(scene, play(scene, scene.user_type(user))))
 
 
 def page(stage: DemoSetup, played: Played) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -19,7 +20,7 @@ from typing import Any, Literal
 
 from xplain.errors import InputError
 from xplain.experiment.config import GROUPS
-from xplain.experiment.results import RESULTS
+from xplain.experiment.results import RESULTS, load_results
 from xplain.report.summary import SWEEP, load_sweep
 from xplain.runs.terminal import without_passwords
 from xplain.storage import write_text
@@ -168,3 +169,41 @@ def runs_and_sweeps(outputs: Path) -> Iterator[Path]:
             folders.clear()
         if SWEEP in files or RESULTS in files:
             yield Path(place)
+
+
+def newest_sweep(outputs: Path) -> Path:
+    """The folder of the sweep whose list was written last.
+
+    Raises:
+        InputError: there is none.
+    """
+    lists = sorted(outputs.glob(f"sweeps/*/{SWEEP}"), key=lambda path: -path.stat().st_mtime)
+    for path in lists:
+        with suppress(InputError):  # a damaged one hides no other
+            load_sweep(path.parent)
+            return path.parent
+    raise InputError("folder", str(outputs / "sweeps"), "no sweep there; name a sweep's folder")
+
+
+def unlisted_results(outputs: Path) -> dict[Path, int]:
+    """``{folder: bytes}`` of the results that no run and no sweep in the outputs folder has.
+
+    Raises:
+        InputError: a sweep whose list cannot be read: its results are not known.
+        OSError, ValueError: a run's results that cannot be read.
+    """
+    kept = {path.name for path in outputs.glob("sweeps/*/jobs/*")}
+    for folder in runs_and_sweeps(outputs):
+        if (folder / SWEEP).exists():
+            kept |= {job["fingerprint"] for job in load_sweep(folder)["jobs"]}
+        else:
+            kept.add(load_results(folder).fingerprint)
+    others = [path for path in sorted(outputs.glob("results/*")) if path.name not in kept]
+    files = {folder: [*folder.iterdir()] for folder in others if folder.is_dir()}
+    return {folder: sum(path.stat().st_size for path in own) for folder, own in files.items()}
+
+
+def delete_result(folder: Path) -> None:
+    """Deletes a result: first what says that it is there, so that nobody reads half of it."""
+    (folder / RESULTS).unlink(missing_ok=True)
+    shutil.rmtree(folder)

@@ -13,16 +13,17 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xplain.errors import InputError, first_line
-from xplain.experiment.results import Results, load_results
+from xplain.errors import InputError, XplainError, first_line
+from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.report.comparison import answer
 from xplain.report.measure import is_problem, warning_about_oracle
-from xplain.report.summary import SWEEP, Summary
-from xplain.runs.folder import FAILURE, SweepFolder
+from xplain.report.summary import SWEEP, Summary, load_sweep
+from xplain.runs.folder import FAILURE, SweepFolder, runs_and_sweeps
 from xplain.runs.terminal import without_passwords
 
 if TYPE_CHECKING:
@@ -139,6 +140,43 @@ class MLflow(Disk):
                 f"  once this runs: mlflow ui --backend-store-uri {without_passwords(uri)}"
             )
         return lines
+
+
+def sync(folders: Sequence[Path], outputs: Path, tracking: MLflow) -> int:
+    """Sends every run and sweep at or below the folders; returns how many results there are.
+
+    Raises:
+        InputError: a folder is not there, or holds no results.
+        XplainError: MLflow cannot take them.
+    """
+    count = 0
+    for folder in folders:
+        below = list(runs_and_sweeps(folder))
+        if not below:
+            raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
+        for one in below:
+            sweep = SweepFolder(one)
+            held: AbstractContextManager[None] = nullcontext()
+            if (one / SWEEP).exists():
+                try:
+                    load_sweep(one)
+                except InputError as error:  # the others can be sent all the same
+                    log.warning("left out: %s", error)
+                    continue
+                held = sweep.alone(f"{one.name}: it is running; waiting for its end")
+                count += sum(sweep.state(job) == "finished" for job in sweep.jobs())
+            else:
+                count += 1
+            try:
+                with held:
+                    tracking.send(one, outputs)
+            except XplainError:
+                raise
+            except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
+                text = without_passwords(first_line(error))
+                allowed = f"tracking.uri: MLflow does not take the results ({text})"
+                raise XplainError(allowed) from error
+    return count
 
 
 def _make_database(path: Path) -> None:

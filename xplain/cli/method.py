@@ -1,0 +1,264 @@
+"""The commands around the experiment. Each is a face of a function that Python calls as well."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from xplain.cli.commands import FILE, command, keys
+from xplain.errors import InputError
+
+if TYPE_CHECKING:
+    from xplain.runs.mlflow import MLflow
+
+log = logging.getLogger(__name__)
+
+
+@command("discover", "find the user types in a table of labels", "discover")
+@keys
+def discover(words: list[str]) -> dict[str, Any]:
+    """Finds the user types in people's labels: ``xplain discover data=FILE``.
+
+    The file is read as :mod:`xplain.learning.data.label_file` says. Into the folder ``output`` go
+
+    - ``types.npz``: the types and their labelers, as :class:`xplain.learning.saved.LearnedTypes`
+      loads them (for ``xplain.Explainer``);
+    - ``assignment.csv``: the type of each observer;
+    - ``predictions.csv``, with ``predict=FILE``: the rows of FILE, and ``p``, the probability of
+      the answer 1 of that observer;
+    - ``summary.json``: what is known of each type, and how it was found;
+    - ``curve.png`` (disagreements by number of types) or ``posterior.png`` (probability of each
+      number of types), as the method has them, ``messages.png``: what each message does for each
+      type, and ``calibration.png``: how likely held-out labels were said to be 1, against how many
+      are.
+
+    The last line on standard output is one JSON object: ``n_types``, ``assignment`` {observer:
+    type}, ``method``, ``rule``, ``held_out`` (how well held-out labels are predicted, in nats a
+    label, with and without types; null where ``held_out=false``), ``held_out_log_likelihood``
+    (that with types), ``seconds``.
+    """
+    from xplain.experiment.config import composed
+    from xplain.runs.discovery import discovery, require_writable
+
+    cfg = composed("discover", words)
+    folder = Path(cfg.output)
+    require_writable(folder)
+    found = discovery(cfg)
+    found.save(folder)
+    found.show(folder)
+    return found.row
+
+
+@command("observe", "write labels of simulated observers", "observe")
+@keys
+def observe(words: list[str]) -> dict[str, Any]:
+    """Writes labels of simulated observers: ``xplain observe domain=rescue output=FILE``.
+
+    The table is what ``xplain discover`` reads. The observers' true types go to a file of their own
+    (columns ``observer``, ``type``, ``behaves_like``: the first type that labels everything alike).
+    The last line on standard output is one JSON object: ``output``, ``truth``, ``observers``,
+    ``labels``, ``types``.
+    """
+    from xplain.experiment.config import composed
+    from xplain.runs.observing import observed
+
+    return observed(composed("observe", words, with_hydra=True))
+
+
+@command("questions", "what to ask people, as a list", "questions")
+@keys
+def questions(words: list[str]) -> dict[str, Any]:
+    """Says what to ask people: ``xplain questions domain=rescue output=questions.csv``.
+
+    Prints one list of questions that tells apart all that people might believe incorrectly, and
+    writes it: ``question``, ``transition`` (its row in the hypotheses), ``text`` (what the robot
+    does), ``image``, ``messages`` (names joined by ``;``), ``told`` (the same in words), and the
+    features, if any. The last line on standard output is one JSON object: ``output``,
+    ``questions``, ``transitions``, ``candidates`` (that behave differently).
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from xplain.experiment.config import composed
+    from xplain.runs.observing import listed_questions
+
+    rows, about = listed_questions(composed("questions", words, with_hydra=True))
+    table = Table("", "the robot", "told before")
+    for row in rows:
+        table.add_row(str(row["question"]), row["text"], row["told"] or "nothing")
+    Console().print(table)
+    return about
+
+
+@command("plan", "plan for a saved explanation problem", "plan")
+@keys
+def plan(words: list[str]) -> dict[str, Any] | list[dict[str, Any]]:
+    """Plans for a saved problem: ``xplain plan problem=FILE.npz solver=NAME seed=0``.
+
+    The last line on standard output is one JSON object:
+
+    - ``solver``;
+    - ``first_messages``: indices of the messages given before the first *explain*; null where they
+      depend on a type that only the solver knows (oracle, clairvoyant);
+    - where the problem has questions: ``first_question``, what is asked before that (``number`` and
+      words), null for nothing; ``question_values``, what the policy expects of asking each question
+      that it considered, the best first. With a question first, ``first_messages`` depend on its
+      answer and are null;
+    - ``value``: expected discounted return of the executed policy under the model; for a solver
+      that knows the type, Σ_t prior(t) V*_t;
+    - ``value_is``: "exact", or "simulated" with its standard error ``value_se`` and half of its
+      95 % interval, ``value_half_width``;
+    - ``optimal_lower``, ``optimal_upper``: bounds of the optimal value; null where not computed;
+    - ``seconds``: time to plan and to take the first decision.
+
+    ``solver=all`` prints a comparison first, and the line is a list of such objects.
+    """
+    from xplain.cli.plan import compared, planned
+    from xplain.experiment.config import composed
+
+    if "solver=all" in words:
+        return compared([word for word in words if word != "solver=all"])
+    return planned(composed("plan", words, with_hydra=True))
+
+
+@command("export", "write a saved problem for POMDP solvers", "export")
+@keys
+def export(words: list[str]) -> None:
+    """Writes a saved problem for other programs, the whole file or nothing:
+    ``xplain export problem=FILE.npz format=pomdp output=FILE.pomdp``.
+    """
+    from xplain.experiment.config import composed
+    from xplain.explanation.pomdp_file import lines
+    from xplain.explanation.problem_file import load
+    from xplain.storage import written_whole
+
+    cfg = composed("export", words)
+    if cfg.format != "pomdp":
+        raise InputError("format", cfg.format, "pomdp")
+    problem = load(cfg.problem)
+    with written_whole(Path(cfg.output)) as file:
+        file.writelines(f"{line}\n" for line in lines(problem))
+    print(Path(cfg.output))
+
+
+@command("report", "tables, plots and a page of a sweep, anew")
+@click.argument("words", nargs=-1)
+def report(words: tuple[str, ...]) -> None:
+    """Tables, plots and a page of a sweep: ``xplain report [SWEEP FOLDER] [measure=NAME]``.
+
+    Without a folder, the newest sweep below ``outputs/``. Jobs are compared by their ``regret``
+    where all of them share an oracle, else by ``above_floor``, the cost above the clairvoyant's;
+    ``measure=cost``, ``regret`` or ``above_floor`` compares by that.
+    """
+    from xplain.report.console import print_sweep
+    from xplain.report.write import write_report
+    from xplain.runs.folder import newest_sweep
+
+    measures = [word.partition("=")[2] for word in words if word.startswith("measure=")]
+    folders = [word for word in words if not word.startswith("measure=")]
+    if len(folders) > 1:
+        wanted = "xplain report [SWEEP FOLDER] [measure=NAME]"
+        raise InputError("folder", " ".join(folders), wanted)
+    folder = Path(folders[0]) if folders else newest_sweep(Path("outputs"))
+    if not (folder / "sweep.json").exists():
+        raise InputError("folder", str(folder), "a sweep's folder, below outputs/sweeps")
+    summary, written = write_report(folder, measures[-1] if measures else None)
+    if not summary.results:
+        raise InputError("folder", str(folder), "a sweep with finished jobs")
+    print_sweep(summary)
+    for path in sorted(written.iterdir()):
+        print(path)
+
+
+@command("sync", "send results on disk to MLflow")
+@click.argument("words", nargs=-1)
+def sync(words: tuple[str, ...]) -> None:
+    """Sends results on disk to MLflow: ``xplain sync [FOLDER ...] [tracking.uri=URI]``.
+
+    Without folders, every result below ``outputs/``. Sweeps arrive as a parent with its children.
+    What is in MLflow already is not sent again; what was left open or half-sent is mended.
+    """
+    from hydra.utils import instantiate
+
+    from xplain.experiment.config import composed
+    from xplain.runs.mlflow import sync as send
+
+    # Names of folders may have an equals sign as well.
+    folders = [Path(word) for word in words if Path(word).exists() or "=" not in word]
+    given = [word for word in words if Path(word) not in folders]
+    cfg = composed("config", ["tracking=mlflow", *given])
+    tracking: MLflow = instantiate(cfg.tracking)
+    count = send(folders or [Path(cfg.outputs)], Path(cfg.outputs), tracking)
+    print(f"{count} results in MLflow")
+
+
+@command("clean", "list results that no run or sweep has, or delete them")
+@click.option("--delete", is_flag=True)
+@click.option("--outputs", type=FILE, default="outputs")
+def clean(delete: bool, outputs: Path) -> None:
+    """Lists the results that no run or sweep in the outputs folder has, with their sizes.
+
+        xplain clean [--outputs FOLDER]        lists them
+        xplain clean --delete                  deletes them
+
+    Results below ``results/`` stay when a run's or sweep's folder is deleted; so do those of jobs
+    that ran while their sweep's list was lost. What is deleted is computed anew where it is needed.
+    """
+    from xplain.runs.folder import delete_result, unlisted_results
+
+    sizes = unlisted_results(outputs)
+    for folder, size in sizes.items():
+        print(f"{size / 2**20:8.1f} MiB  {folder}")
+        if delete:
+            delete_result(folder)
+    done = "deleted" if delete else "that no run or sweep has; xplain clean --delete deletes them"
+    print(f"{len(sizes)} results, {sum(sizes.values()) / 2**20:.1f} MiB, {done}")
+
+
+@command("demo", "play one explanation, with a simulated user or you")
+@click.option("--user")
+@click.option("--trace", type=click.IntRange(0))
+@click.option("--html", type=FILE, default="demo.html")
+@click.option("--serve", is_flag=True)
+@click.option("--host", default="127.0.0.1")
+@click.option("--port", type=int, default=5050)
+@keys
+def demo(
+    words: list[str],
+    user: str | None,
+    trace: int | None,
+    html: Path,
+    serve: bool,
+    host: str,
+    port: int,
+) -> None:
+    """Plays one explanation, and writes it as a page to step through, on phones too: at each step
+    the robot says what this user needs to know, and the user says which transitions make no sense.
+
+        xplain demo                              writes demo.html: a user and a trace that show much
+        xplain demo --user B lambda=2            a simulated user of type B
+        xplain demo --trace 3                    another trace, from 0
+        xplain demo --html mine.html             another file
+        xplain demo domain=four_rooms solver=qhr seed=3
+        xplain demo --serve [--port 5050]        a playground in the browser: you are the user of
+                                                 two policies
+
+    The playground listens on this machine's own address alone; --host names another.
+
+    Without --trace it is the one of the first five in which the user's type is found with fewest
+    messages. Keys are those of the experiment (domain, users, solver, lambda, seed, ...).
+    """
+    if serve:
+        from xplain.demo.serve import serve as serve_playground
+
+        serve_playground(words, host, port)
+        return
+    if not html.absolute().parent.is_dir():
+        raise InputError("--html", str(html), "a file in a folder that exists")
+    from xplain.demo.page import write_page
+
+    write_page(words, trace, user, html)
+    print(html)
