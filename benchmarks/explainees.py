@@ -52,7 +52,7 @@ are."""
 
 
 @dataclass(frozen=True)
-class Halves:
+class Halves(Explainee):
     """Half of the people never err, half at a rate."""
 
     rate: float
@@ -172,8 +172,8 @@ def learned(seeds: Iterable[int], traces: int) -> None:
         print(f"| **{domain.replace('_', ' ')}** |" + " |" * 5)
         for rate in (0.0, 0.1, 0.3):
             found: dict[str, list[float]] = defaultdict(list)
-            asked = ("labeler=hypotheses", "queries=adaptive", "points=20")
-            for world in worlds(domain, seeds, traces, *asked, f"observers.label_noise={rate}"):
+            options = ("labeler=hypotheses", "queries=adaptive", "points=20")
+            for world in worlds(domain, seeds, traces, *options, f"observers.label_noise={rate}"):
                 explainee = Slips(rate, repeats=True)
                 ways: dict[str, Assumed] = {"paper": 0.0, "told": rate, "learned": "learned"}
                 for way, error in ways.items():

@@ -92,8 +92,8 @@ def test_answers_to_chosen_questions_find_types_that_a_file_keeps(tmp_path, comm
     """observe → discover with hypotheses → types.npz, which loads without the hypotheses."""
     made = command("xplain questions", "domain=rescue", "save=h.npz")
     assert made.returncode == 0, made.stderr
-    asked = ("points=20", "queries=adaptive", "observers.label_noise=0.05", "output=labels.csv")
-    assert command("xplain observe", "domain=rescue", *asked).returncode == 0
+    options = ("points=20", "queries=adaptive", "observers.label_noise=0.05", "output=labels.csv")
+    assert command("xplain observe", "domain=rescue", *options).returncode == 0
     done = command(
         "xplain discover",
         "data=labels.csv",

@@ -131,10 +131,7 @@ def test_nothing_is_asked_by_default() -> None:
     assert components.ask is None
     prepared = prepare(replace(components, traces=1))
     assert prepared.cases[0].questions is None
-    assert (
-        problem_of_types(prepared, prepared.cases[0], costs_of(cfg), Independent()).questions
-        is None
-    )
+    assert not problem_of_types(prepared, prepared.cases[0], costs_of(cfg), Independent()).questions
 
 
 def test_true_labels_and_strangers_answer_questions_too() -> None:

@@ -72,8 +72,8 @@ def test_bounds_enclose_the_optimum_and_are_as_close_as_asked():
     assert found["known_type_value"] == pytest.approx(np.mean(KNOWN))
     price = np.mean(KNOWN) - np.mean(OPTIMA)
     assert price > 0.01  # or the next line says nothing
-    assert found["price_of_not_knowing_low"] - 1e-9 <= price
-    assert price <= found["price_of_not_knowing_high"] + 1e-9
+    assert found["value_of_perfect_information_low"] - 1e-9 <= price
+    assert price <= found["value_of_perfect_information_high"] + 1e-9
     assert found["traces"] == 2
 
 
@@ -87,8 +87,8 @@ def test_less_effort_leaves_wider_bounds_and_prices_as_wide():
     assert widths[0] > 0.2 >= widths[1] > 1e-4 >= widths[2]
     for found in (hasty, close, closest):
         known = found["known_type_value"]
-        assert found["price_of_not_knowing_low"] == known - found["optimal_upper"]
-        assert found["price_of_not_knowing_high"] == known - found["optimal_lower"]
+        assert found["value_of_perfect_information_low"] == known - found["optimal_upper"]
+        assert found["value_of_perfect_information_high"] == known - found["optimal_lower"]
         # They all enclose what the closest do.
         assert found["optimal_lower"] <= closest["optimal_lower"]
         assert found["optimal_upper"] >= closest["optimal_upper"]
@@ -281,7 +281,7 @@ def worth_to_users(problem: Problem, policy: Policy, belief: BeliefUpdate, repea
             labels = np.array([*kept, *drawn], np.uint8)
             then = chances * np.where(drawn, p, 1 - p).prod(axis=1)
             cost = problem.inexplicability_cost * (labels == 0).sum()
-            evidence = belief.evidence(given | new, given if step else None, step + 1)
+            evidence = slice(step if repeat and not new else 0, None)
             after = update(problem, b, given | new, labels, evidence)
             later = ahead(step + 1, given | new, after, then, tuple(labels))
             value += factor * (problem.discount * later - cost * then.sum())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -62,5 +62,12 @@ def pairs(draw: st.DrawFn, types: int = 3, steps: int = 3, messages: int = 5) ->
 def plain(problem: Problem) -> dict[str, Any]:
     """Every field, arrays as lists."""
     values = {field.name: getattr(problem, field.name) for field in fields(problem)}
-    values |= {"relevant": problem.table.relevant, "table": problem.table.p}
+    table, habits = problem.table, problem.habits
+    values |= {"relevant": table.relevant, "table": table.p, "answers": table.answers}
+    values |= {f"habits.{name}": rates for name, rates in asdict(habits).items()}
+    values["habits"] = len(habits)
+    asked = problem.questions
+    values["questions"] = asked.limits, asked.shows.tolist(), asked.texts
+    values["asked"] = [a.tolist() for a in (asked.table.relevant, asked.table.p)]
+    values["asked_answers"] = asked.table.answers.tolist()
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}

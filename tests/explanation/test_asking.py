@@ -34,7 +34,7 @@ def test_asking_never_makes_the_optimum_worse() -> None:
     """By brute force, with and without; and in some problems it makes it better."""
     gained = []
     for problem in asking_problems(0, 200):
-        without = literal_optimal_value(replace(problem, questions=None))
+        without = literal_optimal_value(replace(problem, questions=Questions()))
         gained.append(literal_optimal_value(problem) - without)
     assert min(gained) >= -1e-12
     assert max(gained) > 0.03
@@ -119,7 +119,6 @@ def test_an_answer_is_weighed_by_bayes(accept: float) -> None:
     problem = replace(problem, questions=Questions(table))
     habits = Habits(np.array([0.1]), np.array([accept]), np.zeros(1), np.ones(1))
     problem = problem.with_habits(habits)
-    assert problem.questions is not None
     belief = rng.dirichlet(np.ones(problem.start.size))
     yes = table.p[2] * 0.8 + 0.1  # [2^n, N]
     p = yes.ravel() if accept < 1 else yes[1]
@@ -137,7 +136,6 @@ class AsksAll:
         self.heard: list[int] = []
 
     def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
-        assert self.problem.questions is not None
         self.heard.append(visible.asked)
         left = self.problem.questions.open(*visible)
         return AskQuestion(left[0]) if left else EXPLAIN
@@ -159,7 +157,6 @@ def test_questions_that_do_not_say_what_they_show_show_nothing_of_the_trace(seed
     rng = np.random.default_rng(seed)
     problem = with_questions(rng, random_problem(rng))
     asking = problem.questions
-    assert asking is not None
     beliefs = []
     for shows in (np.zeros((len(asking), problem.n_steps), np.bool_), np.empty((0, 0), np.bool_)):
         own = replace(problem, questions=replace(asking, shows=shows))

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from tests.explanation.problems import tiny_problems
 from xplain.explanation.belief import Independent, Persistent, rounded, update
 from xplain.explanation.problem import Problem
+from xplain.interaction.dialogue import Dialogue, Given, Labelled
+from xplain.solvers.greedy import QMDP
 
 
 @settings(deadline=None, max_examples=100)
@@ -74,14 +76,32 @@ def test_only_the_evidence_counts() -> None:
     assert belief == pytest.approx([1 / 3, 2 / 3])
 
 
-def test_which_labels_are_news() -> None:
-    """All are, to the paper; to people who repeat themselves only after a message, and at first."""
-    labels = list(range(4))
-    for previous in (None, 0, 1):
-        assert labels[Independent().evidence(1, previous, 4)] == labels
-    assert labels[Persistent().evidence(1, None, 4)] == labels
-    assert labels[Persistent().evidence(1, 0, 4)] == labels
-    assert labels[Persistent().evidence(1, 1, 4)] == [3]
+@pytest.mark.parametrize("seed", range(40))
+def test_the_belief_is_that_of_the_literal_person(seed: int) -> None:
+    """To the paper each label is drawn independently; who repeats themselves has one answer for
+    each transition and message set, whatever copies of it the trace has."""
+    rng = np.random.default_rng(seed)
+    copies = np.array([rng.integers(i + 1) for i in range(5)])
+    copies = copies[copies]  # the first of all equal ones
+    while (copies[copies] != copies).any():
+        copies = copies[copies]
+    p = rng.uniform(0.1, 0.9, (3, 5, 4))[:, copies]
+    problem = Problem(p, np.zeros(2), copies=copies)
+    for way, repeats in ((Independent(), False), (Persistent(), True)):
+        talk = Dialogue(problem, QMDP().plan(problem), way)
+        answers: dict[tuple[int, ...], int] = {}
+        for k in range(5):
+            new = int(rng.integers(4)) & ~talk.state.visible.given if rng.random() < 0.4 else 0
+            talk.hear(Given(new))
+            said, labels = talk.state.visible.given, []
+            for i in range(k + 1):
+                key = (int(copies[i]), said) if repeats else (i, said, k)
+                labels.append(answers.setdefault(key, int(rng.integers(2))))
+            talk.hear(Labelled(tuple(labels)))
+        posterior = problem.prior
+        for (i, said, *_), answer in answers.items():
+            posterior = posterior * (p[:, i, said] if answer else 1 - p[:, i, said])
+        np.testing.assert_allclose(talk.state.belief, posterior / posterior.sum(), rtol=1e-9)
 
 
 def test_rounding_makes_beliefs_equal_whatever_the_order_of_evidence() -> None:

@@ -20,7 +20,7 @@ from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learned_habits
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.interaction.dialogue import Dialogue, Given, Labelled
-from xplain.interaction.explainees import Heedless, Knower
+from xplain.interaction.explainees import Heedless
 from xplain.solvers.base import messages_of
 from xplain.solvers.greedy import QMDP
 
@@ -132,7 +132,7 @@ class Crowd:
         for number in range(people):
             table = LabelTable.dense(truth[number % len(PAIRS)][None].astype(float))
             person = Heedless(self.accept, self.forget).meet(table, about, number)
-            assert isinstance(person, Knower)
+            assert person.knows is not None
             talk, said, answers = Dialogue(aware, policy, update), [], []
             for k in range(STEPS):
                 new = messages_of(talk.decide())

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, asdict, fields, replace
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.explanation.by_type_problems import plain
 from xplain.errors import InputError
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import PAPER, Habits
@@ -32,6 +33,7 @@ def unusual() -> Problem:
         discount_per="step",
         message_names=("fuel", "fire"),
         type_names=("novice", "expert"),
+        copies=np.array([0, 0, 2]),
     )
     asked = LabelTable.dense(*rng.random((2, 2, 3, 4)))
     limits = Limits(cost=0.3, most=2, when="first")
@@ -40,20 +42,6 @@ def unusual() -> Problem:
     problem = replace(problem, questions=Questions(asked, limits, shows, texts))
     habits = Habits(*np.array([[0.1, 0.3], [1.0, 0.8], [0.0, 0.1], [0.4, 0.6]]))
     return problem.with_habits(habits)
-
-
-def plain(problem: Problem) -> dict[str, Any]:
-    """Every field, arrays as lists."""
-    values = {field.name: getattr(problem, field.name) for field in fields(problem)}
-    table, habits = problem.table, problem.habits
-    values |= {"relevant": table.relevant, "table": table.p, "answers": table.answers}
-    values |= {f"habits.{name}": rates for name, rates in asdict(habits).items()}
-    values["habits"] = len(habits)
-    if asked := problem.questions:
-        values["questions"] = asked.limits, asked.shows.tolist(), asked.texts
-        values["asked"] = [a.tolist() for a in (asked.table.relevant, asked.table.p)]
-        values["asked_answers"] = asked.table.answers.tolist()
-    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 
 
 def test_every_field_comes_back_from_a_file(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def test_a_file_of_before_there_were_questions_opens(tmp_path: Path) -> None:
     save(Problem(np.full((2, 3, 2), 0.5), np.ones(1)), tmp_path / "problem.npz")
     with np.load(tmp_path / "problem.npz") as file:
         assert not [name for name in file.files if name.startswith("question")]
-    assert load(tmp_path / "problem.npz").questions is None
+    assert not load(tmp_path / "problem.npz").questions
 
 
 def test_a_belief_shows_its_sentences_in_the_order_given() -> None:

@@ -79,8 +79,8 @@ def episode(line: Kept) -> Kept:
 
 def discovery(folder: Path) -> Kept:
     """Adaptive questions, answers of whom one in twenty is wrong, and the types found in them."""
-    asked = ("queries=adaptive", "points=20", "observers.label_noise=0.05")
-    xplain(folder, "observe", "domain=rescue", *asked, "output=labels.csv")
+    options = ("queries=adaptive", "points=20", "observers.label_noise=0.05")
+    xplain(folder, "observe", "domain=rescue", *options, "output=labels.csv")
     xplain(folder, "questions", "domain=rescue", "points=6", "save=hypotheses.npz")
     known = ("hypotheses=hypotheses.npz", "labeler=hypotheses")
     said = json.loads(xplain(folder, "discover", "data=labels.csv", *known).splitlines()[-1])

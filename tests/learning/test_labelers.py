@@ -166,14 +166,14 @@ def test_an_untested_labeler_predicts_as_the_tested_one(
     dataset, _ = made(rng, [[0, 1]], size=60, noise=0.3)
     fresh, _ = made(rng, [[0, 1]], size=400)
     trainer = LabelerTrainer(LogisticRegression(), holdout=0.4, refit=refit)
-    asked = fresh.features[fresh.transition], fresh.message_set
+    queries = fresh.features[fresh.transition], fresh.message_set
     tested, untested = trainer.fit(dataset, 3), trainer.fit(dataset, 3, measured=False)
     shares = [
-        own.classifier.predict_proba(inputs(*asked, dataset.n_messages))
+        own.classifier.predict_proba(inputs(*queries, dataset.n_messages))
         for own in (tested, untested)
     ]
     assert np.array_equal(*shares)
-    assert np.array_equal(tested.predict(*asked), untested.predict(*asked))
+    assert np.array_equal(tested.predict(*queries), untested.predict(*queries))
     assert (untested.n_test, untested.confidence) == (0, 0.5)
 
 

@@ -50,18 +50,18 @@ def test_the_posterior_and_the_information_are_those_of_enumeration(seed: int) -
     labels, slip, guess, prior = drawn(seed)
     rng = np.random.default_rng(seed + 100)
     questions = Questionnaire(labels, 0.07, prior, none=0.04, slip=slip, guess=guess)
-    asked = []
+    answered = []
     for _ in range(6):
         item, told, answer = int(rng.integers(ITEMS)), int(rng.integers(8)), int(rng.integers(2))
-        asked.append((item, told, answer))
+        answered.append((item, told, answer))
         questions.answer(answer, (item, told))
-        exact = joint(labels, slip, guess, prior, 0.07, 0.04, asked)
+        exact = joint(labels, slip, guess, prior, 0.07, 0.04, answered)
         assert questions.posterior == pytest.approx(exact[0] / exact.sum())
         assert questions.none == pytest.approx(exact[1].sum() / exact.sum())
     for item, told in ((0, 0), (3, 2), (8, 5)):
         both = np.stack(
             [
-                joint(labels, slip, guess, prior, 0.07, 0.04, [*asked, (item, told, y)])
+                joint(labels, slip, guess, prior, 0.07, 0.04, [*answered, (item, told, y)])
                 for y in (0, 1)
             ]
         )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tests.decisions import messages_given, worths
 from tests.explanation.test_knowledge import problem_of
-from tests.solvers.test_knowing import needy
+from tests.solvers.test_missed import needy
 from xplain.errors import TooLargeError
 from xplain.explanation.belief import told, update
 from xplain.explanation.habits import habits_of

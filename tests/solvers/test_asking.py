@@ -33,7 +33,6 @@ CLOSE = Effort(gap=1e-9, nodes=100_000, memory_gib=1.0)
 def plain_value(problem: Problem, policy: Policy) -> float:
     """What a policy that asks is worth, by enumeration of all answers: nothing is merged."""
     questions = problem.questions
-    assert questions is not None
 
     def value(step: int, given: int, belief: np.ndarray, asked: int) -> float:
         if step == problem.n_steps:
@@ -102,7 +101,7 @@ def test_certified_bounds_hold_and_close_on_the_optimum_with_questions() -> None
         found = bounds(problem, CLOSE)
         assert found.lower - 1e-9 <= optimum <= found.upper + 1e-9
         assert found.upper - found.lower <= 1e-8
-        helped += bounds(replace(problem, questions=None), CLOSE).upper < optimum - 1e-6
+        helped += bounds(replace(problem, questions=Questions()), CLOSE).upper < optimum - 1e-6
     assert helped >= 10
 
 
@@ -155,7 +154,7 @@ def test_to_be_able_to_ask_costs_nothing(solver: QMDP | POMCP) -> None:
     changes, gaps = [], []
     for _ in range(40):
         problem = asking_problem(rng, undiscounted=True)
-        without = replace(problem, questions=None)
+        without = replace(problem, questions=Questions())
         cost = evaluate(problem, solver.plan(problem, 0)).cost
         changes.append(cost - evaluate(without, solver.plan(without, 0)).cost)
         gaps.append(cost + bounds(problem, CLOSE).upper)
@@ -170,7 +169,6 @@ def test_open_questions_are_those_of_the_rule_that_tell_something() -> None:
     for _ in range(150):
         problem = with_questions(rng, random_problem(rng, 4, 2, 2), 7)
         questions, process = problem.questions, make_process(problem)
-        assert questions is not None
         asked = int(rng.integers(1 << len(questions)) & rng.integers(1 << len(questions)))
         step, given = int(rng.integers(2)), int(rng.integers(1 << problem.n_messages))
         belief = rng.dirichlet(np.ones(problem.n_types))

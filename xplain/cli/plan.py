@@ -65,13 +65,13 @@ def planned(cfg: DictConfig, known: Bounds | None = None) -> Row:
     began = time.perf_counter()
     policy = solver.plan(problem, cfg.seed)
     asked: Row = {}
-    if problem.questions is not None and not told:
+    if problem.questions and not told:
         asked = _first_question(problem, policy)
     waits = told or asked.get("first_question") is not None
     first = None if waits else indices(messages_of(policy.decide(VisibleState(), problem.start)))
     seconds = time.perf_counter() - began
 
-    row: Row = {"solver": cfg.hydra.runtime.choices.solver, "first_messages": first, **asked}
+    row: Row = {"solver": cfg.hydra.runtime.choices.solver, "first_messages": first} | asked
     if told:
         row |= {"value": known_type_value(problem), "value_is": "exact"}
     else:
@@ -90,11 +90,9 @@ def planned(cfg: DictConfig, known: Bounds | None = None) -> Row:
 
 def _first_question(problem: Problem, policy: Policy) -> Row:
     """What the policy asks first, and what it expects of asking."""
-    questions = problem.questions
-    assert questions is not None
 
     def words(number: int) -> Row:
-        return {"number": number, "question": str(questions.question(number))}
+        return {"number": number, "question": str(problem.questions.question(number))}
 
     first = policy.decide(VisibleState(), problem.start)
     values = policy.values(VisibleState(), problem.start).items()

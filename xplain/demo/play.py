@@ -17,7 +17,7 @@ from xplain.explanation.asking import Question
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.label_table import joined
 from xplain.explanation.message_sets import mask_of
-from xplain.interaction.explainees import Explainee, Person, respondent
+from xplain.interaction.explainees import Explainee, Person
 from xplain.interaction.explainer import Explainer, GivenTypes
 from xplain.interaction.moves import Candidate, Say, Why
 from xplain.interaction.session import Session
@@ -238,7 +238,7 @@ def play(scene: DemoSetup, user: str) -> Played:
         move, given = session.next(), mask_of(session.said, messages)
         if isinstance(move, Question):
             about = len(scene.case.transitions) + move.number
-            asked.append((move, respondent(person).answer(about, given)))
+            asked.append((move, person.answer(about, given)))
             session.answer(asked[-1][1])
         elif not isinstance(move, Say):
             said = session.messages()

@@ -62,8 +62,8 @@ class Certify:
         ``optimal_lower`` and ``optimal_upper`` enclose the optimum; ``policy_value`` (with its
         standard error ``policy_value_se``, and ``policy_value_exact``, the share of traces where
         it is exact) is what the policy earns; ``policy_cost`` its expected undiscounted cost.
-        ``price_of_not_knowing`` is the expected value of perfect information about the type (and
-        of what users know, where they may miss or forget messages),
+        ``value_of_perfect_information`` is that about the type (and about what users know, where
+        they may miss or forget messages),
         ``price_of_approximation`` the policy's suboptimality; these two and ``policy_value`` have a
         ``_low`` and a ``_high`` end, 95 % limits where the value is simulated. A solver that is
         told the user's type has no value of its own here. docs/method.md, section 7.
@@ -120,8 +120,8 @@ class Certify:
             "optimal_lower": found.lower,
             "optimal_upper": found.upper,
             "known_type_value": found.known_type,
-            "price_of_not_knowing_low": low,
-            "price_of_not_knowing_high": high,
+            "value_of_perfect_information_low": low,
+            "value_of_perfect_information_high": high,
         }
 
     def _worth(

@@ -22,7 +22,7 @@ from xplain.explanation.habits import PAPER
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.interaction.episode import explain
-from xplain.interaction.explainees import Explainee, Habitual
+from xplain.interaction.explainees import Explainee
 from xplain.interaction.metrics import Record
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Solver
@@ -112,6 +112,7 @@ def problem_of_types(
     user who listens and answers as the belief update assumes."""
     names, shares = prepared.learned_types, prepared.type_shares
     problem = costs.problem(case.learned, prepared.messages, names, shares)
+    problem = replace(problem, copies=copies(case.transitions))
     if case.questions is not None:
         questions = case.questions.asked(case.questions.learned, costs.asking)
         problem = replace(problem, questions=questions)
@@ -178,13 +179,12 @@ def evaluate(
         what: is done, in its words.
     """
     records = []
-    seen = explainee.habits if isinstance(explainee, Habitual) else PAPER
     for index, case in progress.track(enumerate(prepared.cases), what, len(prepared.cases)):
         truth, same = what_is_thought(case)
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")
             # The clairvoyant sees what was taken in and lost, too.
-            habits = seen if solver.knows == "labels" else PAPER
+            habits = explainee.habits if solver.knows == "labels" else PAPER
             policy = problem = None
             for user in range(len(prepared.types)):
                 # A user's type changes the plan only of a solver that knows it.

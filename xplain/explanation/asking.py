@@ -94,7 +94,8 @@ class Question:
 
 @dataclass(frozen=True)
 class Questions:
-    """Q questions that one trace's explanation may ask, the nearest to the trace first.
+    """Q questions that one trace's explanation may ask, the nearest to the trace first; none by
+    default.
 
     Attributes:
         table: Q transitions or beliefs in the place of transitions: P(label is 1), and what is
@@ -106,7 +107,9 @@ class Questions:
         right: [Q] which line of a belief is right, 0 or 1; −1 of clips. None for clips alone.
     """
 
-    table: LabelTable
+    table: LabelTable = field(
+        default_factory=lambda: LabelTable(np.empty((0, 0), np.int64), np.empty((0, 1, 0)))
+    )
     limits: Limits = field(default_factory=Limits)
     shows: NDArray[np.bool_] = field(default_factory=lambda: np.empty((0, 0), np.bool_))
     texts: tuple[str, ...] = ()
@@ -118,7 +121,7 @@ class Questions:
         if not self.right.size:
             object.__setattr__(self, "right", np.full(count, -1))
         if not self.shows.size:
-            object.__setattr__(self, "shows", np.zeros((count, self.shows.shape[1]), np.bool_))
+            object.__setattr__(self, "shows", np.zeros((count, self.shows.shape[-1]), np.bool_))
         for own in (self.shows, self.right, self.texts or self.shows):
             if len(own) != count:
                 raise InputError("questions", len(own), f"{count}, as the table has")
@@ -156,7 +159,7 @@ class Questions:
         if given is not None:
             labels = self.table.label_probabilities(count, given).T
             answers = self.table.answer_probabilities(count, given).T
-        tells = np.ptp(answers.reshape(count, -1), axis=1) > 0
+        tells = np.ptp(answers, axis=tuple(range(1, answers.ndim))) > 0
         found: dict[bytes, int] = {}
         for q, column in enumerate(labels >= 0.5):
             if tells[q] and not asked >> q & 1:
@@ -179,15 +182,15 @@ class Questions:
         return {PREFIX + key: value for key, value in found.items()}
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, Any]) -> Questions | None:
-        """From :meth:`arrays`; None where there are none.
+    def of_arrays(cls, arrays: Mapping[str, Any]) -> Questions:
+        """From :meth:`arrays`; without questions where there are none.
 
         Raises:
             InputError: arrays that make no questions.
         """
         own = {k.removeprefix(PREFIX): v for k, v in arrays.items() if k.startswith(PREFIX)}
         if not own:
-            return None
+            return cls()
         if missing := {"relevant", "p_relevant", "cost", "most", "when"} - own.keys():
             raise InputError("problem", PREFIX + sorted(missing)[0], "an array of the file")
         limits = Limits(own["cost"].item(), own["most"].item(), own["when"].item())

@@ -26,8 +26,9 @@ class BeliefUpdate(Protocol):
     """How labels change the belief.
 
     Attributes:
-        fresh_labels: whether it takes each label of each step to be drawn afresh, as the POMDP
-            does whose optimum and policies certificates are about.
+        fresh_labels: whether each label of each step is drawn independently and is evidence, as in
+            the POMDP that solvers and certificates are about; else people repeat themselves, and
+            :func:`xplain.interaction.dialogue.advance` leaves out what is no news.
     """
 
     fresh_labels: ClassVar[bool]
@@ -37,16 +38,6 @@ class BeliefUpdate(Protocol):
 
         Args:
             learned: what observers' answers tell of it, if anything.
-        """
-        ...
-
-    def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
-        """Which of the ``count`` labels just given are new evidence.
-
-        Args:
-            message_set: H, all messages given when the labels were asked for.
-            previous: H at the step before; None at the first step.
-            count: k + 1, the transitions shown.
         """
         ...
 
@@ -81,22 +72,15 @@ class Independent(Assuming):
 
     fresh_labels: ClassVar[bool] = True
 
-    def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
-        """All labels of an answer are evidence."""
-        return slice(0, count)
-
 
 @dataclass(frozen=True)
 class Persistent(Assuming):
-    """A label of (transition, message set) given before is no new evidence: people who learned
-    nothing new repeat themselves. Messages only accumulate, so only the newest transition's
-    label is news unless something was said. Asked again, users err again."""
+    """A label of (transition, message set) given before is no new evidence, of a copy of the
+    transition neither: people who learned nothing new repeat themselves. Messages only accumulate,
+    so only the newest transition's label is news unless something was said. After that people err
+    independently of what they said before."""
 
     fresh_labels: ClassVar[bool] = False
-
-    def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
-        """Every label after a message, the newest otherwise."""
-        return slice(count - 1, count) if message_set == previous else slice(0, count)
 
 
 def update(
@@ -135,7 +119,6 @@ def answered(
 
     Nothing is forgotten meanwhile.
     """
-    assert problem.questions is not None
     table = problem.questions.table.of_steps([question])
     labels = np.array([answer], np.uint8)
     return _after(problem, table, belief, message_set, labels, slice(None))
@@ -159,7 +142,7 @@ def _after(
     with np.errstate(divide="ignore"):
         log_posterior = np.log(belief) + np.log(likelihood).sum(axis=1)
     top = log_posterior.max()
-    if top == -np.inf:
+    if top == -np.inf or not given.size:
         return belief.copy()
     posterior = np.exp(log_posterior - top)
     normalised: NDArray[np.float64] = posterior / posterior.sum()

@@ -35,7 +35,7 @@ def lines(problem: Problem) -> Iterator[str]:
         raise InputError(
             "discount_per", "step", "the format discounts every action; needs action, or γ = 1"
         )
-    if problem.questions is not None:
+    if problem.questions:
         raise InputError(
             "problem", "has questions", "one without: no question discounts or is asked twice"
         )

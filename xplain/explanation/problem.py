@@ -47,7 +47,9 @@ class Problem:
         message_names, type_names: for people; n and M names.
         habits: the F habits, side by side within a user type. The table's answers have their
             errors already.
-        questions: that may be asked, of the same hidden types; None for none (the paper).
+        questions: that may be asked, of the same hidden types; none in the paper.
+        copies: [m] for each transition the first one equal to it: people who repeat themselves
+            say and err alike about copies. By default no two are equal.
     """
 
     table: LabelTable
@@ -60,7 +62,8 @@ class Problem:
     message_names: tuple[str, ...] = ()
     type_names: tuple[str, ...] = ()
     habits: Habits = PAPER
-    questions: Questions | None = None
+    questions: Questions = field(default_factory=Questions)
+    copies: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __post_init__(self) -> None:
         """Checks every field: one clear line each."""
@@ -76,8 +79,11 @@ class Problem:
         unknown = table.relevant[table.relevant >= n]
         if unknown.size:
             raise InputError("relevant", int(unknown[0]), f"a message 0 … {n - 1}, or −1")
-        if self.questions is not None:
-            self.questions.check(types, n, steps)
+        asking = self.questions or Questions(table.of_steps([]))
+        asking.check(types, n, steps)
+        copies = np.asarray(self.copies) if len(self.copies) else np.arange(steps)
+        if copies.shape != (steps,) or not ((copies >= 0) & (copies <= np.arange(steps))).all():
+            raise InputError("copies", copies.tolist(), f"for each of {steps} steps an earlier one")
         known, left = divmod(types, len(self.habits))
         if left:
             wanted = f"a divisor of {types}, the columns of the table"
@@ -92,6 +98,8 @@ class Problem:
             "discount": one_number("discount", self.discount),
             "message_names": named("message_names", self.message_names, n, "message"),
             "type_names": named("type_names", self.type_names, known, "type"),
+            "questions": asking,
+            "copies": copies,
         }
         for key, value in checked.items():
             object.__setattr__(self, key, value)
@@ -120,13 +128,13 @@ class Problem:
     def messages_with_effect(self) -> tuple[int, ...]:
         """The messages that change some label of the trace, or some answer to a question, of some
         hidden type, ascending: those worth an action."""
-        tables = (self.table, self.questions.table) if self.questions else (self.table,)
+        tables = self.table, self.questions.table
         return tuple(sorted({j for table in tables for j in table.effective_of_any()}))
 
     @property
     def is_dense(self) -> bool:
         """Whether every type's probabilities stand over all n messages."""
-        tables = (self.table, self.questions.table) if self.questions else (self.table,)
+        tables = self.table, self.questions.table
         return all(table.is_dense(self.n_messages) for table in tables)
 
     @property
@@ -213,12 +221,11 @@ class Problem:
         if not habits.take_all_in:
             # A row is what somebody knows: of facts that change nothing it does not matter who
             # does. Labels and answers to questions come of the same knowledge.
-            whole = joined([table, asking.table]) if asking else table
+            whole = joined([table, asking.table])
             whole = whole.over(whole.effective())
             table = whole.of_steps(range(self.n_steps))
-            if asking:
-                rows = range(self.n_steps, self.n_steps + len(asking))
-                asking = replace(asking, table=whole.of_steps(rows))
+            rows = range(self.n_steps, self.n_steps + len(asking))
+            asking = replace(asking, table=whole.of_steps(rows))
         prior = np.outer(self.prior, habits.prior).ravel()
         return replace(self, table=table, prior=prior, habits=habits, questions=asking)
 
@@ -233,16 +240,20 @@ class Problem:
 
     def _tables(self, change: Callable[[LabelTable], LabelTable]) -> dict[str, Any]:
         """The fields ``table`` and ``questions``, both changed alike."""
-        asking = self.questions
-        changed = asking and replace(asking, table=change(asking.table))
-        return {"table": change(self.table), "questions": changed}
+        asking = replace(self.questions, table=change(self.questions.table))
+        return {"table": change(self.table), "questions": asking}
 
     def with_types(self, table: LabelTable, type_names: tuple[str, ...]) -> Problem:
         """The same trace and costs with other user types, equally likely a priori."""
         count = len(type_names)
         prior = np.full(count, 1 / count)
         return replace(
-            self, table=table, type_names=type_names, prior=prior, habits=PAPER, questions=None
+            self,
+            table=table,
+            type_names=type_names,
+            prior=prior,
+            habits=PAPER,
+            questions=Questions(),
         )
 
     def only_types(self, types: Sequence[int]) -> Problem:

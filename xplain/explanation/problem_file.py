@@ -49,6 +49,7 @@ def save(problem: Problem, path: str | Path) -> None:
         prior=problem.prior,
         message_names=np.array(problem.message_names, dtype=np.str_),
         type_names=np.array(problem.type_names, dtype=np.str_),
+        copies=problem.copies,
         **(problem.questions.arrays() if problem.questions else {}),
     )
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.actions import Action, VisibleState
 from xplain.explanation.asking import bitmask
-from xplain.explanation.belief import BeliefUpdate, Evidence, answered, told, update
+from xplain.explanation.belief import BeliefUpdate, answered, told, update
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
@@ -61,8 +61,7 @@ class DialogueState(NamedTuple):
         open: the question that is not answered yet; None for none.
         new: bitmask of the messages given whose step is not labelled yet; None before them.
         told: whether anybody was told of these.
-        previous: bitmask of the messages at the labels given last, if what is answered is no news
-            since; else None.
+        repeats: whether users who repeat themselves would label what they labelled last as then.
         clips: bitmask of the questions asked since news came last, whose answers are labels.
     """
 
@@ -71,7 +70,7 @@ class DialogueState(NamedTuple):
     open: int | None = None
     new: int | None = None
     told: bool = False
-    previous: int | None = None
+    repeats: bool = False
     clips: int = 0
 
 
@@ -115,33 +114,32 @@ def advance(
                 told=False,
             )
             # Who heard something new is asked something new.
-            return given._replace(previous=None, clips=0) if messages else given
+            return given._replace(repeats=False, clips=0) if messages else given
         case Told():
             return state._replace(told=True)
         case Labelled(labels):
-            evidence = _evidence(problem, belief_update, state, len(labels))
             heard = np.array(labels, np.uint8)
+            evidence = slice(None) if belief_update.fresh_labels else _news(problem, state, heard)
             # So is who may have forgotten something.
             forgets = bool(problem.habits.forget.any())
             return DialogueState(
                 visible._replace(step=len(labels)),
                 update(problem, belief, visible.given, heard, evidence),
-                previous=None if forgets else visible.given,
+                repeats=not forgets,
                 clips=0 if forgets else state.clips,
             )
 
 
-def _evidence(
-    problem: Problem, belief_update: BeliefUpdate, state: DialogueState, count: int
-) -> Evidence:
-    """Which of the labels just given are new evidence."""
-    evidence = belief_update.evidence(state.visible.given, state.previous, count)
-    if not state.clips or belief_update.fresh_labels or problem.questions is None:
-        return evidence
-    known = problem.questions.shows[indices(state.clips), :count].any(axis=0)
-    if not known.any():  # also of questions that say of no transition that they show it
-        return evidence
-    return ~known & np.isin(np.arange(count), np.arange(count)[evidence])
+def _news(problem: Problem, state: DialogueState, labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """[k + 1] which of the labels just given are evidence where people repeat themselves: not those
+    given before, since messages came last, and of equal transitions only the first one's."""
+    count = len(labels)
+    news: NDArray[np.bool_] = problem.copies[:count] == np.arange(count)
+    if state.repeats:
+        news[:-1] = False
+    shows = problem.questions.shows[indices(state.clips), :count]  # perhaps no columns
+    news[: shows.shape[1]] &= ~shows.any(axis=0)
+    return news
 
 
 @dataclass
@@ -191,16 +189,16 @@ class Dialogue:
     @property
     def visible(self) -> VisibleState:
         """What the policy sees: questions whose answers were heard as labels count as asked."""
-        state, questions = self.state, self.problem.questions
-        if questions is None or state.previous is None or self.belief_update.fresh_labels:
+        state, shows = self.state, self.problem.questions.shows
+        if not state.repeats or self.belief_update.fresh_labels:
             return state.visible
-        heard = np.flatnonzero(questions.shows[:, : state.visible.step].any(axis=1))
+        heard = np.flatnonzero(shows[:, : state.visible.step].any(axis=1))
         return state.visible._replace(asked=state.visible.asked | bitmask(heard.tolist()))
 
     def decide(self, asking: bool = True) -> Action:
         """What the policy does now; without asking, whatever it would ask."""
         visible = self.visible
-        if not asking and self.problem.questions:
+        if not asking:
             visible = visible._replace(asked=(1 << len(self.problem.questions)) - 1)
         return self.policy.decide(visible, self.state.belief)
 

@@ -14,7 +14,7 @@ from xplain.explanation.actions import AskQuestion
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
-from xplain.interaction.explainees import Knower, Person, respondent
+from xplain.interaction.explainees import Person
 from xplain.solvers.base import Policy, messages_of
 from xplain.solvers.cached_policy import CachedPolicy
 
@@ -86,7 +86,7 @@ def explain(
         sees_knowledge: whether the agent sees what a user of known type has right now.
 
     Raises:
-        InputError: the problem has questions, and the policy or the user knows none.
+        InputError: the policy asks a question, and the user answers none.
         ValueError: the policy gives a message again, or one that does not exist.
     """
     m = problem.n_steps
@@ -98,14 +98,13 @@ def explain(
     beliefs[0] = problem.type_belief(talk.state.belief)
     seconds = np.zeros(m)
     questions = []
-    seen = user if sees_knowledge and isinstance(user, Knower) else None  # takes long: once
     while (k := talk.state.visible.step) < m:
-        if seen is not None:
-            talk.state = talk.state._replace(belief=problem.sure(0, seen.knows))
+        if sees_knowledge and (knows := user.knows) is not None:
+            talk.state = talk.state._replace(belief=problem.sure(0, knows))
         action, given = talk.decide(), talk.state.visible.given
         seconds[k] += asked.seconds
         if isinstance(action, AskQuestion):
-            answer = respondent(user).answer(m + action.question, given)
+            answer = user.answer(m + action.question, given)
             talk.hear(Asked(action.question), Answered(answer))
             questions.append((k, action.question, answer))
             continue
@@ -118,7 +117,7 @@ def explain(
         beliefs[k + 1] = problem.type_belief(talk.state.belief)
     communication = problem.communication(messages.tolist())
     inexplicability = problem.inexplicability_cost * int((thoughts == 0).sum())
-    asking = problem.questions.limits.cost * len(questions) if problem.questions else 0.0
+    asking = problem.questions.limits.cost * len(questions)
     return Episode(
         messages,
         labels,

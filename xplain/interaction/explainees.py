@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Annotated, NamedTuple, Protocol, runtime_checkable
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, Probability, Range, Slip, checks
-from xplain.explanation.habits import Habits, habits_of
+from xplain.explanation.habits import PAPER, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.randomness import stream
@@ -35,7 +35,12 @@ class Reaction(NamedTuple):
 
 
 class Person(Protocol):
-    """Whoever a trace is explained to, once."""
+    """Whoever a trace is explained to, once. A subclass of it has what it does not define."""
+
+    @property
+    def knows(self) -> int | None:
+        """Bitmask of the facts set right that they have right now; None for all that was said."""
+        return None
 
     def hear(self, new: int) -> None:
         """Messages (a bitmask) are said, for the first time or again."""
@@ -46,54 +51,26 @@ class Person(Protocol):
         step, in order."""
         ...
 
-
-@runtime_checkable
-class Respondent(Protocol):
-    """A person who can be asked questions."""
-
     def answer(self, row: int, given: int) -> int:
-        """0 or 1, with the messages ``given`` so far.
+        """The answer 0 or 1 to a question, with the messages ``given`` so far.
 
         Args:
             row: of the person's labels, after those of the trace.
             given: bitmask of the messages.
+
+        Raises:
+            InputError: such people answer no questions.
         """
-        ...
-
-
-def respondent(person: Person) -> Respondent:
-    """The person as one who can be asked.
-
-    Raises:
-        InputError: they cannot.
-    """
-    if not isinstance(person, Respondent):
-        raise InputError("explainee", type(person).__name__, "one who answers questions; ask=never")
-    return person
-
-
-@runtime_checkable
-class Knower(Protocol):
-    """A person who may not know all that was said."""
-
-    @property
-    def knows(self) -> int:
-        """Bitmask of the facts set right that they have right now."""
-        ...
-
-
-@runtime_checkable
-class Habitual(Protocol):
-    """An explainee whose people are :class:`Knower`, and whose habits can be told."""
-
-    @property
-    def habits(self) -> Habits:
-        """Theirs."""
-        ...
+        raise InputError("explainee", type(self).__name__, "one who answers questions; ask=never")
 
 
 class Explainee(Protocol):
-    """A kind of user."""
+    """A kind of user. A subclass of it has what it does not define."""
+
+    @property
+    def habits(self) -> Habits:
+        """How they listen and answer, as far as the clairvoyant may know it."""
+        return PAPER
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """Somebody new.
@@ -109,7 +86,7 @@ class Explainee(Protocol):
 
 
 @dataclass(frozen=True)
-class SimulatedUser:
+class SimulatedUser(Person):
     """Believes each message at once and for ever, and answers by the true labels of one user type.
 
     Attributes:
@@ -138,12 +115,12 @@ class SimulatedUser:
         return Reaction(labels, labels)
 
     def answer(self, row: int, given: int) -> int:
-        """As :class:`Respondent` has it."""
+        """As :class:`Person` has it."""
         return int(self.table.of_steps([row]).label_probabilities(1, given)[0, 0])
 
 
 @dataclass(frozen=True)
-class Exact:
+class Exact(Explainee):
     """The paper's users."""
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
@@ -153,7 +130,7 @@ class Exact:
 
 @checks("explainee")
 @dataclass(frozen=True)
-class Slips:
+class Slips(Explainee):
     """Users who mean one thing and answer the other.
 
     Args:
@@ -171,7 +148,7 @@ class Slips:
 
 
 @dataclass(frozen=True)
-class _Slipping:
+class _Slipping(Person):
     user: SimulatedUser
     how: Slips
     same: NDArray[np.int64]
@@ -195,7 +172,7 @@ class _Slipping:
 
 @checks("explainee")
 @dataclass(frozen=True)
-class Heedless:
+class Heedless(Explainee):
     """Users who do not take every message in, or do not keep it.
 
     Args:
@@ -208,7 +185,7 @@ class Heedless:
 
     @property
     def habits(self) -> Habits:
-        """As :class:`Habitual` has it."""
+        """As :class:`Explainee` has it."""
         return habits_of(0.0, self.accept, self.forget)
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
@@ -217,7 +194,7 @@ class Heedless:
 
 
 @dataclass
-class _Heedless:
+class _Heedless(Person):
     """``told`` counts how often each message was said."""
 
     user: SimulatedUser

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,18 +46,13 @@ class Types(Protocol):
         """[N] P(type) of a user not seen before; empty for all alike."""
         ...
 
-    def label_table(self, transitions: Sequence[Any]) -> LabelTable:
-        """P(label is 1 | type, message set) of T ≥ 1 transitions."""
-        ...
-
-
-@runtime_checkable
-class KnowsHabits(Protocol):
-    """Types that were learned from answers, and with them people's habits."""
-
     @property
     def habits(self) -> Habits | None:
-        """None where nothing was learned of it."""
+        """How people listen and answer; None where nothing was learned of it."""
+        ...
+
+    def label_table(self, transitions: Sequence[Any]) -> LabelTable:
+        """P(label is 1 | type, message set) of T ≥ 1 transitions."""
         ...
 
 
@@ -97,12 +92,9 @@ class Planner:
             names = getattr(self.types, key, "")
             if isinstance(names, str) or len(set(names)) < len(names):
                 raise InputError(f"types.{key}", names, "names, each once")
-        wanted = {"solver": ("plan", "QMDP()"), "belief_update": ("habits", "Independent()")}
-        for key, (method, example) in wanted.items():
+        for key, example in (("solver", "QMDP()"), ("belief_update", "Independent()")):
             given = getattr(self, key)
-            if given is None and key == "belief_update":
-                continue
-            if isinstance(given, type) or not hasattr(given, method):
+            if isinstance(given, str | type):
                 raise InputError(key, given, f"an object, such as {example}")
         for key in ("trade_off", "inexplicability_cost", "discount"):
             number(key, getattr(self, key))
@@ -123,18 +115,16 @@ class Planner:
         return LabelTable(np.empty((types, 0), np.int64), np.ones((steps, 1, types)))
 
     @property
-    def habits(self) -> Habits | None:
-        """How observers erred, where the types tell."""
-        return self.types.habits if isinstance(self.types, KnowsHabits) else None
-
-    @property
     def beliefs(self) -> BeliefUpdate:
         """How labels change the belief."""
-        usual = Independent() if self.habits is None else Persistent("learned")
+        usual = Independent() if self.types.habits is None else Persistent("learned")
         return usual if self.belief_update is None else self.belief_update
 
-    def problem(self, table: LabelTable, questions: Questions | None = None) -> Problem:
-        """What the solver plans for, given the table of a trace, and what may be asked."""
+    def problem(
+        self, table: LabelTable, questions: Questions | None = None, copies: Sequence[int] = ()
+    ) -> Problem:
+        """What the solver plans for, given the table of a trace, what may be asked, and the first
+        transition that each is equal to."""
         problem = Problem(
             table,
             message_cost=np.asarray(self.message_cost),
@@ -145,9 +135,10 @@ class Planner:
             discount_per=self.discount_per,
             message_names=tuple(self.types.messages),
             type_names=tuple(self.types.names),
-            questions=questions,
+            questions=questions or Questions(),
+            copies=np.array(copies, np.int64),
         )
-        return problem.with_habits(self.beliefs.habits(self.habits))
+        return problem.with_habits(self.beliefs.habits(self.types.habits))
 
     def plan(self, problem: Problem) -> Policy:
         """A policy for the problem, planned when it is first asked."""

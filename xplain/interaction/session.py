@@ -111,7 +111,7 @@ class Session:
         said = problem.communication(all_given(events))
         zeros = sum(labels.count(0) for labels in all_labels(events))
         asked = sum(isinstance(event, Answered) for event in events)
-        price = problem.questions.limits.cost * asked if problem.questions else 0.0
+        price = problem.questions.limits.cost * asked
         return problem.trade_off * said + problem.inexplicability_cost * zeros + price
 
     def extend(self, transitions: Sequence[Any] | NDArray[Any]) -> None:
@@ -137,10 +137,12 @@ class Session:
         """What is planned for: the table of a trace, of which so much is known, and what may be
         asked."""
         planner, about = self._planner, self._asked_about
+        copies = [trace.index(transition) for transition in trace]
+        copies += range(len(trace), len(table.p))
         if about is None or planner.ask is None:
-            return planner.problem(table)
+            return planner.problem(table, copies=copies)
         asked = questions_of(self._clips, about, planner.ask, trace, len(table.p))
-        return planner.problem(table, asked)
+        return planner.problem(table, asked, copies)
 
     def next(self) -> Move:
         """What to do now: ask a question, then :meth:`answer`; say messages, then ``next`` again;
@@ -157,7 +159,7 @@ class Session:
                 talk.hear(Asked(action.question))
             else:
                 talk.hear(Given(messages_of(action)))
-        if talk.state.open is not None and talk.problem.questions:
+        if talk.state.open is not None:
             return talk.problem.questions.question(talk.state.open)
         said = self.messages()
         if said and not talk.state.told:
@@ -249,7 +251,6 @@ class Session:
         (before, event), questions = found, self._talk.problem.questions
         ranked = sorted(before.values().items(), key=lambda item: -item[1])
         visible = before.state.visible
-        asked = isinstance(event, Asked) and questions and questions.question(event.question)
         return Why(
             step=visible.step,
             given=self._names(visible.given),
@@ -260,11 +261,11 @@ class Session:
                 for action, value in ranked
                 if not isinstance(action, AskQuestion)
             },
-            asked=asked or None,
+            asked=questions.question(event.question) if isinstance(event, Asked) else None,
             questions=tuple(
                 (questions.question(action.question), value)
                 for action, value in ranked
-                if isinstance(action, AskQuestion) and questions
+                if isinstance(action, AskQuestion)
             ),
         )
 

@@ -115,7 +115,7 @@ def _bounds(bounds: Mapping[str, float]) -> list[str]:
     lines = [
         f"certificates, {traces}, discounted returns under the learned model:",
         f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; "
-        f"expected value of perfect information {_range(bounds, 'price_of_not_knowing')}",
+        f"expected value of perfect information {_range(bounds, 'value_of_perfect_information')}",
     ]
     if bounds.get("fresh_labels") == 0:
         lines.append(

@@ -156,9 +156,8 @@ def _worst(process: Process) -> float:
     question asked."""
     steps, questions = process.n_steps, process.questions
     often = 1 if process.jump is None else steps
-    asked = questions.cost * min(questions.most, len(questions.answered))
     zeros = process.explain_cost.max(axis=1).sum()
-    return float(zeros + often * process.price.sum() + asked)
+    return float(zeros + often * process.price.sum() + questions.cost * questions.most)
 
 
 def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> PolicyValue:

@@ -35,7 +35,7 @@ from xplain.solvers.process import (
     matters,
 )
 from xplain.solvers.process import give as give_message
-from xplain.solvers.voi import PATIENCE, asks_by_value
+from xplain.solvers.voi import PATIENCE, with_questions
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class QMDP:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         policy = greedy_policy(problem, "qmdp", self.memory_gib)
-        return asks_by_value(policy, policy.process, policy.known, seed)
+        return with_questions(policy, policy.process, policy.known, seed)
 
 
 @checks("solver")

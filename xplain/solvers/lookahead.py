@@ -30,7 +30,7 @@ from xplain.solvers.process import (
     set_prices,
 )
 from xplain.solvers.simple import weighable
-from xplain.solvers.voi import asks_by_value
+from xplain.solvers.voi import with_questions
 
 NEGLIGIBLE = 1e-9
 """Answers less likely keep the score of being told the state."""
@@ -59,7 +59,7 @@ class Lookahead:
         size = 24 * process.n_states << messages.bit_count()
         check_memory("lookahead", size, self.memory_gib, "qmdp needs less")
         policy = Expectimax(process, known, messages, self.candidates, self.answers)
-        return asks_by_value(policy, process, known, seed)
+        return with_questions(policy, process, known, seed)
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class QuestionTables(NamedTuple):
         cells: where a question's table is read.
         relevant: [S] bitmask of the messages that change some answer of s.
         cost: κ.
-        most: asked at most.
+        most: asked at most, no more than there are.
         first: whether only before the first step.
     """
 
@@ -151,17 +151,15 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
         TooLargeError: more than MAX_RELEVANT messages of a row.
     """
     price = problem.trade_off * problem.message_cost
-    asking = problem.questions
+    limits, asked = problem.questions.limits, problem.questions.table
     if problem.messages_land:
         table = _by_price(problem.table.over(row_messages(problem, dense)), price)
         effective = problem.table.effective()
-        asked = asking.table if asking else LabelTable(table.relevant, table.p[:0])
         cells, question_cells = (_cells_by_row(t, len(price)) for t in (table, asked))
         relevant = np.array([sum(1 << j for j in row) for row in effective], np.int64)
         jump = accept = forget = None
     else:
         table = problem.table
-        asked = asking.table if asking else LabelTable(table.relevant, table.p[:0])
         jump = _jumps(table, len(price))
         cells = question_cells = Cells(np.arange(jump.shape[1]), np.zeros_like(jump))
         relevant = ((jump != 0) << np.arange(len(price))[:, None]).sum(axis=0)
@@ -186,10 +184,10 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
             asked.answered.reshape(len(asked.p), width),
             asked.p.reshape(len(asked.p), width) >= 0.5,
             question_cells,
-            _answer_changing(asked, problem) if asking else np.zeros_like(relevant),
-            float(asking.limits.cost) if asking else 0.0,
-            asking.limits.most if asking else 0,
-            asking is not None and asking.limits.when == "first",
+            _answer_changing(asked, problem),
+            float(limits.cost),
+            min(limits.most, len(asked.p)),
+            limits.when == "first",
         ),
     )
 

@@ -33,7 +33,7 @@ from xplain.solvers.process import (
     expected_after_forgetting,
     make_process,
 )
-from xplain.solvers.voi import asks_by_value, telling_questions
+from xplain.solvers.voi import telling_questions, with_questions
 
 MAX_MISSED = 10
 """Messages whose sets are weighed together where they may be missed, at most: a set then leads to
@@ -76,9 +76,9 @@ class QHR:
             later = process.explain_cost[k] + expected_after_forgetting(process, later)
             shown[k] = later
         policy = QHRPolicy(process, messages, shown)
-        if problem.questions is None:
+        if not problem.questions:
             return policy
-        return asks_by_value(policy, process, known_values(process), seed)
+        return with_questions(policy, process, known_values(process), seed)
 
 
 @dataclass(frozen=True)

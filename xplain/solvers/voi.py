@@ -77,7 +77,7 @@ def telling_questions(
     return ranked, [news[q] for q in ranked]
 
 
-def asks_by_value(policy: Policy, process: Process, known: KnownValues, seed: int) -> Policy:
+def with_questions(policy: Policy, process: Process, known: KnownValues, seed: int) -> Policy:
     """The policy, which asks where there are questions."""
     if not len(process.questions.answered):
         return policy

@@ -67,7 +67,7 @@ class LiteralPOMDP:
             messages = tuple(range(self.problem.n_messages))
             used = state.pending
         free = [EXPLAIN, *(j for j in messages if j not in used)]
-        if self.problem.questions is not None and not state.pending:
+        if not state.pending:
             given = None if not self.problem.messages_land else bitmask(state.given)
             may = self.problem.questions.open(state.step, given, bitmask(state.asked))
             free += [EXPLAIN - 1 - q for q in may]
@@ -117,7 +117,6 @@ class LiteralPOMDP:
     ) -> Iterator[tuple[float, LiteralState, Observation, float]]:
         """What a question may be answered."""
         questions = self.problem.questions
-        assert questions is not None
         mask = bitmask(state.known if not self.problem.messages_land else state.given)
         yes = float(questions.table.answer_probabilities(question + 1, mask)[state.user_type, -1])
         after = state._replace(asked=state.asked | {question})

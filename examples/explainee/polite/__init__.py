@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain import InputError, LabelTable, Reaction, SimulatedUser, stream
-from xplain.interaction.explainees import Person
+from xplain.interaction.explainees import Explainee, Person
 
 
 @dataclass(frozen=True)
-class Polite:
+class Polite(Explainee):
     """Args:
     politeness: probability that somebody does not say what puzzles them about a transition.
     """
@@ -29,7 +29,7 @@ class Polite:
 
 
 @dataclass(frozen=True)
-class _Silent:
+class _Silent(Person):
     user: SimulatedUser
     about: NDArray[np.bool_]
 

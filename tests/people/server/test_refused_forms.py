@@ -93,7 +93,7 @@ def test_the_longest_answers_of_a_page_fit_into_a_request(tmp_path: Path) -> Non
     store = Store(tmp_path / "s.sqlite", StudySite(street_study(before=[essay])))
     visitor = Visitor(create_app(store, GENEROUS).test_client())
     page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
-    asked = Page.of_html(visitor.post("/study", [*page.hidden.items(), ("agree", "1")])[1])
-    _, html = visitor.post("/study", [*asked.hidden.items(), ("essay", "机" * 8000)])
+    shown = Page.of_html(visitor.post("/study", [*page.hidden.items(), ("agree", "1")])[1])
+    _, html = visitor.post("/study", [*shown.hidden.items(), ("essay", "机" * 8000)])
     assert Page.of_html(html).stage == "briefing"
     store.close()

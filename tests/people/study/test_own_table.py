@@ -157,7 +157,6 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
             assert told[kind, q, mask_of(facts, FACTS)] == sense(row, held - {*facts})
     assert [clip.picture is not None for clip in plan.clips] == [row == 0 for row in rows]
     questions = plan.problem.questions
-    assert questions is not None
     trace = [row - 1 for row in TRACE]
     assert questions.shows.tolist() == [[row == step for step in trace] for row in rows]
     store = Store(tmp_path / "s.sqlite", StudySite.of(plan))

@@ -152,7 +152,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
         stands = DialogueState(
             VisibleState(state.step, state.given, asked),
             np.array(state.belief),
-            previous=None if state.new or forgets else state.previous,
+            repeats=state.previous is not None and not state.new and not forgets,
             clips=bitmask(same),
         )
         return Dialogue(problem, self.policies[condition], self.belief, stands=stands)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, Whole, checks
+from xplain.explanation.asking import Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.people.plan import LabQuestion, Picture, StoredPlan, Told, Way
@@ -167,7 +168,7 @@ class StudyPlan(StoredPlan):
 
     def problem_of(self, condition: str) -> Problem:
         """What the policy of a condition plans for: only one of them may ask."""
-        return self.problem if condition == ASKING else replace(self.problem, questions=None)
+        return self.problem if condition == ASKING else replace(self.problem, questions=Questions())
 
     @property
     def n_steps(self) -> int:

@@ -196,8 +196,8 @@ def _flow(
     }
     for stage, who in {**left_out, "analysed": analysed}.items():
         reached[stage] = pd.Series(own.index.isin(who.index[who]), own.index)
-    asked = (ASKING,) if (own["condition"] == ASKING).any() else ()
-    of = {"all": everybody} | {c: own["condition"] == c for c in (*CONDITIONS, *asked)}
+    asking = (ASKING,) if (own["condition"] == ASKING).any() else ()
+    of = {"all": everybody} | {c: own["condition"] == c for c in (*CONDITIONS, *asking)}
     counted = {
         whose: {stage: int((who & theirs).sum()) for stage, who in reached.items()}
         for whose, theirs in of.items()

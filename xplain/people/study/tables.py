@@ -148,7 +148,7 @@ def _cost(plan: StudyPlan, one: Participant) -> float:
     messages = problem.communication(1 << j for j in one.state.heard)
     wrong: int = sum(event["payload"]["labels"].count(0) for event in one.answers("labels"))
     cost = problem.trade_off * messages + problem.inexplicability_cost * wrong
-    return cost + (problem.questions.limits.cost * asked if problem.questions else 0.0)
+    return cost + problem.questions.limits.cost * asked
 
 
 def _questions(plan: StudyPlan, one: Participant, shown: Sequence[Row]) -> Iterator[Row]:

@@ -425,7 +425,7 @@ def _grown(store: Store) -> Store:
 
 def _scratch(tables: Tables, store: Store, answers: int) -> Scratch:
     states, words = store.belief.shape[1], store.asked.shape[1]
-    levels = len(tables.cost) + min(tables.most, len(tables.asked)) + 1
+    levels = len(tables.cost) + tables.most + 1
     return Scratch(
         np.empty((answers, states)),
         np.empty((answers, states)),

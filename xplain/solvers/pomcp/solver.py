@@ -176,8 +176,10 @@ class Search:
         """The seed of a search: it comes from what is to be decided, not from what was decided
         before."""
         digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
-        asked = (str(visible.asked),) if visible.asked else ()
-        return derived_seed(self.seed, "pomcp", visible.step, said, digest, 0, *asked)
+        where = "pomcp", visible.step, said, digest, 0
+        if visible.asked:
+            return derived_seed(self.seed, *where, str(visible.asked))
+        return derived_seed(self.seed, *where)
 
     def search(self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]) -> Tree:
         """The tree after all simulations."""

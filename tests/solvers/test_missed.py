@@ -27,7 +27,7 @@ def needy(seed: int, questions: bool = False, steps: int = 2) -> Problem:
     rng = np.random.default_rng(seed)
     needed = rng.integers(1, 4, size=(2, steps + 1, 1))
     p = np.where(needed & ~np.arange(4) == 0, 1.0, 0.1)
-    asked = Questions(LabelTable.dense(p[:, steps:]), Limits(0.02)) if questions else None
+    asked = Questions(LabelTable.dense(p[:, steps:]), Limits(0.02)) if questions else Questions()
     cost = rng.uniform(0.3, 0.9, 2)
     problem = Problem(p[:, :steps], cost, discount=1.0, questions=asked)
     return problem.with_habits(habits_of(0.0, 0.7, 0.2))
@@ -47,7 +47,6 @@ def test_qmdp_asks_what_is_worth_it() -> None:
     """Whether a message landed can be asked for a hundredth, or not at all for more than all of
     it is worth."""
     problem = needy(0, questions=True)
-    assert problem.questions is not None
     cheap = QMDP().plan(problem)
     belief = told(problem, problem.start, 3)
     assert max(worths(cheap, 1, 0, belief).values()) > max(
