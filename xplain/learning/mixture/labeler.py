@@ -42,11 +42,10 @@ from xplain.learning.mixture.likelihood import (
     Cells,
     KnownTransitions,
     by_level,
-    log_prior,
+    cell_posterior,
     scaled,
-    truth,
 )
-from xplain.learning.mixture.partition import errors_of, partition
+from xplain.learning.mixture.partition import Partition, errors_of, partition
 from xplain.learning.prediction import log_likelihood
 from xplain.learning.types import Clustering
 
@@ -73,7 +72,7 @@ class FactSetClassifier(OfTruth):
             they say (:attr:`doubt`).
         facts: [R] fact sets that are likely.
         weight: [R, 1 + V, D] their posterior with variant and deviation.
-        cells: the answers by cell, for each fact set.
+        cells: of the answers, for each fact set.
         learned: [N] P(f = 1) of each cell, times the weight of its fact set.
         level: [E] posterior of the levels of error.
     """
@@ -100,18 +99,18 @@ class FactSetClassifier(OfTruth):
         given = by_level(answers.label) if given is None else given
         facts = known.supported(answers)
         prior = np.log(known.prior_of(facts) + 1e-300)
-        joint = Cells.of(known, answers, facts, given).log_likelihood(len(facts))
-        joint += prior[:, None, None, None] + log_prior(known.hypotheses)[:, :, None]
+        joint = Cells.of(known, answers, facts).log_likelihood(given)
+        joint += prior[:, None, None, None] + known.log_prior[:, :, None]
         posterior = np.exp(joint - logsumexp(joint))
         kept = posterior.sum(axis=(1, 2, 3)) > KEPT
         posterior = posterior[kept] / posterior[kept].sum()
         self.level = posterior.sum(axis=(0, 1, 2))
         self.facts, self.weight = facts[kept], posterior.sum(axis=3)
         self.trust = trust if self.doubt > DOUBTED else 1.0
-        self.cells = Cells.of(known, answers, self.facts, given)
-        zero, one = self.cells.log_joint()
-        of_cell = np.exp(one - np.logaddexp(zero, one)) * posterior[self.cells.which]
-        self.learned = of_cell.sum(axis=(1, 2, 3))
+        self.cells = Cells.of(known, answers, self.facts)
+        zero, one = self.cells.given(given)
+        of_cell = cell_posterior(self.cells.one[..., None], one - zero)
+        self.learned = (of_cell * posterior[self.cells.which]).sum(axis=(1, 2, 3))
 
     @cached_property
     def alone(self) -> Labeler:
@@ -159,20 +158,17 @@ class FactSetClassifier(OfTruth):
         self, transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """P(f = 1) of known transitions [P] under message sets [P]: [P]."""
-        known, result = self.known, np.zeros(len(transition))
-        for r, facts in enumerate(self.facts.tolist()):
-            key = known.hypotheses.row(facts & ~told) * known.share.shape[2] + transition
-            cells, place = np.unique(key, return_inverse=True)
-            one = (truth(known.by_cell[cells], known.hypotheses.sizes) * self.weight[r]).sum(
-                axis=(1, 2)
-            )
+        asked, result = Answers(transition, told, transition), np.zeros(len(transition))
+        for r in range(len(self.facts)):
+            cells = Cells.of(self.known, asked, self.facts[[r]])
+            one = (cells.one * self.weight[r]).sum(axis=(1, 2))
             own = np.flatnonzero(self.cells.which == r)
             _, here, there = np.intersect1d(
-                cells, self.cells.key[own], assume_unique=True, return_indices=True
+                cells.key, self.cells.key[own], assume_unique=True, return_indices=True
             )
             one[here] = self.learned[own][there]
-            result += one[place.ravel()]
-        return self._weighed(result, known.features[transition], told)
+            result += one[cells.where[0]]
+        return self._weighed(result, self.known.features[transition], told)
 
     def exactly(
         self, transitions: NDArray[np.int64], told: NDArray[np.int64]
@@ -181,8 +177,8 @@ class FactSetClassifier(OfTruth):
         share their features, nobody knows which of them an answer was about."""
         result = np.zeros(len(transitions))
         for r, facts in enumerate(self.facts.tolist()):
-            share = self.known.share_of(facts & ~told, transitions)
-            result += (truth(share, self.known.hypotheses.sizes) * self.weight[r]).sum(axis=(1, 2))
+            one = self.known.exactly(facts & ~told, transitions)
+            result += (one * self.weight[r]).sum(axis=(1, 2))
         features = self.known.hypotheses.features
         assert features is not None
         return self._weighed(result, features[transitions], told)
@@ -224,52 +220,79 @@ class FactSetClassifier(OfTruth):
 
 
 @dataclass(frozen=True)
-class TwoWays:
-    """To foretell answers about transitions that the hypotheses know.
+class KnownAnswers:
+    """The answers of a dataset about transitions that hypotheses know.
 
     Attributes:
         known: the hypotheses.
-        place: [T] where these know the transitions of a dataset.
+        dataset: these answers alone.
+        place: [T] where hypotheses know the transitions of the dataset; −1 nowhere.
     """
 
     known: KnownTransitions
+    dataset: Dataset
     place: NDArray[np.int64]
 
-    def hypotheses(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
-        """log P of each label of ``test``: [Q]."""
-        return self.learned(train).log_answered(answers_of(self.place, test))
+    @classmethod
+    def of(cls, known: KnownTransitions, dataset: Dataset) -> KnownAnswers:
+        """Those of a dataset with the hypotheses' features and messages."""
+        place = known.find(dataset.features)
+        return cls(known, dataset.take(np.flatnonzero(place[dataset.transition] >= 0)), place)
 
-    def labels(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
+    @cached_property
+    def of_observers(self) -> list[Answers]:
+        """The answers of each observer."""
+        every, observer = self._answers(self.dataset), self.dataset.observer
+        number = len(self.dataset.observers)
+        return [every.take(np.flatnonzero(observer == o)) for o in range(number)]
+
+    @cached_property
+    def grown(self) -> KnownTransitions:
+        """The hypotheses with all that any observer's answers make likely."""
+        known = self.known
+        for own in self.of_observers:
+            known = known.with_sets(self.known.grown(own).supported(own))
+        return known
+
+    def partition(self, concentration: float) -> Partition:
+        """The likeliest types, α of the process being ``concentration``."""
+        return partition(self.grown, self.of_observers, concentration)
+
+    def errors(self, assignment: NDArray[np.int64]) -> AnswerModel:
+        """How these people err when they answer, their types [O] being given."""
+        return errors_of(self.grown, self.of_observers, assignment)
+
+    def evidence(self, assignment: NDArray[np.int64]) -> Evidence:
+        """How well hypotheses foretell the answers, the observers' types [O] being given."""
+        data = self.dataset
+        rows, own, alone = foretold(data, assignment, (self.by_hypotheses, self.by_labels))
+        members = (np.flatnonzero(assignment == t) for t in range(int(assignment.max()) + 1))
+        types = [self._learned(data.of(people)) for people in members]
+        doubt, unwritten = np.array([(one.doubt, one.unwritten) for one in types]).T
+        return Evidence(own, alone, assignment[data.observer[rows]], doubt, unwritten)
+
+    def by_hypotheses(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
+        """log P of each label of ``test``, by what hypotheses and ``train`` say: [Q]."""
+        return self._learned(train).log_answered(self._answers(test))
+
+    def by_labels(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
         """The same, without hypotheses."""
         return log_likelihood(cheap().fit(train, 0), test)
 
-    def learned(self, data: Dataset) -> FactSetClassifier:
+    def _learned(self, data: Dataset) -> FactSetClassifier:
         """Of people of one type, who err all as often."""
-        answers = answers_of(self.place, data)
-        return FactSetClassifier(self.known.grown(answers), answers, partial(cheap().fit, data, 0))
+        return self.classifier(data, partial(cheap().fit, data, 0))
 
-    def evidence(self, dataset: Dataset, assignment: NDArray[np.int64]) -> Evidence:
-        """Of a dataset whose observers' types [O] are given."""
-        dataset = dataset.take(np.flatnonzero(self.place[dataset.transition] >= 0))
-        rows, *logs = foretold(dataset, assignment, (self.hypotheses, self.labels))
-        members = (np.flatnonzero(assignment == t) for t in range(int(assignment.max()) + 1))
-        types = [self.learned(dataset.of(own)) for own in members]
-        doubt, unwritten = np.array([(one.doubt, one.unwritten) for one in types]).T
-        of_type = assignment[dataset.observer[rows]]
-        return Evidence(logs[0], logs[1], of_type, doubt, unwritten)
+    def classifier(
+        self, data: Dataset, alone: Callable[[], Labeler], *about: Any
+    ) -> FactSetClassifier:
+        """Of people of one type, by some of the answers; ``about`` as for the class."""
+        answers = self._answers(data)
+        return FactSetClassifier(self.known.grown(answers), answers, alone, *about)
 
-
-def by_observer(place: NDArray[np.int64], dataset: Dataset) -> list[Answers]:
-    """:func:`answers_of` each observer, those about transitions that the hypotheses know."""
-    every, known = answers_of(place, dataset), place[dataset.transition] >= 0
-    observers = range(len(dataset.observers))
-    return [every.take(np.flatnonzero(known & (dataset.observer == o))) for o in observers]
-
-
-def answers_of(place: NDArray[np.int64], dataset: Dataset) -> Answers:
-    """The labels of a dataset, about transitions that the hypotheses have at ``place`` [T]."""
-    label = dataset.label.astype(np.int64)
-    return Answers(place[dataset.transition], dataset.message_set, label)
+    def _answers(self, data: Dataset) -> Answers:
+        label = data.label.astype(np.int64)
+        return Answers(self.place[data.transition], data.message_set, label)
 
 
 log = logging.getLogger(__name__)
@@ -372,18 +395,15 @@ class HypothesisTrainer(LabelerTrainer):
 
     def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:
         """A classifier fitted to the labels of a dataset, whose rows are x [P, F + n]."""
-        place = self.known.find(dataset.features)
-        own = dataset.take(np.flatnonzero(place[dataset.transition] >= 0))
-        answers = answers_of(place, own)
-        given, trust = None, 1.0
+        asked, given, trust = KnownAnswers.of(self.known, dataset), None, 1.0
+        own = asked.dataset
         if self.answers is not None:
-            label = answers.label
+            label = own.label.astype(np.int64)
             given = scaled(self.answers.log_given(own.transition, own.observer, label), label)
         if self.evidence is not None and self.types is not None:
             trust = float(self.evidence.trust[self.types[own.observer]].mean())
         trainer = self._alone if dataset.n_messages <= DENSE else cheap()
-        alone = partial(trainer.fit, dataset, seed)
-        return FactSetClassifier(self.known.grown(answers), answers, alone, given, trust)
+        return asked.classifier(own, partial(trainer.fit, dataset, seed), given, trust)
 
     @property
     def _alone(self) -> LabelerTrainer:
@@ -394,15 +414,17 @@ class HypothesisTrainer(LabelerTrainer):
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
         """With how these people err when they answer, their types [O] being given."""
-        found = self._known_answers(dataset)
-        if found is None:
+        asked = self._known_answers(dataset)
+        if asked is None:
             return self, self.answers, self.evidence
-        place, known, observers = found
-        made = errors_of(known, observers, assignment)
-        answers = replace(made, slip=made.slip[[*place, -1]], guess=made.guess[[*place, -1]])
-        evidence = TwoWays(self.known, place).evidence(dataset, assignment)
-        heeding = replace(self, answers=answers, types=assignment, evidence=evidence)
-        return heeding, answers, evidence
+        made, where = asked.errors(assignment), [*asked.place, -1]
+        answers = replace(made, slip=made.slip[where], guess=made.guess[where])
+        evidence = asked.evidence(assignment)
+        return (
+            replace(self, answers=answers, types=assignment, evidence=evidence),
+            answers,
+            evidence,
+        )
 
     def find_types(self, dataset: Dataset, concentration: float) -> Clustering | None:
         """The types by a Dirichlet process over fact sets; None where the hypotheses know nothing
@@ -412,39 +434,28 @@ class HypothesisTrainer(LabelerTrainer):
             dataset: labels of O observers.
             concentration: α of the process.
         """
-        found = self._known_answers(dataset)
-        if found is None:
+        asked = self._known_answers(dataset)
+        if asked is None:
             return None
-        place, known, observers = found
-        facts, _, expected = partition(known, observers, concentration)
-        same = np.unique(facts, return_inverse=True)[1]
-        if TwoWays(self.known, place).evidence(dataset, same).beaten:
+        facts, _, expected = asked.partition(concentration)
+        if asked.evidence(np.unique(facts, return_inverse=True)[1]).beaten:
             return None
-        if surprise := int(np.bitwise_or.reduce(facts & known.unwritten)):
+        if surprise := int(np.bitwise_or.reduce(facts & asked.grown.unwritten)):
             names = ", ".join(names_of(surprise, dataset.messages))
             log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
         if expected is not None:
-            ones = np.bincount(dataset.transition, dataset.label, len(place))
-            mean = (ones + 1) / (np.bincount(dataset.transition, minlength=len(place)) + 2)
+            place, count = asked.place, len(asked.place)
+            ones = np.bincount(dataset.transition, dataset.label, count)
+            mean = (ones + 1) / (np.bincount(dataset.transition, minlength=count) + 2)
             expected = np.where(place >= 0, expected[:, place], mean)
         return Clustering.by_facts(facts, "hypotheses", expected=expected)
 
-    def _known_answers(
-        self, dataset: Dataset
-    ) -> tuple[NDArray[np.int64], KnownTransitions, list[Answers]] | None:
-        """Where the dataset's features [T] are among those that hypotheses know (−1 nowhere), these
-        with all that any observer's answers make likely, and the answers of each observer; None
-        where they know nothing of the dataset."""
-        known = self.known
-        if not _same_task(known.hypotheses, dataset.feature_names, dataset.messages):
+    def _known_answers(self, dataset: Dataset) -> KnownAnswers | None:
+        """The answers that hypotheses know about; None where they know nothing of the dataset."""
+        if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
             return None
-        place = known.find(dataset.features)
-        if (place < 0).all():
-            return None
-        observers = by_observer(place, dataset)
-        for own in observers:
-            known = known.with_sets(self.known.grown(own).supported(own))
-        return place, known, observers
+        asked = KnownAnswers.of(self.known, dataset)
+        return asked if (asked.place >= 0).any() else None
 
 
 def _same_task(

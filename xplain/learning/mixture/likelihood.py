@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
+from scipy.special import expit, logit, logsumexp
 
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
@@ -50,6 +50,12 @@ def log_cell(
     zero, own = np.asarray(given_zero), np.asarray(given_one)
     top = np.maximum(zero, own)
     return np.asarray(np.log((1 - one) * np.exp(zero - top) + one * np.exp(own - top)) + top)
+
+
+def cell_posterior(one: NDArray[np.float64], said: ArrayLike) -> NDArray[np.float64]:
+    """P(f = 1 | answers in the cell), by P(f = 1) ``one`` before them and what they say for it:
+    log P(answers | f = 1) − log P(answers | f = 0)."""
+    return np.asarray(expit(logit(one) + said))
 
 
 WRONG = 0.05
@@ -203,18 +209,37 @@ class KnownTransitions:
         prior = np.bincount(which.ravel(), self.hypotheses.prior)
         return np.asarray(prior[np.searchsorted(every, facts)], np.float64)
 
-    def share_of(
+    @cached_property
+    def log_prior(self) -> NDArray[np.float64]:
+        """[1 + V, D] log P(variant, δ)."""
+        return np.log(self.hypotheses.variant_prior)[:, None] + np.log(DEVIATION_PRIOR)
+
+    def exactly(
         self, held: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(label 1) by the hypotheses' own transitions [P], whose features may be shared, of who
-        holds these facts [P] wrong: [P, 1 + V]."""
+        """P(f = 1) by the hypotheses' own transitions [P], whose features may be shared, of who
+        holds these facts [P] wrong: [P, 1 + V, D]."""
         labels = self.hypotheses.tables[:, self.hypotheses.row(held), transitions]
-        return np.asarray((labels * _certain(held, self.unwritten)).T, np.float64)
+        return self._deviating((labels * _certain(held, self.unwritten)).T)
 
     @cached_property
-    def by_cell(self) -> NDArray[np.float64]:
+    def _by_cell(self) -> NDArray[np.float64]:
         """[C · U, 1 + V] :attr:`share` by the key of a cell."""
         return np.ascontiguousarray(self.share.reshape(len(self.share), -1).T)
+
+    def truth(self, key: NDArray[np.int64]) -> NDArray[np.float64]:
+        """P(f = 1) of cells [*], by variant and δ: [*, 1 + V, D]."""
+        return self._deviating(self._by_cell[key])
+
+    def _deviating(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """P(f = 1) where the hypotheses' is ``share`` [*, 1 + V]. Where variants that differ in
+        sizes disagree, more than the others may be true."""
+        of_sizes = share[..., self.hypotheses.sizes]
+        disputed = of_sizes.min(axis=-1) != of_sizes.max(axis=-1)
+        more = np.minimum(DISPUTED * DEVIATION, DEVIATION[-1])
+        deviation = np.where(disputed[..., None], more, DEVIATION)[..., None, :]
+        one = share[..., None]
+        return np.asarray(one * (1 - deviation) + (1 - one) * deviation)
 
     @cached_property
     def ambiguous(self) -> NDArray[np.bool_]:
@@ -304,75 +329,39 @@ def scaled(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArray[np.f
 
 @dataclass(frozen=True)
 class Cells:
-    """Answers by cell, for some fact sets at once.
+    """Answers of people of one type by cell, for each of R fact sets that the type may have.
 
     Attributes:
         which: [N] number of the fact set that a cell belongs to.
         where: [R, P] the cell of each answer, by fact set.
         key: [N] row of what is held wrong · U + transition; ascending for each fact set.
-        share: [N, 1 + V] the hypotheses' P(label 1), by variant.
-        given: [N, 2, E] log P(answers in the cell | f) for f = 0 and 1 and E levels of error.
-        sizes: [1 + V] see :attr:`~xplain.domains.users.hypotheses.Hypotheses.sizes`.
+        one: [N, 1 + V, D] P(f = 1) before any answer, by variant and δ.
     """
 
     which: NDArray[np.int64]
     where: NDArray[np.int64]
     key: NDArray[np.int64]
-    share: NDArray[np.float64]
-    given: NDArray[np.float64]
-    sizes: NDArray[np.bool_]
+    one: NDArray[np.float64]
 
     @classmethod
-    def of(
-        cls,
-        known: KnownTransitions,
-        answers: Answers,
-        facts: NDArray[np.int64],
-        given: NDArray[np.float64],
-        person: NDArray[np.int64] | int = 0,
-    ) -> Cells:
-        """The cells of these answers, were they of people who hold ``facts`` [R] wrong.
-
-        Args:
-            known: the hypotheses.
-            answers: P of them.
-            facts: candidates.
-            given: [P, 2, E] log P(answer | f) of each answer.
-            person: [P] who gave it, 0, 1, …; different people share no cell, and fact set r of
-                person o is number o R + r. 0: all are of one type.
-        """
-        transitions = known.share.shape[2]
+    def of(cls, known: KnownTransitions, answers: Answers, facts: NDArray[np.int64]) -> Cells:
+        """The cells of P answers, were they of people who hold ``facts`` [R] wrong."""
         held = known.hypotheses.row(facts[:, None] & ~answers.message_set)
         size = known.share[0].size
-        number = np.arange(len(facts))[:, None] + len(facts) * np.asarray(person)
-        key = number * size + held * transitions + answers.transition
-        cells, where = np.unique(key, return_inverse=True)
-        total = summed(np.tile(given, (len(facts), 1, 1)), where.ravel(), len(cells))
-        inner, where = cells % size, where.reshape(key.shape)
-        share = known.by_cell[inner]
-        return cls(cells // size, where, inner, share, total, known.hypotheses.sizes)
+        key = held * known.share.shape[2] + answers.transition
+        cells, where = np.unique(key + size * np.arange(len(facts))[:, None], return_inverse=True)
+        key = cells % size
+        return cls(cells // size, where.reshape(held.shape), key, known.truth(key))
 
-    def log_joint(self) -> NDArray[np.float64]:
-        """log P(answers in the cell, f | variant, δ, level) of f = 0 and 1: [2, N, 1 + V, D, E]."""
-        prior = truth(self.share, self.sizes)[..., None]
-        zero, one = (self.given[:, f, None, None, :] for f in (0, 1))
-        return np.stack([np.log1p(-prior) + zero, np.log(prior) + one])
+    def given(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
+        """log P(answers in the cell | f) for f = 0 and 1 and E levels of error, of log P(answer |
+        f) [P, 2, E]: [2, N, 1, 1, E]."""
+        every = np.tile(given, (len(self.where), 1, 1))
+        total = summed(every, self.where.ravel(), len(self.key))
+        return np.moveaxis(total, 1, 0)[:, :, None, None]
 
-    def log_likelihood(self, sets: int) -> NDArray[np.float64]:
-        """log P(answers | R, variant, δ, level): [R, 1 + V, D, E]."""
-        return summed(np.logaddexp(*self.log_joint()), self.which, sets)
-
-
-def truth(share: NDArray[np.float64], sizes: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """P(f = 1) of cells [N, 1 + V] by how often the hypotheses are wrong: [N, 1 + V, D]. Where
-    variants that differ in ``sizes`` [1 + V] disagree, more than the others may be true."""
-    of_sizes = share[:, sizes]
-    disputed = of_sizes.min(axis=1) != of_sizes.max(axis=1)
-    more = np.minimum(DISPUTED * DEVIATION, DEVIATION[-1])
-    deviation = np.where(disputed[:, None], more, DEVIATION)[:, None]
-    return np.asarray(share[:, :, None] * (1 - deviation) + (1 - share[:, :, None]) * deviation)
-
-
-def log_prior(hypotheses: Hypotheses) -> NDArray[np.float64]:
-    """log P(variant, δ): [1 + V, D]."""
-    return np.asarray(np.log(hypotheses.variant_prior)[:, None] + np.log(DEVIATION_PRIOR))
+    def log_likelihood(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
+        """log P(answers | R, variant, δ, level), of log P(answer | f) [P, 2, E]: [R, 1 + V, D,
+        E]."""
+        value = log_cell(self.one[..., None], *self.given(given))
+        return summed(value, self.which, len(self.where))

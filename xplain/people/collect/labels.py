@@ -12,9 +12,8 @@ from scipy.optimize import brentq
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.evidence import Evidence
-from xplain.learning.mixture.labeler import TwoWays, by_observer
+from xplain.learning.mixture.labeler import KnownAnswers
 from xplain.learning.mixture.likelihood import KnownTransitions
-from xplain.learning.mixture.partition import partition
 from xplain.people.collect.asking import FINISHED, STATED, CollectState
 from xplain.people.collect.plan import CollectPlan
 
@@ -98,16 +97,15 @@ class KnownSoFar:
 def fact_sets(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[NDArray[np.int64], float]:
     """[N] the facts that each person's type holds wrong, and the share of wrong answers: the
     Dirichlet process over fact sets that ``discover`` runs with the same hypotheses."""
-    ways, data = _asked(plan, people)
-    found = partition(ways.known, by_observer(ways.place, data), CONCENTRATION)
-    return found.facts, found.answers.wrong(ways.place[data.transition], data.observer)
+    asked = _asked(plan, people)
+    found, data = asked.partition(CONCENTRATION), asked.dataset
+    return found.facts, found.answers.wrong(asked.place[data.transition], data.observer)
 
 
-def _asked(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[TwoWays, Dataset]:
-    """The labels of these people, and how to foretell them."""
-    known = KnownTransitions.of(plan.hypotheses)
+def _asked(plan: CollectPlan, people: Sequence[CollectState]) -> KnownAnswers:
+    """The labels of these people, and what hypotheses know of them."""
     data = dataset_of(plan, {str(o): state for o, state in enumerate(people)})
-    return TwoWays(known, known.find(data.features)), data
+    return KnownAnswers.of(KnownTransitions.of(plan.hypotheses), data)
 
 
 def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar | None:
@@ -115,7 +113,6 @@ def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar
     if len(people) < 2:
         return None
     facts, error = fact_sets(plan, people)
-    ways, data = _asked(plan, people)
     types = []
     for held in np.unique(facts).tolist():
         members = np.flatnonzero(facts == held).tolist()
@@ -130,7 +127,7 @@ def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar
         error=error,
         unsure=sum(one <= SURE for one in best),
         unlike=float(np.mean([state.belief.get("none", 0.0) for state in people])),
-        evidence=ways.evidence(data, np.unique(facts, return_inverse=True)[1]),
+        evidence=_asked(plan, people).evidence(np.unique(facts, return_inverse=True)[1]),
         new_types=new_types,
         next_new=next_new,
     )
