@@ -26,7 +26,6 @@ from xplain.domains.users.inaccurate_values import (
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import DomainError, InputError, TooLargeError, XplainError
 from xplain.experiment.config import composed
-from xplain.questions.matrix import QuestionMatrix
 
 seeds = st.integers(0, 10_000)
 
@@ -69,33 +68,6 @@ def test_the_essential_facts_are_the_smallest_candidate_that_behaves_alike(seed)
         members = hypotheses.facts[hypotheses.classes == own]
         assert essential == np.bitwise_and.reduce(members)
         assert essential in members
-
-
-@given(seeds, st.integers(0, 2))
-@settings(deadline=None)
-def test_expected_labels_are_the_sum_over_candidates(seed, variants):
-    hypotheses = random_hypotheses(seed, variants=variants)
-    weight = np.random.default_rng(seed).random((1 + variants, 8))
-    tables = [hypotheses.labels, *hypotheses.variants]
-    matrix = QuestionMatrix.of(hypotheses)
-    expected = matrix.probability(weight)
-    covered = []
-    for one, g, told in zip(expected, matrix.function, matrix.told.tolist(), strict=True):
-        for t in matrix.transitions[g].tolist():
-            plain = sum(
-                weight[v, held] * table[held & ~told, t]
-                for v, table in enumerate(tables)
-                for held in range(8)
-            )
-            assert one == pytest.approx(plain, abs=1e-12)
-            covered.append((t, told))
-    every = [
-        (t, told)
-        for t, facts in enumerate(hypotheses.matters.tolist())
-        for told in range(8)
-        if facts and told & ~facts == 0
-    ]
-    assert sorted(covered) == every
 
 
 def test_of_a_domain_they_are_the_labels_of_its_inaccurate_values(corridor):

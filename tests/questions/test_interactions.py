@@ -1,5 +1,5 @@
-"""Questions about many facts: the same probabilities as the tables', and no better one next to
-those found."""
+"""Questions: their probabilities by definition, all of them where facts are few, and a search where
+they are many."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.questions.matrix import Interactions, QuestionMatrix, questions_of
+from xplain.questions.matrix import CLOSE, QuestionMatrix
 
 seeds = st.integers(0, 10_000)
 FACTS, TRANSITIONS = 5, 6
@@ -31,40 +31,49 @@ def by_definition(hypotheses, weight, transition, kept):
     return float((weight * hypotheses.tables[:, rows, transition]).sum())
 
 
-@given(seeds, st.integers(0, 1))
-@settings(deadline=None)
-def test_no_question_that_differs_in_one_message_tells_more(seed, variants):
+def questions_by_definition(hypotheses, weight):
+    """P(label 1) of all questions: {(transition, facts not told): probability}."""
+    return {
+        (t, kept): by_definition(hypotheses, weight, t, kept)
+        for t, facts in enumerate(hypotheses.matters.tolist())
+        for kept in range(1 << FACTS)
+        if facts and kept & ~facts == 0
+    }
+
+
+@pytest.mark.parametrize("products", [1 << 26, 1])
+@given(seed=seeds, variants=st.integers(0, 1), count=st.sampled_from([1, 3, 1000]))
+@settings(deadline=None, max_examples=60)
+def test_the_nearest_questions_are_found(seed, variants, count, products):
+    """All of them where facts are few. A search finds one that is nearer than all that differ from
+    it in one fact, or that is as near as the most probable candidate allows."""
     hypotheses = random_list(seed, variants)
-    weight = np.random.default_rng(seed).random((1 + variants, len(hypotheses.facts)))
-    middle = weight.sum() / 2
-    sparse = Interactions.of(hypotheses)
-    found = sparse.nearest(weight, middle, 1)
-    assert set(found.function.tolist()) == set(range(len(sparse.transitions)))
+    rng = np.random.default_rng(seed)
+    weight = rng.dirichlet(np.full(hypotheses.tables[..., 0].size, 0.3))
+    weight = weight.reshape(1 + variants, -1)
+    every = questions_by_definition(hypotheses, weight)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("xplain.questions.matrix.PRODUCTS", products)
+        matrix = QuestionMatrix.of(hypotheses)
+        found = matrix.nearest(weight, 0.5, count, rng)
+    pairs = {}
     for off, g, told in zip(*found, strict=True):
-        facts, transition = int(sparse.facts[g]), int(sparse.transitions[g][0])
-        kept = facts & ~int(told)
-        assert int(told) & ~facts == 0
-        value = by_definition(hypotheses, weight, transition, kept)
-        assert off == pytest.approx(abs(value - middle), abs=1e-9)
-        for j in range(FACTS):
-            other = by_definition(hypotheses, weight, transition, kept ^ 1 << j)
-            assert abs(other - middle) >= off - 1e-8
-
-
-@given(seeds)
-@settings(deadline=None)
-def test_where_all_sets_are_listed_all_questions_are_weighed(seed):
-    hypotheses = random_list(seed)
-    every = len(hypotheses.facts) == 1 << FACTS
-    assert isinstance(questions_of(hypotheses), QuestionMatrix) == every
-    weight = np.random.default_rng(seed).random((1, len(hypotheses.facts)))
-    middle = weight.sum() / 2
-    best = QuestionMatrix.of(hypotheses).nearest(weight, middle, 1).off.min()
-    assert Interactions.of(hypotheses).nearest(weight, middle, 1).off.min() >= best - 1e-9
-
-
-def test_where_questions_are_too_many_for_a_matrix_they_are_searched(monkeypatch):
-    hypotheses = Hypotheses.of(np.random.default_rng(0).integers(0, 2, (1 << FACTS, 4)))
-    assert isinstance(questions_of(hypotheses), QuestionMatrix)
-    monkeypatch.setattr("xplain.questions.matrix.MAX_CELLS", 100)
-    assert isinstance(questions_of(hypotheses), Interactions)
+        for t in matrix.having(g).tolist():
+            kept = int(matrix.facts[g] & ~told)
+            assert int(told) & ~int(matrix.facts[g]) == 0
+            assert off == pytest.approx(abs(every[t, kept] - 0.5), abs=1e-9)
+            pairs[t, kept] = off
+    assert sum(len(matrix.having(g)) for g in found.function) == len(pairs)  # each once
+    best, least = min(pairs.values()), max(weight.max() - 0.5, 0.0)
+    assert best >= least - 1e-9
+    if products > 1:
+        nearest = sorted(abs(value - 0.5) for value in every.values())[:count]
+        distinct = {key for key in every if abs(every[key] - 0.5) <= nearest[-1]}
+        assert best == pytest.approx(nearest[0], abs=1e-9)
+        assert count < 1000 or distinct == set(pairs)
+    elif best > least + CLOSE:
+        t, kept = min(pairs, key=pairs.__getitem__)
+        near = (
+            abs(every[t, kept ^ 1 << j] - 0.5) for j in range(FACTS) if (t, kept ^ 1 << j) in every
+        )
+        assert best <= min(near) + 1e-9

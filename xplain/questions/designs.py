@@ -13,6 +13,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from xplain.domains.base import transition_features
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
@@ -217,20 +218,21 @@ class Adaptive:
         )
         asked: dict[int, Questionnaire] = {}
         found: dict[int, Posterior] = {}
-        for o, now in self._turns(sizes.tolist()):
-            others = [one for other, one in found.items() if other != o]
-            before = asked.get(o) or blank.anew(None, derived_seed(seed, "queries", o))
-            questions = self._questions(before, others)
-            left = now
-            while left:
-                check = questions.done and checks.rng.random() < self.check
-                which, told = checks.next() if check else questions.next()
-                clip = np.atleast_1d(which)[:left]
-                labels = answer(o, transitions[clip], np.full(len(clip), told))
-                questions.answer(labels, (clip.tolist(), told))
-                left -= len(clip)
-                questions = self._grown(questions, others)
-            asked[o], found[o] = questions, _likely(questions)
+        with threadpool_limits(1):  # small products: threads would cost more than the work
+            for o, now in self._turns(sizes.tolist()):
+                others = [one for other, one in found.items() if other != o]
+                before = asked.get(o) or blank.anew(None, derived_seed(seed, "queries", o))
+                questions = self._questions(before, others)
+                left = now
+                while left:
+                    check = questions.done and checks.rng.random() < self.check
+                    which, told = checks.next() if check else questions.next()
+                    clip = np.atleast_1d(which)[:left]
+                    labels = answer(o, transitions[clip], np.full(len(clip), told))
+                    questions.answer(labels, (clip.tolist(), told))
+                    left -= len(clip)
+                    questions = self._grown(questions, others)
+                asked[o], found[o] = questions, _likely(questions)
         return [_answered(asked[o], transitions, found[o][0]) for o in range(len(sizes))]
 
     def _turns(self, sizes: list[int]) -> list[tuple[int, int]]:

@@ -1,30 +1,25 @@
-r"""How much questions tell: all questions as one matrix of labels where they are few, or searched
-where they are many, and mutual information under what is known of a person.
+r"""How much questions tell: all questions as one matrix of labels, and mutual information under
+what is known of a person.
 
 A question is a transition τ and messages H. Under weights w over the candidates R (and variants)::
 
-    P(label 1 | τ, H) = Σ_R w(R) f_τ(R \ H) = w @ L
+    P(label 1 | τ, H) = Σ_R w(R) f_τ(R \ H)
 
-Only the facts S_τ on which τ depends count, so that H ⊆ S_τ are all questions that differ, and
-questions that all candidates label alike share one column of L.
+When the facts K are not told, this is a sum over the sets R ∩ K, which are candidates too: the
+weights of all R with the same R ∩ K are added, and multiplied by the matrix of labels. A question
+tells the more the nearer its P(label 1) is to ½.
 
-Where facts are many, candidates are few of the 2^n sets. The label function of a transition, over
-the candidates, is f(w) = Σ_{A ⊆ w} c_A (its Möbius transform; A, with each set its subsets, are
-candidates too, and most c_A are 0). When the facts K are not told, the probability of label 1 is a
-polynomial in K::
-
-    P(yes | K) = Σ_{A ⊆ K} c_A Σ_{R ⊇ A} p(R)
-
-A question tells the more the nearer it is to ½, and K is found by turning one fact after the other,
-each time that which comes nearest.
+Where facts are few, every K is weighed. Otherwise random sets K are weighed for the label functions
+in random order, until a question is about as near to ½ as the most probable candidate allows. From
+the best question found, one fact after the other is then added to K or removed from it, as long as
+the question comes nearer to ½.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,8 +28,15 @@ from scipy.special import entr
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.explanation.message_sets import indices, subsets
 
-TURN = 1e-9
-"""A fact is turned where the question comes nearer by more."""
+EQUAL = 1e-11
+"""Questions tie when their P(label 1) lie as far from ½, but for this."""
+CLOSE = 1e-3
+"""A question this near to the best possible P(label 1) ends the search: it tells at most 1e-5 bits
+less, unless an answer is nearly certain."""
+SETS = 64
+"""Random sets of facts that a search weighs."""
+PRODUCTS = 1 << 26
+"""Multiplications at a time."""
 
 
 class Nearest(NamedTuple):
@@ -52,199 +54,115 @@ class Nearest(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Interactions:
-    """The coefficients c_A ≠ 0, E of them, of G label functions.
+class QuestionMatrix:
+    """All questions: the G distinct label functions of transitions, and the messages before them.
 
     Attributes:
-        hypotheses: the candidates.
-        transitions: G arrays, which transitions have each function.
+        hypotheses: C candidates.
+        labels: [G, (1 + V) · C] uint8, by function, variant and candidate.
         facts: [G] those on which a function depends, as a bitmask.
-        function: [E] of which function; ascending.
-        row: [E] the candidate A.
-        coefficient: [1 + V, E] by variant.
+        transitions: [P] those whose label tells anything.
+        function: [P] the label function of each.
+        sets: [M] all sets of the facts that matter; None where they are too many.
     """
 
     hypotheses: Hypotheses
-    transitions: tuple[NDArray[np.int64], ...]
+    labels: NDArray[np.uint8]
     facts: NDArray[np.int64]
+    transitions: NDArray[np.int64]
     function: NDArray[np.int64]
-    row: NDArray[np.int64]
-    coefficient: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, hypotheses: Hypotheses) -> Interactions:
-        """Of all transitions whose label tells anything."""
-        own = np.flatnonzero(hypotheses.matters)
-        tables = hypotheses.tables[:, :, own]
-        bits = np.packbits(tables.reshape(-1, len(own)), axis=0)
-        _, first, which = np.unique(bits, axis=1, return_index=True, return_inverse=True)
-        values = tables[:, :, first].astype(np.int16)
-        for _, more, less in hypotheses.pairs:
-            values[:, more] -= values[:, less]
-        function, row = np.nonzero(values.any(axis=0).T)
-        return cls(
-            hypotheses,
-            tuple(own[which.ravel() == g] for g in range(len(first))),
-            hypotheses.matters[own[first]],
-            function,
-            row,
-            values[:, row, function].astype(np.float64),
-        )
-
-    @cached_property
-    def _sets(self) -> NDArray[np.int64]:
-        return self.hypotheses.facts[self.row]
-
-    @cached_property
-    def _incidence(self) -> tuple[NDArray[np.int64], ...]:
-        """Of each fact in each A: which A, its other facts, and the fact's cell in [G, n]."""
-        n = self.hypotheses.n_messages
-        entry, fact = np.nonzero(self._sets[:, None] >> np.arange(n) & 1)
-        return entry, self._sets[entry] & ~(1 << fact), self.function[entry] * n + fact
-
-    def nearest(self, weight: NDArray[np.float64], middle: float, count: int) -> Nearest:
-        """See :class:`WeighedQuestions`: two questions a function,
-        found from nothing told and from everything told. No question that differs from one of
-        them in one message is nearer to the middle."""
-        share = self._shares(weight)
-        found = []
-        for start in (np.zeros_like(self.facts), self.facts):
-            kept, off = self._turned(share, middle, start)
-            found.append(Nearest(off, np.arange(len(kept)), self.facts & ~kept))
-        return Nearest(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-
-    def _shares(self, weight: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[E] Σ_v c^v_A Σ_{R ⊇ A} weight(v, R)."""
-        above = weight.copy()
-        for _, more, less in self.hypotheses.pairs:
-            above[:, less] += above[:, more]
-        return np.asarray((self.coefficient * above[:, self.row]).sum(axis=0))
-
-    def _sum(self, share: NDArray[np.float64], kept: NDArray[np.int64]) -> NDArray[np.float64]:
-        inside = self._sets & ~kept[self.function] == 0
-        return np.bincount(self.function[inside], share[inside], len(kept)).astype(np.float64)
-
-    def _turned(
-        self, share: NDArray[np.float64], middle: float, kept: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """What is not told of each function [G], from ``kept`` on, and how far from the middle."""
-        n, every = self.hypotheses.n_messages, np.arange(len(kept))
-        entry, rest, cell = self._incidence
-        value = self._sum(share, kept)
-        while True:
-            # Turning fact j adds, or takes away, all A with j whose other facts are not told.
-            there = rest & ~kept[self.function[entry]] == 0
-            change = np.bincount(cell[there], share[entry[there]], len(kept) * n).reshape(-1, n)
-            change *= 1 - 2 * (kept[:, None] >> np.arange(n) & 1)
-            off = np.abs(value[:, None] + change - middle)
-            best = off.argmin(axis=1)
-            better = off[every, best] < np.abs(value - middle) - TURN
-            if not better.any():
-                return kept, np.abs(value - middle)
-            kept = np.where(better, kept ^ 1 << best, kept)
-            value = np.where(better, value + change[every, best], value)
-
-
-MAX_CELLS = 1 << 23
-"""Questions by variants that are listed; more are searched instead."""
-EQUAL = 1e-11
-"""Questions tie when their P(label 1) lie as far from ½, but for this."""
-
-
-class WeighedQuestions(Protocol):
-    """All questions whose answer tells anything, by distinct label functions.
-
-    Attributes:
-        transitions: of each function those that have it.
-    """
-
-    @property
-    def transitions(self) -> Sequence[NDArray[np.int64]]: ...
-
-    def nearest(self, weight: NDArray[np.float64], middle: float, count: int) -> Nearest:
-        """The ``count`` questions with P(label 1) nearest to ``middle`` under the weights
-        [1 + V, C], those tied with the last of them, and maybe others."""
-        ...
-
-
-def questions_of(hypotheses: Hypotheses) -> WeighedQuestions:
-    """All of them; where they are too many, those that a search finds."""
-    count = int((1 << np.bitwise_count(hypotheses.matters).astype(np.int64)).sum())
-    if hypotheses.complete and count * len(hypotheses.tables) <= MAX_CELLS:
-        return QuestionMatrix.of(hypotheses)
-    return Interactions.of(hypotheses)
-
-
-@dataclass(frozen=True)
-class QuestionMatrix:
-    """Q questions: label functions f, and the facts K that are not told of those S on which each
-    depends. P(label 1) of all K follows from the Möbius transform c of f in |S| sweeps.
-
-    Attributes:
-        groups: for each S the number of R ∩ S of each candidate R, [C], and c [1 + V, 2^|S|, G].
-        function: [Q] the label function of each question.
-        told: [Q] its messages.
-        transitions: which transitions have each function.
-    """
-
-    groups: tuple[tuple[NDArray[np.int64], NDArray[np.int16]], ...]
-    function: NDArray[np.int64]
-    told: NDArray[np.int64]
-    transitions: tuple[NDArray[np.int64], ...]
+    sets: NDArray[np.int64] | None
 
     @classmethod
     def of(cls, hypotheses: Hypotheses) -> QuestionMatrix:
-        """Of all transitions whose label tells anything. Of hypotheses that list some sets, with
-        each set its subsets, no candidate holds the others, which count for nothing."""
-        tables, facts = hypotheses.tables, hypotheses.facts
-        groups, function, told = [], [], []
-        transitions: list[NDArray[np.int64]] = []
-        for mask in np.unique(hypotheses.matters[hypotheses.matters > 0]).tolist():
-            own = np.flatnonzero(hypotheses.matters == mask)
-            kept = subsets(indices(mask))
-            rows = np.minimum(hypotheses.row(kept), len(facts) - 1)
-            values, which = np.unique(tables[:, rows][..., own], axis=2, return_inverse=True)
-            count = values.shape[2]
-            coefficient = values.astype(np.int16)
-            for low, high in _halves(coefficient):
-                high -= low
-            groups.append((np.searchsorted(kept, facts & mask), coefficient))
-            function.append(np.tile(len(transitions) + np.arange(count), len(kept)))
-            told.append(np.repeat(mask & ~kept, count))
-            transitions += [own[which.ravel() == g] for g in range(count)]
-        return cls(
-            tuple(groups), np.concatenate(function), np.concatenate(told), tuple(transitions)
-        )
+        """Of all transitions whose label tells anything."""
+        own = np.flatnonzero(hypotheses.matters)
+        tables = hypotheses.tables[:, :, own].reshape(-1, len(own))
+        bits = np.packbits(tables, axis=0)
+        _, first, which = np.unique(bits, axis=1, return_index=True, return_inverse=True)
+        labels, facts = tables.T[first], hypotheses.matters[own[first]]
+        every = int(np.bitwise_or.reduce(facts))
+        few = labels.size << every.bit_count() <= PRODUCTS
+        sets = subsets(indices(every)) if few else None
+        return cls(hypotheses, labels, facts, own, which.ravel(), sets)
 
-    def probability(self, weight: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[Q] P(label 1) under the weights [1 + V, C]."""
-        found = []
-        for cell, coefficient in self.groups:
-            size = coefficient.shape[1]
-            above = np.stack([np.bincount(cell, own, size) for own in weight])[:, :, None]
-            for low, high in _halves(above):
-                low += high
-            value = (coefficient * above).sum(axis=0)
-            for low, high in _halves(value):
-                high += low
-            found.append(value.ravel())
-        return np.concatenate(found)
+    def having(self, function: int) -> NDArray[np.int64]:
+        """The transitions that have a label function."""
+        return self.transitions[self.function == function]
 
-    def nearest(self, weight: NDArray[np.float64], middle: float, count: int) -> Nearest:
-        """See :class:`WeighedQuestions`."""
-        off = np.abs(self.probability(weight) - middle)
-        last = min(count, len(off)) - 1
-        kept = np.flatnonzero(off <= np.partition(off, last)[last] + EQUAL)
-        return Nearest(off[kept], self.function[kept], self.told[kept])
+    def probability(
+        self, functions: NDArray[np.int64], kept: NDArray[np.int64], weight: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """P(label 1) of some functions [g] when the facts K [M] are not told: [g, M].
 
+        Args:
+            functions: their indices.
+            kept: the sets K.
+            weight: [1 + V, C].
+        """
+        layers, count = weight.shape
+        rows = self.hypotheses.row(self.hypotheses.facts & kept[:, None])
+        cells = rows[:, None] + count * np.arange(len(kept) * layers).reshape(-1, layers, 1)
+        all_weights = np.broadcast_to(weight, cells.shape)
+        held = np.bincount(cells.ravel(), all_weights.ravel(), len(kept) * weight.size)
+        return self.labels[functions].astype(np.float64) @ held.reshape(len(kept), -1).T
 
-def _halves(values: NDArray[Any]) -> Iterator[tuple[NDArray[Any], NDArray[Any]]]:
-    """For each fact views of the values [..., 2^s, G] of all sets without it, and of the same sets
-    with it."""
-    *rest, size, count = values.shape
-    for i in range(size.bit_length() - 1):
-        split = values.reshape(*rest, -1, 2, 1 << i, count)
-        yield split[..., 0, :, :], split[..., 1, :, :]
+    def nearest(
+        self,
+        weight: NDArray[np.float64],
+        middle: float,
+        count: int,
+        rng: np.random.Generator,
+    ) -> Nearest:
+        """The ``count`` questions found with P(label 1) nearest to ``middle`` under the weights
+        [1 + V, C], those tied with the last of them, and maybe others. Of all questions, where
+        ``sets`` has all sets of facts."""
+        # The most probable candidate is on one side of every question.
+        enough = max(float(weight.max()) - middle, 0.0) + CLOSE
+        n, best = self.hypotheses.n_messages, np.inf
+        bits = rng.random((SETS, n)) < rng.random((SETS, 1)) if self.sets is None else None
+        kept = self.sets if bits is None else bits @ (1 << np.arange(n))
+        found: list[tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]] = []
+        while True:
+            for functions in self._batches(len(kept), rng):
+                found.append(self._near(functions, kept, weight, middle, count))
+                least = float(found[-1][0].min())
+                if least <= enough and self.sets is None:
+                    break
+            off, function, own = (np.concatenate(parts) for parts in zip(*found, strict=True))
+            if self.sets is not None or off.min() <= enough or off.min() >= best - EQUAL:
+                told = self.facts[function] & ~own
+                _, distinct = np.unique([function, told], axis=1, return_index=True)
+                return Nearest(off[distinct], function[distinct], told[distinct])
+            best = float(off.min())
+            kept = own[off.argmin()] ^ (1 << np.arange(n))
+
+    def _batches(self, sets: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
+        """The functions in parts that fit into memory, in random order; all at once, where facts
+        are few."""
+        every = np.arange(len(self.facts))
+        if self.sets is not None:
+            return [every]
+        size = max(PRODUCTS // (sets * self.labels.shape[1]), 1)
+        return np.array_split(rng.permutation(every), -(-len(every) // size))
+
+    def _near(
+        self,
+        functions: NDArray[np.int64],
+        kept: NDArray[np.int64],
+        weight: NDArray[np.float64],
+        middle: float,
+        count: int,
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+        """The questions nearest to the middle: how far from it, their functions, the sets K."""
+        off = np.abs(self.probability(functions, kept, weight) - middle)
+        # Facts that do not matter to a function make no other question.
+        other = self.sets is None or (kept & ~self.facts[functions, None]) == 0
+        g, m = np.nonzero(np.broadcast_to(other, off.shape))
+        values = off[g, m]
+        last = min(count, len(values)) - 1
+        near = np.flatnonzero(values <= np.partition(values, last)[last] + EQUAL)
+        return values[near], functions[g[near]], kept[m[near]]
 
 
 TIE = 1e-9
@@ -323,7 +241,7 @@ class Posterior:
         return float(self.gains(transitions, told).sum())
 
     def best_questions(
-        self, questions: WeighedQuestions, count: int, seen: list[int], rng: np.random.Generator
+        self, questions: QuestionMatrix, count: int, seen: list[int], rng: np.random.Generator
     ) -> list[tuple[int, int]]:
         """The ``count`` best questions about one transition, the best first; of equal ones those
         about transitions not asked about before, else at random.
@@ -331,35 +249,36 @@ class Posterior:
         All errors are those of a symmetric channel, so that a question tells more the nearer its
         P(label 1) is to ½.
         """
-        found = self._nearest(questions, count)
+        found = self._nearest(questions, count, rng)
         known = np.zeros(self.hypotheses.n_transitions, dtype=bool)
         known[seen] = True
-        fresh = np.array([not known[own].all() for own in questions.transitions])
+        fresh = np.zeros(len(questions.facts), dtype=bool)
+        fresh[questions.function[~known[questions.transitions]]] = True
         level = np.round(found.off / EQUAL)  # equal but for rounding
         order = np.lexsort((rng.random(len(level)), ~fresh[found.function], level))[:count]
         chosen = []
         for at in order.tolist():
-            own = questions.transitions[found.function[at]]
+            own = questions.having(found.function[at])
             unseen = own[~known[own]]
             transition = int(rng.choice(unseen if len(unseen) else own))
             chosen.append((transition, int(found.told[at])))
         return chosen
 
     def best_near_even(
-        self, questions: WeighedQuestions, count: int, rng: np.random.Generator
+        self, questions: QuestionMatrix, count: int, rng: np.random.Generator
     ) -> tuple[int, int]:
         """The best question about one transition among those of which the labels of the
         hypotheses, without slips and guesses, are nearest to even odds; ``count`` at least."""
-        found = self._nearest(questions, count)
+        found = self._nearest(questions, count, rng)
         pairs = zip(found.function.tolist(), found.told.tolist(), strict=True)
-        every = {(int(t), told) for at, told in pairs for t in questions.transitions[at]}
+        every = {(int(t), told) for at, told in pairs for t in questions.having(at)}
         return self.best_of(sorted(every), rng)
 
-    def _nearest(self, questions: WeighedQuestions, count: int) -> Nearest:
+    def _nearest(self, questions: QuestionMatrix, count: int, rng: np.random.Generator) -> Nearest:
         weight = (1 - 2 * self.error)[:, None] * self.weight
         weight[0] += weight[-1]
         weight = weight[:-1]
-        return questions.nearest(weight, weight.sum() / 2, count)
+        return questions.nearest(weight, weight.sum() / 2, count, rng)
 
     def best_clip(
         self, starts: list[tuple[int, int]], length: int, rng: np.random.Generator

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xplain.domains.users.hypotheses import Hypotheses, prior_over
 from xplain.errors import InputError, Range, number, whole_number
-from xplain.questions.matrix import Posterior, WeighedQuestions, questions_of
+from xplain.questions.matrix import Posterior, QuestionMatrix
 from xplain.randomness import stream
 
 NONE_ERROR = 1 / 3
@@ -119,7 +119,7 @@ class Questionnaire:
             InputError: a value is not allowed.
         """
         # Worked out once, for all.
-        assert self._questions.transitions, "some question separates candidates"
+        assert len(self._questions.facts), "some question separates candidates"
         made = copy.copy(self)
         made.seed = whole_number("seed", seed, 0)
         made._start(prior)
@@ -333,8 +333,8 @@ class Questionnaire:
         return Posterior(self.hypotheses, self._weight, self._error, self.misread, self.rates)
 
     @cached_property
-    def _questions(self) -> WeighedQuestions:
-        return questions_of(self.hypotheses)
+    def _questions(self) -> QuestionMatrix:
+        return QuestionMatrix.of(self.hypotheses)
 
     def _checked(self, question: Any) -> tuple[NDArray[np.int64], int]:
         known = self.hypotheses

@@ -275,7 +275,8 @@ class Hypotheses:
 
     def row(self, held: NDArray[np.int64]) -> NDArray[np.int64]:
         """The rows of :attr:`labels` of sets that are candidates, of any shape."""
-        return np.searchsorted(self.facts, held)
+        every = len(self.facts) > self.facts[-1]  # row and set are then one number
+        return held if every else np.searchsorted(self.facts, held)
 
     def label(self, transitions: ArrayLike, message_sets: ArrayLike) -> NDArray[np.uint8]:
         """f_τ(R \\ H) of Q questions by variant and candidate: transitions [Q], message sets [Q]
