@@ -120,8 +120,7 @@ class QuestionMatrix:
         # The most probable candidate is on one side of every question.
         enough = max(float(weight.max()) - middle, 0.0) + CLOSE
         n, best = self.hypotheses.n_messages, np.inf
-        bits = rng.random((SETS, n)) < rng.random((SETS, 1)) if self.sets is None else None
-        kept = self.sets if bits is None else bits @ (1 << np.arange(n))
+        kept = self._random_sets(rng) if self.sets is None else self.sets
         found: list[tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]] = []
         while True:
             for functions in self._batches(len(kept), rng):
@@ -136,6 +135,12 @@ class QuestionMatrix:
                 return Nearest(off[distinct], function[distinct], told[distinct])
             best = float(off.min())
             kept = own[off.argmin()] ^ (1 << np.arange(n))
+
+    def _random_sets(self, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Some sets of facts, of all sizes."""
+        n = self.hypotheses.n_messages
+        bits = rng.random((SETS, n)) < rng.random((SETS, 1))
+        return np.asarray(bits @ (1 << np.arange(n)), dtype=np.int64)
 
     def _batches(self, sets: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
         """The functions in parts that fit into memory, in random order; all at once, where facts
