@@ -262,6 +262,8 @@ def test_only_listed_actions_are_available_and_a_state_without_a_row_ends(
         {"0": {0: [(1.0, 0, 0.0, True)]}},
         {0.5: {0: [(1.0, 0, 0.0, True)]}},
         {0: {0: [(0.5, 0, 0.0, True)]}},
+        {0: {0: [(1.5, 0, 0.0, True), (-0.5, 0, 0.0, True)]}},
+        {0: {0: [(1.0, 0.5, 0.0, True)]}},
         {0: {0: [(1.0, 0, float("nan"), True)]}},
         {0: {0: [(1.0, 1, 0.0, False)]}},  # on to a state without a row, and not at its end
     ],
@@ -273,6 +275,25 @@ def test_another_kind_of_model_is_refused_in_a_line(
     with pytest.raises(InputError, match=r"^domain\.id=") as caught:
         read_model("Other", {}, 0.9)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("error", [RuntimeError, ImportError, OSError, IndexError])
+def test_an_environment_that_cannot_be_made_is_refused_in_a_line(
+    error: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def make(*_: object, **__: object) -> None:
+        raise error("no display\nsee the manual")
+
+    monkeypatch.setattr("gymnasium.make", make)
+    with pytest.raises(
+        InputError, match=r"^domain\.id='Mine': gymnasium cannot make it: no display$"
+    ):
+        read_model("Mine", {}, 0.9)
+
+
+def test_no_trace_starts_at_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown({0: {0: [(1.0, 1, 0.0, True)]}, 1: {0: [(1.0, 1, 0.0, True)]}}, monkeypatch)
+    assert read_model("Two", {}, 0.9)[1].tolist() == [0]
 
 
 def test_an_end_that_depends_on_the_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import Cell, parameters_of
 from xplain.domains.mdp import MDP, reached
-from xplain.errors import Discount, InputError, XplainError, checks, listed, mapping, number, one_of
+from xplain.errors import (
+    Discount,
+    InputError,
+    XplainError,
+    checks,
+    first_line,
+    listed,
+    mapping,
+    number,
+    one_of,
+)
 
 EFFECTS = ("add", "like", "to", "arguments")
 CHANGES = ("when", "actions", "next", *EFFECTS)
@@ -246,6 +256,8 @@ MODEL = (
     "next state, reward, terminated) with probabilities that add up to 1"
 )
 """What an environment has to show."""
+BROKEN = (TypeError, ValueError, LookupError, RuntimeError, ImportError, AttributeError, OSError)
+"""What an environment's own code raises where it cannot be made."""
 
 
 def read_model(
@@ -268,10 +280,11 @@ def read_model(
         ) from None
     try:
         environment = gymnasium.make(id, **arguments)
-    except (gymnasium.error.Error, TypeError, ValueError, KeyError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError("domain.id", id, f"gymnasium cannot make it: {reason}") from None
-    table = getattr(environment.unwrapped, "P", None)
+        table = getattr(environment.unwrapped, "P", None)
+    except (gymnasium.error.Error, *BROKEN) as error:
+        raise InputError(
+            "domain.id", id, f"gymnasium cannot make it: {first_line(error)}"
+        ) from None
     initial = getattr(environment.unwrapped, "initial_state_distrib", None)
     environment.close()
     if not isinstance(table, Mapping):
@@ -279,9 +292,9 @@ def read_model(
     try:
         rows = [
             (
-                int(s),
-                int(a),
-                [(float(p), int(s2), float(r), bool(end)) for p, s2, r, end in outcomes],
+                index(s),
+                index(a),
+                [(float(p), index(s2), float(r), bool(end)) for p, s2, r, end in outcomes],
             )
             for s, row in table.items()
             for a, outcomes in row.items()
@@ -305,7 +318,8 @@ def read_model(
             successor[s, a, k], probability[s, a, k] = after, p
             reward[s, a, k], ended[s, a, k] = r, terminated
     total = probability.sum(axis=2)
-    if not np.isclose(total[total != 0], 1).all() or not np.isfinite(reward).all():
+    sound = np.isclose(total[total != 0], 1).all() and (probability >= 0).all()
+    if not sound or not np.isfinite(reward).all():
         raise InputError("domain.id", id, MODEL)
     terminal = (probability == 0).all(axis=(1, 2))  # what has no row
     terminal[successor[ended & (probability > 0)]] = True
@@ -316,7 +330,7 @@ def read_model(
     goes_on = met[:, None, None] & possible & ~ended
     if (goes_on & terminal[successor]).any():
         raise InputError("domain.id", id, "an environment whose end depends on the state alone")
-    return MDP(successor, probability, reward, discount, terminal), starts
+    return MDP(successor, probability, reward, discount, terminal), starts[~terminal[starts]]
 
 
 def _values(feature: str, given: int | Sequence[str]) -> list[Any]:

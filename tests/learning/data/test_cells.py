@@ -144,6 +144,8 @@ def test_where_no_column_can_be_a_feature_it_is_asked_and_the_advice_works(tmp_p
         (["", "m0", "m1", "None", "", "m0"], "data='None': leave the cell empty"),
         (["", "m0", "m1", "m0;NA", "", "m0"], "data='NA': leave the cell empty"),
         (["", "m0", "M0", "m1", "", "m0"], "differs from m0 by case alone"),
+        *(([no, "m0", "m1", no, "m0", ""], "leave the cell empty") for no in ("0", "–", "n/a")),
+        (["{m0}", "{m1}", "{m1}", "", "", "{m0}"], "looks like messages joined"),
     ],
 )
 def test_odd_messages_are_asked_about_and_the_advice_works(
@@ -184,6 +186,30 @@ def test_row_names_without_a_header_are_asked_about_and_the_advice_works(tmp_pat
         read_table(path)
     path.write_text(f",{numbered}")
     assert read_table(path).feature_names == ("row", "action=left", "action=up")
+
+
+def test_what_a_sheet_has_above_or_behind_the_table_is_named_or_left_out(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    written, expected = path.read_text(), read_table(path)
+    path.write_text(f"\n\n{written}")
+    assert np.array_equal(read_table(path).features, expected.features)
+    path.write_text(f"My experiment\n{written}")
+    with pytest.raises(InputError, match="'My experiment', is no header; delete it"):
+        read_table(path)
+    header, *rows = written.splitlines()
+    path.write_text("\n".join([header, *(f"{row}," for row in rows)]))
+    with pytest.raises(InputError, match="line 2 has 6 cells") as caught:
+        read_table(path)
+    assert "begin the header" not in str(caught.value)  # it would shift every column
+
+
+@pytest.mark.parametrize("alike", ["P0", "p0\u200b", "\uff500"])
+def test_observers_that_look_alike_are_named(
+    alike: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = table(tmp_path, observer=["p0", alike, "p1", "p0", alike, "p1"])
+    assert len(read_table(path).observers) == 3
+    assert "look alike; they count as two" in caplog.text
 
 
 def test_the_further_header_rows_of_qualtrics_are_left_out(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
     first = re.sub('"[^"]*"', "", text.lstrip().partition("\n")[0])
     separator = max(SEPARATORS, key=first.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
-    header = [name.strip() or f"Unnamed: {i}" for i, name in enumerate(next(reader))]
+    header = [name.strip() or f"Unnamed: {i}" for i, name in enumerate(next(filter(any, reader)))]
     if len({*header}) < len(header):
         repeated = next(name for name in header if header.count(name) > 1)
         raise InputError(key, repeated, "two columns have this name")
@@ -111,7 +111,9 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
                 f"line {reader.line_num} has {len(row)} cells, the header has {len(header)}; write "
                 f'a text that holds a {SEPARATORS[separator]} in double quotes, "like this"'
             )
-            if len(row) == len(header) + 1 and not rows:  # R's row names
+            if len(header) == 1:
+                allowed = f"the first line, {header[0]!r}, is no header; delete it"
+            if len(row) == len(header) + 1 and not rows and row[-1]:  # R's row names
                 begin = f"begin the header with a {SEPARATORS[separator]}"
                 allowed += f"; if each line begins with its number, {begin}"
             raise InputError(key, str(path), allowed)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import logging
 import re
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,7 +46,20 @@ COLUMNS = ("observer", "messages", "label")
 NEARLY_ALL = 0.9
 """A column with more different values than this share of the rows tells no step from another."""
 TRUTH = {"TRUE": "1", "True": "1", "true": "1", "FALSE": "0", "False": "0", "false": "0"}
-NOTHING = ("none", "nothing", "-", "[]")
+NOTHING = (
+    "none",
+    "nothing",
+    "no message",
+    "no messages",
+    "no",
+    "0",
+    "-",
+    "–",
+    "—",
+    "[]",
+    "{}",
+    "()",
+)
 """Names that look as if nothing was told."""
 MAX_MASK = 62
 """Most messages in a table; a message set is the bits of one integer."""
@@ -95,6 +109,8 @@ def read_table(
         dataset = align(dataset, tuple(like))
     rows, steps = len(dataset), len(dataset.features)
     log.info("data: %d steps by the features %s", steps, ", ".join(map(str, columns)))
+    if steps > NEARLY_ALL * rows:
+        log.warning("data: nearly every answer is about another step; leave columns out by ignore=")
     log.info("data: nothing was told in %d of %d rows", int((dataset.message_set == 0).sum()), rows)
     return dataset
 
@@ -217,6 +233,11 @@ def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]
     who = as_words(table["observer"])
     _refuse_missing("observer", who == "")
     observer, observers = _factorized(who)
+    seen: dict[str, str] = {}
+    for name in observers:  # invisible marks, accents written in two ways, and case
+        plain = re.sub(r"[\u200b-\u200f\ufeff]", "", unicodedata.normalize("NFKC", name)).casefold()
+        if (other := seen.setdefault(plain, name)) != name:
+            log.warning("data: the observers %a and %a look alike; they count as two", other, name)
     message_set, known = _message_sets(table["messages"], messages)
     return {
         "observer": observer,
@@ -263,11 +284,12 @@ def _ask_about_names(names: Sequence[str]) -> None:
         joined = len(parts) > 1 and all(parts) and (single or {*parts} & {*names})
         others = "|".join(re.escape(other) for other in names if other != name)
         several = rf"\W*({others})((\W|_)+(and\W+)?({others}))+\W*"
-        if joined or (others and re.fullmatch(several, name)):
+        if name in MISSING or name.casefold() in (*NOTHING, "n/a"):
+            raise InputError("data", name, f"leave the cell empty if nothing was told; {one}")
+        bracket = name[0] in "[{(" or name[-1] in ")}]"
+        if bracket or joined or (others and re.fullmatch(several, name)):
             allowed = f"looks like messages joined by something else than a semicolon; {one}"
             raise InputError("data", name, allowed)
-        if name in MISSING or name.casefold() in NOTHING:
-            raise InputError("data", name, f"leave the cell empty if nothing was told; {one}")
         for other in names:
             if name < other and name.casefold() == other.casefold():
                 raise InputError("data", name, f"differs from {other} by case alone; {one}")
