@@ -61,6 +61,7 @@ PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
         ("file", PRECONDITION, "(not (and (clear ?x) (ontable ?x))))", "line 17: .* and is not"),
         ("file", PRECONDITION, "(>= (total-cost) 1))", "line 17: .*>="),
         ("file", COST, "(increase (total-cost) -1)", "line 19: Negative numbers .*-1"),
+        ("file", COST, f"(when (handempty) {COST})", "does not read the domain's actions"),
         ("file", COST, "(increase (fuel) 1)", "line 19: 'increase' expects .*fuel"),
         ("file", COST, "(decrease (total-cost) 1)", "line 19: Undefined predicate: decrease"),
         ("file", ACTIONS, "(:durative-action pick-up", "line 15: .*:durative-action pick-up"),

@@ -152,7 +152,7 @@ def test_json_of_other_hypotheses_is_refused():
     one, other = random_hypotheses(0), random_hypotheses(1)
     with pytest.raises(InputError, match="other hypotheses"):
         Questionnaire.from_json(Questionnaire(one).to_json(), other)
-    for text in ("", "{}", "[1]", json.dumps({"format": 1, "asked": 3})):
+    for text in ("", "{}", "[1]", json.dumps({"asked": 3})):
         with pytest.raises(InputError, match="to_json"):
             Questionnaire.from_json(text, one)
 

@@ -34,7 +34,9 @@ NEAR = 256
 """Questions whose answers are nearest to even odds, among which slips and guesses decide."""
 STARTS = 16
 """Questions that clips are grown from: those that tell most by themselves."""
-FORMAT = 1
+CHOSEN = ("error", "prior", "clip", "seed", "stop", "none", "misread", "slip", "guess", "told",
+          "repeats")  # fmt: skip
+"""What of a questionnaire is in its JSON, besides its questions and answers."""
 
 Question = tuple[int, int] | tuple[list[int], int]
 """Transition (clips: transitions in a row) and message set (bitmask)."""
@@ -251,7 +253,6 @@ class Questionnaire:
         prior = None if self.given_prior is None else np.asarray(self.given_prior).tolist()
         return json.dumps(
             {
-                "format": FORMAT,
                 "hypotheses": _digest(self.hypotheses),
                 "error": self.error,
                 "prior": prior,
@@ -279,11 +280,7 @@ class Questionnaire:
         """
         try:
             state = json.loads(text)
-            written, digest = state["format"], state["hypotheses"]
-            chosen = {key: state[key] for key in ("error", "prior", "clip", "seed", "stop")}
-            chosen |= {key: state[key] for key in ("none", "misread")}
-            later = ("slip", "guess", "told", "repeats")  # older ones are without
-            chosen |= {key: state[key] for key in later if key in state}
+            digest, chosen = state["hypotheses"], {key: state[key] for key in CHOSEN}
             asked = [(list(t), int(told), list(labels)) for t, told, labels in state["asked"]]
             pending = state["pending"]
             waiting = None if pending is None else (pending[0], int(pending[1]))
@@ -291,8 +288,6 @@ class Questionnaire:
             raise InputError(
                 "questionnaire", text, f"JSON of Questionnaire.to_json ({error!r})"
             ) from None
-        if written != FORMAT:
-            raise InputError("questionnaire.format", written, f"{FORMAT}")
         made = cls(hypotheses, **chosen)
         if digest != _digest(made.hypotheses):
             raise InputError("questionnaire.hypotheses", digest, "asked with other hypotheses")

@@ -196,7 +196,7 @@ class Source:
             with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
                 yield
         except (ParseError, *MALFORMED) as error:
-            lines = str(error).splitlines() or [type(error).__name__]
+            lines = str(error).splitlines() or ["the translator does not read the domain's actions"]
             inside = "".join(x for x in lines if x.startswith(("Parsing", "\t->")))
             got = "".join(x.removeprefix("Got: ") for x in lines if x.startswith("Got: "))
             said = [x.rstrip(".") for x in lines if x not in inside and not x.startswith("Got: ")]
