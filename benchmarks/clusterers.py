@@ -25,7 +25,6 @@ from sklearn.metrics import adjusted_rand_score
 
 from xplain.experiment.config import composed
 from xplain.experiment.pipeline import observe
-from xplain.learning.labelers import LabelerTrainer
 
 SETTINGS = {
     "rescue, 5 types": ("domain=rescue",),
@@ -47,7 +46,7 @@ def found(
     parts = (instantiate(cfg[name]) for name in ("domain", "users", "observers", "queries"))
     observed = observe(*parts, seed=seed)
     clusterer = instantiate(composed("discover", [f"clusterer={method}"]).clusterer)
-    clustering = clusterer.cluster(observed.dataset, LabelerTrainer(), seed, None)
+    clustering = clusterer.cluster(observed, seed)
     true = observed.behaviour
     assert true is not None  # of simulated observers it is known
     return {

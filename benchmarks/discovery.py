@@ -48,7 +48,7 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.learning.data import queries as designs
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import SimulatedObservers
+from xplain.learning.data.observers import Observed, SimulatedObservers
 from xplain.learning.data.queries import sample_trace
 from xplain.learning.labelers import LabelerTrainer, split
 from xplain.learning.prediction import log_likelihoods
@@ -110,7 +110,7 @@ def find(
     dataset, truth = observed.dataset, observed.truth
     trainer = LabelerTrainer()
     began = time.process_time()
-    found = clusterer(method).cluster(dataset, trainer, seed, None)
+    found = clusterer(method).cluster(observed, seed)
     seconds = time.process_time() - began
     test = split(dataset, 0.25, seed)
     train, held = dataset.take(np.flatnonzero(~test)), dataset.take(np.flatnonzero(test))
@@ -125,7 +125,9 @@ def find(
         "seed": seed,
         "ari": score(alike, found.assignment),
         "found": found.n_types,
-        "held_out": float(log_likelihoods(train, held, found, trainer, seed).mean()),
+        "held_out": float(
+            log_likelihoods(train, held, learn_types(train, found, trainer, seed)).mean()
+        ),
         "cpu_seconds": seconds,
     }
     return Found(setting, dataset, truth, found, row)
@@ -138,7 +140,7 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
     def learned(clustering: Clustering) -> UserTypes:
         return learn_types(dataset, clustering, trainer, seed)
 
-    perfect = learned(Perfect().cluster(dataset, trainer, 0, found.truth))
+    perfect = learned(Perfect().cluster(Observed(dataset, found.truth), 0))
     plans = {"found": learned(found.clustering), "true": perfect}
     cost: dict[str, list[float]] = {"found": [], "true": [], "oracle": []}
     for index in range(traces):
@@ -237,7 +239,7 @@ def growth(quick: bool) -> pd.DataFrame:
         dataset, truth = observed.dataset, observed.truth
         for method in ("dirichlet", "kmeans"):
             began = time.process_time()
-            found = clusterer(method).cluster(dataset, LabelerTrainer(), 0, None)
+            found = clusterer(method).cluster(Observed(dataset), 0)
             learn_types(dataset, found, LabelerTrainer(), 0)
             rows.append(
                 {

@@ -44,7 +44,6 @@ from xplain.interaction.explainees import SimulatedUser
 from xplain.learning import evidence
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent, Queries
-from xplain.learning.known_types import learn
 from xplain.learning.mixture import labeler as hypothesis_labeler
 from xplain.learning.user_types import label_table
 from xplain.questions.designs import Adaptive
@@ -73,14 +72,14 @@ def learned(way: str, setting: Setting, path: str | None, seed: int) -> Any:
     """The types that a way finds."""
     name = "practice" if way == "labels alone" else "hypotheses"
     trainer = instantiate(composed("discover", [f"labeler={name}"]).labeler)
-    clusterer = instantiate(composed("discover", ["clusterer=dirichlet"]).clusterer)
+    clusterer = instantiate(composed("discover", ["clusterer=dirichlet"]).clusterer, _partial_=True)
     if name == "practice":
         queries: Queries = Independent()
     else:
         queries = Adaptive(hypotheses=path)
         object.__setattr__(trainer, "path", path)
     observed = SimulatedObservers(3, 40, 0.05).collect(setting, queries, seed)
-    return learn(observed, trainer, clusterer, seed)
+    return clusterer(labeler=trainer).find(observed, seed)
 
 
 def costs(setting: Setting, types: Any, traces: int, seed: int) -> tuple[float, float]:

@@ -71,7 +71,7 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.learning.data.observers import Observed, SimulatedObservers
 from xplain.learning.data.queries import Independent, Queries
-from xplain.learning.known_types import References, learn, learn_references
+from xplain.learning.known_types import References, learn_references
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.user_types import UserTypes, label_table
 from xplain.questions.designs import Adaptive, Battery
@@ -194,8 +194,10 @@ def row_of(
         queries, trainer = design_of(way, path, error, people)
         trainer = trainer or HypothesisTrainer(path=path)
         observed = observed_by(setting, queries, points, error, people, seed)
-        clusterer = instantiate(composed("discover", ["clusterer=dirichlet"]).clusterer)
-        types = learn(observed, trainer, clusterer, seed)
+        clusterer = instantiate(
+            composed("discover", ["clusterer=dirichlet"]).clusterer, _partial_=True
+        )
+        types = clusterer(labeler=trainer).find(observed, seed)
         none = _none(observed, types, hypotheses_of(domain, path), error)
         references = learn_references(observed, trainer, seed)
     assert observed.truth is not None

@@ -14,13 +14,13 @@ from xplain.experiment.config import CONF
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.testing import (
     Chosen,
-    ClustererConformance,
     DomainConformance,
     ExplaineeConformance,
     LabelerConformance,
     PartitionConformance,
     QueriesConformance,
     SolverConformance,
+    TypeFinderConformance,
     TypeSourceConformance,
 )
 
@@ -77,18 +77,18 @@ class TestLabelers(LabelerConformance):
         return made
 
 
-class TestClusterers(ClustererConformance):
+class TestClusterers(TypeFinderConformance):
     @pytest.fixture(params=shipped("clusterer", "single", "perfect"))
     def component(self, request: pytest.FixtureRequest) -> Any:
         return request.param.component
 
 
-class TestSingle(ClustererConformance):
+class TestSingle(TypeFinderConformance):
     chosen = Chosen("clusterer", "single")
     finds_types = False
 
 
-class TestPerfect(ClustererConformance):
+class TestPerfect(TypeFinderConformance):
     chosen = Chosen("clusterer", "perfect")
     needs_truth = True
 

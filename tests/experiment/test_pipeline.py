@@ -20,6 +20,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.data.queries import Queries, Shared
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import Clustering
+from xplain.learning.user_types import Clusterer
 
 TRUTH = np.array([2, 0, 0, 1, 2, 2, 1, 2])
 """True types of eight observers, not in the types' order; A and B behave alike."""
@@ -88,10 +89,10 @@ class Eight:
 
 
 @dataclass(frozen=True)
-class Given:
+class Given(Clusterer):
     """A clusterer with its answer."""
 
-    def cluster(self, dataset, trainer, seed, truth) -> Clustering:
+    def cluster(self, observed, seed) -> Clustering:
         return Clustering(FOUND, "given", "by hand", curve=np.array([7, 2, 0]))
 
 
@@ -102,12 +103,12 @@ def source(**changes) -> Components:
         "observers": Eight(),
         "queries": Shared(),
         "labeler": Rates(),
-        "clusterer": Given(),
         "traces": 4,
         "max_steps": 7,
         "seed": 3,
     }
-    return Components(**(parts | changes))
+    parts |= changes
+    return Components(**({"clusterer": Given(labeler=parts["labeler"])} | parts))
 
 
 @pytest.fixture(scope="module")
@@ -119,12 +120,12 @@ def test_seeds_of_plug_ins_fit_scikit_learn_s_random_state() -> None:
     trainer, seeds = Rates(), []
 
     class Asked(Given):
-        def cluster(self, dataset, trainer, seed, truth) -> Clustering:
+        def cluster(self, observed, seed) -> Clustering:
             seeds.append(seed)
-            return super().cluster(dataset, trainer, seed, truth)
+            return super().cluster(observed, seed)
 
     most = (1 << 32) - 1
-    prepare(source(clusterer=Asked(), labeler=trainer, seed=most, traces=1))
+    prepare(source(clusterer=Asked(labeler=trainer), labeler=trainer, seed=most, traces=1))
     assert seeds == [most]
     for seed in (*seeds, *trainer.seeds):
         assert check_random_state(seed).random_sample() < 1

@@ -10,7 +10,8 @@ from tests.learning.conftest import made
 from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.data.dataset import Dataset, query_index
-from xplain.learning.labelers import Labeler, LabelerTrainer
+from xplain.learning.data.observers import Observed
+from xplain.learning.labelers import FittedLabeler, Labeler, LabelerTrainer
 from xplain.learning.paper import Agglomerative, Elbow, KMeans, Partitioner, disagreements
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import (
@@ -33,7 +34,7 @@ class ClustererSuite:
 
     def test_one_cluster_number_an_observer_by_first_appearance(self) -> None:
         dataset, truth = made(np.random.default_rng(1), [[0, 1], [2]], shared=True)
-        found = self.clusterer.cluster(dataset, LabelerTrainer(), 3, truth)
+        found = self.clusterer.cluster(Observed(dataset, truth), 3)
         assert found.assignment.shape == (len(dataset.observers),)
         firsts = list(dict.fromkeys(found.assignment.tolist()))
         assert firsts == list(range(found.n_types))
@@ -41,7 +42,7 @@ class ClustererSuite:
     def test_same_seed_same_clusters(self) -> None:
         dataset, truth = made(np.random.default_rng(2), [[0], [1], [2, 3]], noise=0.1)
         again = [
-            self.clusterer.cluster(dataset, LabelerTrainer(), 4, truth).assignment.tolist()
+            self.clusterer.cluster(Observed(dataset, truth), 4).assignment.tolist()
             for _ in range(2)
         ]
         assert again[0] == again[1]
@@ -50,10 +51,10 @@ class ClustererSuite:
         dataset, truth = made(np.random.default_rng(3), [[0], [1, 2]], shared=True)
         if self.needs_truth:
             with pytest.raises(InputError, match="clusterer"):
-                self.clusterer.cluster(dataset, LabelerTrainer(), 0, None)
+                self.clusterer.cluster(Observed(dataset), 0)
         else:
             found = [
-                self.clusterer.cluster(dataset, LabelerTrainer(), 0, known).assignment.tolist()
+                self.clusterer.cluster(Observed(dataset, known), 0).assignment.tolist()
                 for known in (truth, None, truth[::-1])
             ]
             assert found[0] == found[1] == found[2]
@@ -66,12 +67,12 @@ class FindsClearTypes(ClustererSuite):
         for seed in range(3):
             rng = np.random.default_rng(seed)
             dataset, truth = made(rng, [[0, 1], [2], [1, 3]], shared=True, size=300)
-            found = self.clusterer.cluster(dataset, LabelerTrainer(), seed, None)
+            found = self.clusterer.cluster(Observed(dataset), seed)
             assert adjusted_rand_score(truth, found.assignment) == 1
 
     def test_people_who_never_disagree_are_one_type(self) -> None:
         dataset, _ = made(np.random.default_rng(5), [[1]], per_type=5, shared=True)
-        assert self.clusterer.cluster(dataset, LabelerTrainer(), 0, None).n_types == 1
+        assert self.clusterer.cluster(Observed(dataset), 0).n_types == 1
 
 
 class TestKMeans(FindsClearTypes):
@@ -127,7 +128,7 @@ def test_curve_holds_the_disagreements_up_to_as_many_clusters_as_observers(
     rng: np.random.Generator,
 ) -> None:
     dataset, truth = made(rng, [[0], [1]], shared=True)
-    found = Elbow(KMeans()).cluster(dataset, LabelerTrainer(), 0, None)
+    found = Elbow(KMeans()).cluster(Observed(dataset), 0)
     assert found.curve is not None
     # Two types that need a message each: together they disagree, apart never again.
     assert found.curve.tolist() == [*disagreements(dataset, [np.zeros_like(truth)]), *[0] * 5]
@@ -180,7 +181,7 @@ def test_bad_values_are_named(make: Any, key: str) -> None:
 def test_no_more_types_are_tried_than_allowed(rng: np.random.Generator, most: int) -> None:
     """Of eight observers with many different vectors."""
     dataset, _ = made(rng, [[0], [1], [2], [0, 3]], per_type=2, size=40, noise=0.3)
-    found = Elbow(KMeans(), max_types=most).cluster(dataset, LabelerTrainer(), 0, None)
+    found = Elbow(KMeans(), max_types=most).cluster(Observed(dataset), 0)
     assert found.curve is not None
     assert len(found.curve) == min(most, 8)
     assert found.n_types <= most
@@ -213,9 +214,9 @@ def test_labelers_are_asked_once_of_each_transition(
     dataset, truth = made(rng, [[0], [1]])
     types = learn_types(dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0)
     asked = []
-    table = Labeler.table
+    table = FittedLabeler.table
     monkeypatch.setattr(
-        Labeler, "table", lambda own, rows, n: asked.append(len(rows)) or table(own, rows, n)
+        FittedLabeler, "table", lambda own, rows, n: asked.append(len(rows)) or table(own, rows, n)
     )
     once, n = AskedOnce(), dataset.n_messages
     for rows in ([0, 1, 0], [1, 2], [2, 0]):
@@ -307,7 +308,7 @@ def test_more_clusters_than_distinct_vectors_keep_the_last_partition(
             asked.append(k)
             return super().partition(vectors, k, seed)
 
-    found = Elbow(Counted()).cluster(dataset, LabelerTrainer(), 0, None)
+    found = Elbow(Counted()).cluster(Observed(dataset), 0)
     assert found.vectors is not None
     assert found.curve is not None
     distinct = len(np.unique(found.vectors))

@@ -16,6 +16,7 @@ from xplain.learning.data.queries import Independent, Shared
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.prediction import fresh_accuracy, log_likelihood, log_likelihoods
 from xplain.learning.types import Clustering
+from xplain.learning.user_types import learn_types
 
 
 def test_siblings_under_one_message_set_do_not_help(rng: np.random.Generator) -> None:
@@ -72,11 +73,12 @@ def test_who_gave_no_label_before_is_predicted_by_everybodys(rng: np.random.Gene
     """The second type's labels are all held out: nothing is known of it but what all say."""
     dataset, truth = made(rng, [[0], [1]], per_type=1, size=300)
     train, test = (dataset.of(np.array([o])) for o in range(2))
-    found = log_likelihoods(train, test, Clustering(truth, "", ""), LabelerTrainer(), 3)
+    given = Clustering(truth, "", "")
+    found = log_likelihoods(train, test, learn_types(train, given, LabelerTrainer(), 3))
     everybody = LabelerTrainer().fit(train, 3)
     assert np.array_equal(found, log_likelihood(everybody, test))
     # Each label by the labeler of its own cluster, in the order of the labels.
-    both = log_likelihoods(dataset, dataset, Clustering(truth, "", ""), LabelerTrainer(), 3)
+    both = log_likelihoods(dataset, dataset, learn_types(dataset, given, LabelerTrainer(), 3))
     for o in range(2):
         own = dataset.of(np.array([o]))
         alone = log_likelihood(LabelerTrainer().fit(own, 3), own)

@@ -12,6 +12,7 @@ from sklearn.metrics import adjusted_rand_score
 from tests.learning.conftest import made
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.kernels import WIDE
 from xplain.learning.mixture.sampler import (
@@ -40,7 +41,7 @@ TYPES = [[0, 1], [2], [1, 3]]
 def test_types_are_found_though_nobody_answers_the_same_questions() -> None:
     for seed in range(3):
         dataset, truth = made(np.random.default_rng(seed), TYPES, size=250)
-        found = DirichletMixture().cluster(dataset, LabelerTrainer(), seed, None)
+        found = DirichletMixture().cluster(Observed(dataset), seed)
         assert adjusted_rand_score(truth, found.assignment) == 1
 
 
@@ -51,7 +52,7 @@ def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
     keep[dataset.observer == 0] = False
     keep[0] = True
     dataset = dataset.take(np.flatnonzero(keep))
-    found = DirichletMixture().cluster(dataset, LabelerTrainer(), 1, None)
+    found = DirichletMixture().cluster(Observed(dataset), 1)
     assert adjusted_rand_score(truth[1:], found.assignment[1:]) == 1
 
 
@@ -60,15 +61,15 @@ def test_noise_makes_no_types(noise: float) -> None:
     """Whoever fits the errors as well finds a type an observer."""
     for seed in range(3):
         dataset, truth = made(np.random.default_rng(seed), TYPES, size=250, noise=noise)
-        found = DirichletMixture().cluster(dataset, LabelerTrainer(), seed, None)
+        found = DirichletMixture().cluster(Observed(dataset), seed)
         assert adjusted_rand_score(truth, found.assignment) == 1
 
 
 def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> None:
     dataset, _ = made(np.random.default_rng(5), TYPES, size=250)
-    sure = DirichletMixture().cluster(dataset, LabelerTrainer(), 0, None).posterior
+    sure = DirichletMixture().cluster(Observed(dataset), 0).posterior
     scarce = dataset.take(np.flatnonzero(np.arange(len(dataset)) % 25 == 0))
-    unsure = DirichletMixture().cluster(scarce, LabelerTrainer(), 0, None).posterior
+    unsure = DirichletMixture().cluster(Observed(scarce), 0).posterior
     assert sure is not None
     assert unsure is not None
     for posterior in (sure, unsure):
@@ -82,37 +83,17 @@ def test_large_data_get_fewer_sweeps_but_twenty(updates: int, sweeps: int) -> No
     """Of nine observers; half of the sweeps of each of three chains are samples."""
     dataset, _ = made(np.random.default_rng(5), TYPES, size=12)
     mixture = DirichletMixture(updates=updates, sweeps=40, chains=3)
-    posterior = mixture.cluster(dataset, LabelerTrainer(), 0, None).posterior
+    posterior = mixture.cluster(Observed(dataset), 0).posterior
     assert posterior is not None
     samples = np.array([*posterior.values()]) * 3 * sweeps / 2
     assert samples == pytest.approx(np.round(samples), abs=1e-6)
     assert len(posterior) > 1  # else any number of samples would do
 
 
-@pytest.mark.parametrize("knows", [True, False])
-def test_a_trainer_with_hypotheses_finds_the_types_where_they_know_the_data(knows: bool) -> None:
-    dataset, truth = made(np.random.default_rng(6), TYPES, size=250)
-    theirs = Clustering(np.arange(9) % 2, "theirs", "hypotheses")
-    asked = []
-
-    class Knowing(LabelerTrainer):
-        def find_types(self, data: Dataset, concentration: float) -> Clustering | None:
-            asked.append((data, concentration))
-            return theirs if knows else None
-
-    found = DirichletMixture(concentration=0.3).cluster(dataset, Knowing(), 7, truth)
-    assert asked == [(dataset, 0.3)]
-    if knows:
-        assert found is theirs
-    else:
-        assert adjusted_rand_score(truth, found.assignment) == 1
-
-
 def test_chains_in_threads_change_nothing() -> None:
     dataset, _ = made(np.random.default_rng(7), TYPES, size=60)
     one, two = (
-        DirichletMixture(sweeps=30, jobs=jobs).cluster(dataset, LabelerTrainer(), 2, None)
-        for jobs in (1, 2)
+        DirichletMixture(sweeps=30, jobs=jobs).cluster(Observed(dataset), 2) for jobs in (1, 2)
     )
     assert (one.assignment == two.assignment).all()
     assert one.posterior == two.posterior
@@ -120,19 +101,19 @@ def test_chains_in_threads_change_nothing() -> None:
 
 def test_many_messages() -> None:
     dataset, truth = made(np.random.default_rng(8), [[0, 7], [3], [9, 11]], n=12, size=600)
-    found = DirichletMixture(depth=1, sweeps=60).cluster(dataset, LabelerTrainer(), 0, None)
+    found = DirichletMixture(depth=1, sweeps=60).cluster(Observed(dataset), 0)
     # Ten transitions ask for the first ten messages only, so {9, 11} behaves as {9}.
     assert adjusted_rand_score(truth, found.assignment) == 1
     wide = replace(dataset, messages=tuple(f"m{j}" for j in range(40)))
     with pytest.raises(TooLargeError, match="depth"):
-        DirichletMixture(depth=6).cluster(wide, LabelerTrainer(), 0, None)
+        DirichletMixture(depth=6).cluster(Observed(wide), 0)
 
 
 @pytest.mark.parametrize("n", [20, 30])
 def test_more_messages_than_are_tried_at_once(n: int) -> None:
     assert n > WIDE
     dataset, truth = made(np.random.default_rng(8), [[0, 7], [3], [2, 5], [1, 4]], n=n, size=200)
-    found = DirichletMixture(depth=2).cluster(dataset, LabelerTrainer(), 0, None)
+    found = DirichletMixture(depth=2).cluster(Observed(dataset), 0)
     assert adjusted_rand_score(truth, found.assignment) == 1
 
 
@@ -141,7 +122,7 @@ def test_no_type_stays_split_among_many_observers(seed: int) -> None:
     dataset, truth = made(
         np.random.default_rng(seed), [[0], [1, 2], [3]], per_type=80, size=60, noise=0.05
     )
-    found = DirichletMixture(chains=2, sweeps=30).cluster(dataset, LabelerTrainer(), 0, None)
+    found = DirichletMixture(chains=2, sweeps=30).cluster(Observed(dataset), 0)
     assert adjusted_rand_score(truth, found.assignment) == 1
 
 
@@ -226,8 +207,8 @@ def test_true_types_predict_better_than_one_for_all() -> None:
     dataset, truth = made(np.random.default_rng(3), TYPES, size=300)
 
     class Known(Perfect):
-        def cluster(self, dataset, trainer, seed, _):  # type: ignore[no-untyped-def]
-            return super().cluster(dataset, trainer, seed, truth)
+        def cluster(self, observed: Observed, seed: int) -> Clustering:
+            return super().cluster(Observed(observed.dataset, truth), seed)
 
     found = held_out(dataset, Known(), LabelerTrainer(), 0)
     assert found.one_type < found.types < 0
@@ -237,7 +218,7 @@ def test_true_types_predict_better_than_one_for_all() -> None:
 
 def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
     dataset, truth = made(rng, TYPES, size=100)
-    clustering = Perfect().cluster(dataset, LabelerTrainer(), 0, truth)
+    clustering = Perfect().cluster(Observed(dataset, truth), 0)
     others = learn_types(dataset, clustering, LabelerTrainer(), 0)
     assert with_none_of_these(others, dataset, 0.0) is others
     types = with_none_of_these(others, dataset, 1.0)
@@ -270,5 +251,5 @@ def test_bad_values_are_named(component: type, options: dict[str, float], key: s
 
 def test_a_chain_need_not_be_heated() -> None:
     dataset, truth = made(np.random.default_rng(3), TYPES, size=200)
-    found = DirichletMixture(heat=1).cluster(dataset, LabelerTrainer(), 0, None)
+    found = DirichletMixture(heat=1).cluster(Observed(dataset), 0)
     assert adjusted_rand_score(truth, found.assignment) == 1

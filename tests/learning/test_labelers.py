@@ -13,7 +13,7 @@ from sklearn.tree import DecisionTreeClassifier
 from tests.learning.conftest import made
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.data.dataset import Dataset, inputs, query_index
-from xplain.learning.labelers import Labeler, LabelerTrainer, split
+from xplain.learning.labelers import FittedLabeler, LabelerTrainer, split
 from xplain.randomness import derived_seed
 
 
@@ -210,7 +210,7 @@ class Leaves:
 def test_a_leaf_is_drawn_to_the_confidence_as_by_two_more_labels(
     share: float, weight: float, expected: float
 ) -> None:
-    labeler = Labeler(Leaves(share, weight), 1, 0.9, 0.9, 10, 98, calibrated=True)
+    labeler = FittedLabeler(Leaves(share, weight), 1, 0.9, 0.9, 10, 98, calibrated=True)
     found = labeler.probability(np.zeros((1, 1)), np.zeros(1, dtype=np.int64))
     assert found == pytest.approx([expected])
 
@@ -220,12 +220,12 @@ def test_leaves_of_a_fitted_tree_by_hand() -> None:
     label = np.array([1, 0, 0, 0, 1, 1, 1, 1, 1, 0])
     x = np.stack([np.zeros(10), [0] * 4 + [1] * 6], axis=1).astype(np.float32)
     tree = DecisionTreeClassifier().fit(x, label)
-    labeler = Labeler(tree, 1, 0.7, 0.7, 10, 8, calibrated=True)
+    labeler = FittedLabeler(tree, 1, 0.7, 0.7, 10, 8, calibrated=True)
     # (1 + 2 · 0.3) / (4 + 2), and (5 + 2 · 0.7) / (6 + 2)
     assert labeler.table(np.zeros((1, 1))).array(1)[0] == pytest.approx(
         np.array([[1.6 / 6, 6.4 / 8]])
     )
-    plain = Labeler(tree, 1, 0.7, 0.7, 10, 8)
+    plain = FittedLabeler(tree, 1, 0.7, 0.7, 10, 8)
     assert plain.table(np.zeros((1, 1))).array(1)[0] == pytest.approx(np.array([[0.3, 0.7]]))
 
 
@@ -250,7 +250,7 @@ def test_sixteen_messages_are_the_most_that_are_looked_at() -> None:
         x = np.zeros((count + 1, 24), dtype=np.float32)
         x[np.arange(count), 1 + np.arange(count)] = 1
         tree = DecisionTreeClassifier(random_state=0).fit(x, np.arange(count + 1) < count)
-        labeler = Labeler(tree, 23, 0.9, 0.9, 1, 1)
+        labeler = FittedLabeler(tree, 23, 0.9, 0.9, 1, 1)
         if count == 16:
             found = labeler.table(np.zeros((1, 1)))
             assert found.rows == [list(range(16))]
@@ -284,9 +284,9 @@ def test_a_labeler_that_looks_at_too_many_messages_is_refused(rng: np.random.Gen
     x = inputs(features, masks, n)
     tree = DecisionTreeClassifier(random_state=0).fit(x, rng.integers(0, 2, 4000))
     with pytest.raises(TooLargeError, match="labeler=pruned"):
-        Labeler(tree, n, 0.9, 0.9, 1, 1).table(features[:1])
+        FittedLabeler(tree, n, 0.9, 0.9, 1, 1).table(features[:1])
     with pytest.raises(TooLargeError, match="labeler=pruned"):
-        Labeler(LogisticRegression().fit(x, x[:, 1]), n, 0.9, 0.9, 1, 1).table(features[:1])
+        FittedLabeler(LogisticRegression().fit(x, x[:, 1]), n, 0.9, 0.9, 1, 1).table(features[:1])
 
 
 @pytest.mark.parametrize("confidence", ["accuracy", "leaf"])

@@ -18,7 +18,6 @@ from xplain.learning.evidence import (
     parts,
     stacked,
 )
-from xplain.learning.known_types import learn
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
@@ -103,7 +102,7 @@ def test_of_people_as_assumed_hypotheses_are_believed(seed, caplog):
     assert not evidence.lost
     assert (evidence.trust == 1).all()
     assert evidence.nats[0] < min(evidence.nats[1], COIN)
-    learn(Observed(data), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
     assert "do not fit" not in caplog.text
 
 
@@ -116,9 +115,9 @@ def test_of_people_who_think_something_else_a_line_says_so(seed, caplog):
     assert evidence.lost
     assert (evidence.doubt > 0.5).all()
     with caplog.at_level(logging.WARNING):
-        learn(Observed(data), HypothesisTrainer(hypotheses=known), Single(), 0)
+        Single(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
     own, others = learn_types(
-        data, Single().cluster(data, None, 0, None), HypothesisTrainer(hypotheses=known), 0
+        data, Single().cluster(Observed(data), 0), HypothesisTrainer(hypotheses=known), 0
     ).evidence.nats
     assert f"{own:.2f} nats by hypotheses, {others:.2f} by labels alone" in caplog.text
 

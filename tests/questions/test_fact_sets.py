@@ -209,7 +209,7 @@ def test_a_file_of_hypotheses_finds_types_and_labels(tmp_path):
     facts = [3, 3, 3, 12, 12, 12]
     data = dataset_of(known, people(known, facts, 25, rng, 0.02))
     trainer = HypothesisTrainer(path=str(tmp_path / "h.npz"))
-    found = trainer.find_types(data, 1.0)
+    found = trainer.known_answers(data).cluster(data, 1.0)
     assert found.assignment.tolist() == [0, 0, 0, 1, 1, 1]
     assert found.needs.tolist() == known.hypotheses.essential[[3, 12]].tolist()
     for members, held in (([0, 1, 2], 3), ([3, 4, 5], 12)):
@@ -229,7 +229,7 @@ def test_labels_of_another_task_are_left_to_trees(tmp_path):
     rng = np.random.default_rng(0)
     data = dataset_of(known, people(known, [3], 30, rng))
     other = Dataset(**{**data.__dict__, "feature_names": ("other",)})
-    assert trainer.find_types(other, 1.0) is None
+    assert trainer.known_answers(other) is None
     assert hasattr(trainer.fit(other, 0).classifier, "tree_")
 
 
@@ -306,7 +306,7 @@ def test_what_nobody_wrote_down_is_told_of(tmp_path, caplog):
         caplog.clear()
         said = odd_people(known, facts, 120, np.random.default_rng(6), np.arange(10))
         data = dataset_of(known, said)
-        trainer.find_types(data, 1.0)
+        trainer.known_answers(data).cluster(data, 1.0)
         assert ("fact_3" in caplog.text) == warned
         evidence = trainer.with_errors(data, np.zeros(3, dtype=np.int64))[2]
         assert (evidence.unwritten[0] > 0.5, evidence.otherwise, evidence.lost) == (warned,) * 3

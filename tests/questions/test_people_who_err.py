@@ -9,8 +9,7 @@ from tests.questions.tables import random_hypotheses
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
-from xplain.learning.known_types import learn
-from xplain.learning.labelers import Labeler
+from xplain.learning.labelers import FittedLabeler
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import held_out, predicted
@@ -56,7 +55,7 @@ def test_fact_sets_are_found_though_every_second_person_errs(seed):
     known = hypotheses()
     facts = [3] * 4 + [12] * 4 + [5] * 4
     data = erring(asked(known, facts, 90, rng), np.resize([0, 0.3], 12), rng)
-    types = learn(Observed(data), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
     right = types.clustering.needs[types.clustering.assignment] == known.essential[facts]
     assert right[::2].all()
     assert right[1::2].sum() >= 4
@@ -101,7 +100,7 @@ def test_what_is_slipped_about_is_still_thought():
     slippery = np.arange(4)
     data = asked(known, [3] * 15 + [12] * 15, 45, rng)
     answers = erring(data, [0.02] * 30, rng, slippery)
-    types = learn(Observed(answers), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(answers), 0)
     assert types.clustering.assignment.tolist() == [0] * 15 + [1] * 15
     assert types.answers.slip[slippery].mean() == pytest.approx(0.3, abs=0.1)
     assert types.answers.slip[4:-1].max() < types.answers.slip[slippery].min()
@@ -110,7 +109,7 @@ def test_what_is_slipped_about_is_still_thought():
         assert ((one > 0.5) == own.label).mean() > 0.97
 
 
-class Constant(Labeler):
+class Constant(FittedLabeler):
     """Says the same of everything; ``means_truth`` as told."""
 
     def __init__(self, one, means_truth):
@@ -125,7 +124,7 @@ def test_a_prediction_is_a_mean_over_types_and_error_rates():
     rng = np.random.default_rng(6)
     known = hypotheses(facts=2, transitions=6)
     data = erring(asked(known, [1, 1, 2, 2], 12, rng), [0.0, 0.3] * 2, rng)
-    types = learn(Observed(data), HypothesisTrainer(hypotheses=known), Single(), 0)
+    types = Single(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
     answers = types.answers
     sure, prior = (0.9, 0.2), np.array([0.6, 0.4])
     made = replace(
@@ -185,7 +184,7 @@ def test_answers_about_skills_are_predicted_nearly_as_by_the_truth(seed):
     rng = np.random.default_rng(seed)
     known, answers, left, best = pupils(rng, 300, 12, 3)
     data, asked_ = table(known, answers, ~left), table(known, answers, left)
-    types = learn(Observed(data), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
     found = predicted(data, types, asked_)
     assert nats(found, answers[left]) < nats(best[left], answers[left]) + 0.02
 
@@ -199,7 +198,8 @@ def test_held_out_answers_are_predicted_as_answers():
     rng = np.random.default_rng(8)
     known = hypotheses()
     data = erring(asked(known, [3] * 4 + [12] * 4, 60, rng), [0.3] * 8, rng)
-    found = held_out(data, DirichletMixture(), HypothesisTrainer(hypotheses=known), 0)
+    trainer = HypothesisTrainer(hypotheses=known)
+    found = held_out(data, DirichletMixture(labeler=trainer), trainer, 0)
     assert -0.69 < found.types < -0.5
 
 
@@ -207,7 +207,7 @@ def test_how_people_err_is_kept_with_the_types(tmp_path):
     rng = np.random.default_rng(9)
     known = hypotheses()
     data = erring(asked(known, [3] * 3 + [12] * 3, 40, rng), [0, 0.3] * 3, rng)
-    types = learn(Observed(data), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
     LearnedTypes.of(types, data).save(tmp_path / "types.npz")
     read = LearnedTypes.load(tmp_path / "types.npz").errors
     assert np.array_equal(read.errors.prior, types.answers.errors.prior)

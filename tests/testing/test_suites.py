@@ -15,15 +15,16 @@ from xplain.explanation.actions import EXPLAIN, GiveMessages, give
 from xplain.learning.data.queries import Independent
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import Clustering
+from xplain.learning.user_types import UserTypes
 from xplain.solvers.greedy import QMDP
 from xplain.testing import (
     Chosen,
-    ClustererConformance,
     DomainConformance,
     LabelerConformance,
     PartitionConformance,
     QueriesConformance,
     SolverConformance,
+    TypeFinderConformance,
     TypeSourceConformance,
 )
 
@@ -221,10 +222,11 @@ class Clusters:
 
     assign: object
 
-    def cluster(self, dataset, trainer, seed, truth):
-        found = Clustering(np.zeros(len(dataset.observers), dtype=np.int64), "", "")
-        object.__setattr__(found, "assignment", np.asarray(self.assign(dataset, truth)))
-        return found
+    def find(self, observed, seed):
+        found = Clustering(np.zeros(len(observed.dataset.observers), dtype=np.int64), "", "")
+        assignment = np.asarray(self.assign(observed.dataset, observed.truth))
+        object.__setattr__(found, "assignment", assignment)
+        return UserTypes((), found, (), np.zeros(0))
 
 
 def everybody(data, truth):
@@ -240,6 +242,7 @@ CLUSTERERS = [
     ("plain_types", Clusters(everybody)),
     ("any_order", Clusters(lambda d, t: everybody(d, t) + np.arange(len(d.observers)) // 3)),
     ("answer_alike", Clusters(lambda d, t: np.arange(len(d.observers)))),
+    ("each_type", Clusters(everybody)),
     ("single_observer", Clusters(lambda d, t: np.array([5]))),
 ]
 
@@ -276,7 +279,7 @@ FAULTS = [
     ),
     *((QueriesConformance, test, c) for test, c in QUERIES),
     *((LabelerConformance, test, c) for test, c in LABELERS),
-    *((ClustererConformance, test, c) for test, c in CLUSTERERS),
+    *((TypeFinderConformance, test, c) for test, c in CLUSTERERS),
     *((PartitionConformance, test, c) for test, c in PARTITIONS),
 ]
 

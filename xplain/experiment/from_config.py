@@ -31,15 +31,19 @@ KINDS: dict[str, type] = {"domain": Domain, "solver": Solver}
 """Groups whose components are looked at before any work: what all else needs of them is theirs."""
 
 
-def component(cfg: DictConfig, group: str) -> Any:
-    """The component that a configuration chooses in a group.
+def component(cfg: DictConfig, group: str, **given: Any) -> Any:
+    """The component that a configuration chooses in a group, made with what is ``given`` beside its
+    keys.
 
     Raises:
         XplainError, HydraException: its class is not there or lacks something, or it refuses a
             value.
     """
     try:
-        made = instantiate(cfg[group])
+        made = instantiate(cfg[group], _partial_=bool(given))
+        made = made(**given) if given else made
+    except TypeError as error:  # of a class of somebody's own that is made otherwise
+        raise InputError(group, cfg[group].get("_target_"), f"a class to make ({error})") from None
     except InstantiationException as error:
         if isinstance(error.__cause__, ImportError):
             _require_class(f"{group}._target_", str(cfg[group].get("_target_")))
@@ -118,13 +122,14 @@ def components_of(cfg: DictConfig) -> Components:
     Raises:
         XplainError, HydraException: a value that one of them refuses.
     """
+    trainer = component(cfg, "labeler")
     return Components(
         domain=component(cfg, "domain"),
         users=component(cfg, "users"),
         observers=component(cfg, "observers"),
         queries=component(cfg, "queries"),
-        labeler=component(cfg, "labeler"),
-        clusterer=component(cfg, "clusterer"),
+        labeler=trainer,
+        clusterer=component(cfg, "clusterer", labeler=trainer),
         traces=cfg.traces,
         max_steps=cfg.max_steps,
         seed=cfg.seed,

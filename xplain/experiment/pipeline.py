@@ -30,7 +30,7 @@ from xplain.learning.data.queries import Queries, sample_trace
 from xplain.learning.known_types import find_types
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import TablesOf
-from xplain.learning.user_types import Clusterer
+from xplain.learning.user_types import TypeFinder
 from xplain.randomness import MOST, stream
 
 
@@ -52,7 +52,7 @@ class Components:
     observers: Observers
     queries: Queries
     labeler: LabelerTrainer
-    clusterer: Clusterer
+    clusterer: TypeFinder
     traces: Count
     max_steps: Count
     seed: Annotated[int, Range(0, MOST)]

@@ -5,7 +5,6 @@ Observed ── find_types ── KnownTypes (tables of any trace)
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -18,9 +17,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.prediction import fresh_accuracy
 from xplain.learning.types import KnownTypes, TraceTables, unless_too_large
-from xplain.learning.user_types import AskedOnce, Clusterer, Perfect, UserTypes, learn_types
-
-log = logging.getLogger(__name__)
+from xplain.learning.user_types import AskedOnce, Perfect, TypeFinder, UserTypes, learn_types
 
 
 @dataclass(frozen=True)
@@ -41,15 +38,15 @@ class References:
 
 
 def find_types(
-    observed: Observed, trainer: LabelerTrainer, clusterer: Clusterer, seed: int
+    observed: Observed, trainer: LabelerTrainer, finder: TypeFinder, seed: int
 ) -> KnownTypes:
     """What agents know of the users: what the trainer knows, else what the labels tell, which are
-    the types that the clusterer finds, with a labeler each.
+    the types that the finder finds, with a labeler each.
 
     Args:
         observed: with its setting.
-        trainer: fits labelers, or knows the types.
-        clusterer: finds the types.
+        trainer: fits the labelers that types are compared with, or knows the types.
+        finder: finds the types.
         seed: of the run.
 
     Raises:
@@ -58,9 +55,8 @@ def find_types(
     if (given := trainer.types_of(observed)) is not None:
         return given
     trainer = trainer.given(observed)  # once: what it works out of its task is kept with it
-    references = learn_references(observed, trainer, seed)
-    perfect = references.perfect.by_observers if references.perfect else None
-    types = learn(observed, trainer, clusterer, seed, known=perfect)
+    types = finder.find(observed, seed)
+    references = learn_references(observed, trainer, seed, types.by_observers)
     _require_tested(types.labelers)
     oracle = references.oracle
     once = AskedOnce()
@@ -90,45 +86,24 @@ def find_types(
     )
 
 
-def learn(
+def learn_references(
     observed: Observed,
     trainer: LabelerTrainer,
-    clusterer: Clusterer,
     seed: int,
     known: Mapping[tuple[int, ...], Labeler] | None = None,
-) -> UserTypes:
-    """Clusters the observers, and learns one labeler a cluster.
-
-    Args:
-        observed: the labels, and the true types where they are known, which only perfect
-            clustering may look at.
-        trainer: fits labelers.
-        clusterer: finds the types.
-        seed: of the run.
-        known: see :func:`xplain.learning.user_types.learn_types`.
-    """
-    trainer, dataset = trainer.given(observed), observed.dataset
-    clustering = clusterer.cluster(dataset, trainer, seed, observed.behaviour)
-    types = learn_types(dataset, clustering, trainer, seed, known)
-    if types.evidence is not None and types.evidence.lost:
-        log.warning("%s", types.evidence)
-    return types
-
-
-def learn_references(observed: Observed, trainer: LabelerTrainer, seed: int) -> References:
-    """The labeler of all data, and the labelers under perfect clustering.
+) -> References:
+    """The labeler of all data, and the labelers under perfect clustering; ``known`` as of
+    :func:`~xplain.learning.user_types.learn_types`.
 
     Raises:
         XplainError: too few labels to hold some out.
     """
-    dataset, behaviour = observed.dataset, observed.behaviour
-    trainer = trainer.given(observed)
+    dataset, trainer = observed.dataset, trainer.given(observed)
     everyone = trainer.fit(dataset, seed)
     _require_tested([everyone])
-    if behaviour is None:
+    if observed.behaviour is None:
         return References(everyone)
-    best = Perfect().cluster(dataset, trainer, 0, behaviour)
-    perfect = learn_types(dataset, best, trainer, seed)
+    perfect = learn_types(dataset, Perfect().cluster(observed, 0), trainer, seed, known)
     return References(everyone, perfect, _of_each_type(perfect, observed))
 
 

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset, inputs, query_index
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence
-from xplain.learning.types import Clustering, KnownTypes
+from xplain.learning.types import FactSetSearch, KnownTypes
 from xplain.randomness import derived_seed, stream
 
 MOST_LOOKED_AT = 16
@@ -57,8 +58,64 @@ class OfTruth:
         return (self.predict_proba(x)[:, 1] >= 0.5).astype(np.int64)
 
 
+class Labeler(Protocol):
+    """Says what people of one type find explicable: the interface of every labeler. Classes of your
+    own inherit from it, and have ``n_messages`` and :meth:`table`.
+
+    Attributes:
+        n_messages: n of the messages that it was learned with.
+        confidence, accuracy: P(label = prediction), and the share of predictions on held-out labels
+            that were right; NaN where nobody measured it.
+        n_test: how many held-out labels; 0 means that they were too few to hold any out.
+        means_truth: P(label = 1) is what people think, errors in their answers left out. Else it is
+            what they answer.
+        wrong: [n] P(a person of the type holds a fact wrong); None where that is unknown.
+    """
+
+    n_messages: int
+    confidence: float = math.nan
+    accuracy: float = math.nan
+    n_test: int = 1
+    means_truth: bool = False
+
+    def table(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
+    ) -> LabelTable:
+        """P(label = 1) of T transitions, of people of one type.
+
+        Args:
+            features: [T, F].
+            transitions: [T, 3] with these features, where they are known; a labeler may tell
+                transitions apart that share their features.
+
+        Raises:
+            TooLargeError: too many messages matter on these transitions.
+        """
+        ...
+
+    @property
+    def wrong(self) -> NDArray[np.float64] | None:
+        """See above."""
+        return None
+
+    def probability(
+        self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(label = 1) of each (transition [T, F], message set [T]): [T], inside (0, 1)."""
+        distinct, where = np.unique(features, axis=0, return_inverse=True)
+        return self.table(distinct).array(self.n_messages)[0][where.ravel(), message_sets]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What to write to a file of types, by name.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        raise InputError("types", type(self).__name__, "a labeler with arrays() to write to a file")
+
+
 @dataclass(frozen=True)
-class Labeler:
+class FittedLabeler(Labeler):
     """A fitted labeling model L(τ, H) with its confidence P(label = prediction).
 
     Attributes:
@@ -77,15 +134,10 @@ class Labeler:
     n_messages: int
     confidence: float
     accuracy: float
-    n_train: int
-    n_test: int
+    n_train: int = 0
+    n_test: int = 0
     calibrated: bool = False
     means_truth: bool = False
-
-    @property
-    def wrong(self) -> NDArray[np.float64] | None:
-        """[n] P(a person of the type holds a fact wrong); None where that is unknown."""
-        return None
 
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
@@ -103,18 +155,17 @@ class Labeler:
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """P(label = 1) of T transitions, of people of one type.
-
-        Args:
-            features: [T, F].
-            transitions: [T, 3] with these features, where they are known; a labeler may tell
-                transitions apart that share their features.
-
-        Raises:
-            TooLargeError: too many messages matter on these transitions.
-        """
+        """As :meth:`Labeler.table`."""
         relevant, table = self._looked_at(features)
         return LabelTable.joined_types([relevant], [table])
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """As :meth:`Labeler.arrays`: the classifier as skops writes it, or all that it knows."""
+        import skops.io
+
+        if self.means_truth:
+            return dict(zip(("rows", "table"), self.classifier.tabulated(), strict=True))
+        return {"skops": np.frombuffer(skops.io.dumps(self.classifier), dtype=np.uint8)}
 
     def _looked_at(
         self, features: NDArray[np.float64]
@@ -187,7 +238,7 @@ class LabelerTrainer:
     confidence: Literal["accuracy", "leaf"] = "accuracy"
     refit: bool = True
 
-    labeler: ClassVar[type[Labeler]] = Labeler
+    labeler: ClassVar[type[FittedLabeler]] = FittedLabeler
     """What is fitted."""
     means_truth: ClassVar[bool] = False
     """Whether its labelers know that an answer is not a label (:attr:`Labeler.means_truth`)."""
@@ -212,9 +263,8 @@ class LabelerTrainer:
         """
         return None
 
-    def find_types(self, dataset: Dataset, concentration: float) -> Clustering | None:
-        """The types by a Dirichlet process with this concentration, fact sets being those of the
-        trainer's hypotheses; None where it knows nothing of the dataset."""
+    def known_answers(self, dataset: Dataset) -> FactSetSearch | None:
+        """The answers that hypotheses of what people hold wrong know about; None: it has none."""
         return None
 
     def with_errors(
@@ -224,7 +274,7 @@ class LabelerTrainer:
         they answer; and how well hypotheses foretold it: None where the trainer learns neither."""
         return self, None, None
 
-    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> Labeler:
+    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> FittedLabeler:
         """Fits one labeler to all labels of a dataset. The same labels, in whatever order, and the
         same seed give the same labeler.
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
@@ -27,8 +27,10 @@ from numpy.typing import NDArray
 from xplain.errors import Count, Range, checks
 from xplain.explanation.message_sets import bits_of, subsets
 from xplain.learning.data.dataset import Dataset, inputs, query_index
+from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import LabelerTrainer, by_sets, looked_at
 from xplain.learning.types import Clustering
+from xplain.learning.user_types import Clusterer
 from xplain.randomness import derived_seed
 
 log = logging.getLogger(__name__)
@@ -141,8 +143,14 @@ def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messag
         TooLargeError: the classifier looks at too many messages.
     """
     messages = looked_at(classifier, features, n_messages)
+    labels = by_sets(classifier.predict, features, subsets(messages), n_messages)
+    return smallest((labels == 0).sum(axis=0), messages)
+
+
+def smallest(inexplicable: NDArray[np.int64], messages: Sequence[int]) -> int:
+    """The smallest of the 2^r sets of some messages, as a bitmask, by how many transitions are
+    ``inexplicable`` under each [2^r]."""
     sets = subsets(messages)
-    inexplicable = (by_sets(classifier.predict, features, sets, n_messages) == 0).sum(axis=0)
     # Of {0, 5} and {1, 2} the first: the first message weighs most.
     first = bits_of(np.arange(len(sets)), len(messages)) @ (1 << np.arange(len(messages)))[::-1]
     return int(sets[np.lexsort((-first, np.bitwise_count(sets), inexplicable))[0]])
@@ -158,7 +166,7 @@ class Partitioner(Protocol):
 
 @checks("clusterer")
 @dataclass(frozen=True)
-class Elbow:
+class Elbow(Clusterer):
     """The paper's learner: observers as minimal message sets, partitioned into k = 1, 2, …
     groups, k at the elbow of the disagreements.
 
@@ -172,20 +180,14 @@ class Elbow:
     few: Annotated[float, Range(0, 1, "[)")] = 0.01
     max_types: Count | None = None
 
-    def cluster(
-        self,
-        dataset: Dataset,
-        trainer: LabelerTrainer,
-        seed: int,
-        truth: NDArray[np.int64] | None,
-    ) -> Clustering:
+    def cluster(self, observed: Observed, seed: int) -> Clustering:
         """The partition at the elbow, with the curve of disagreements and the message sets.
 
         Raises:
             TooLargeError: as :func:`~xplain.learning.paper.minimal_message_set`.
         """
-        seed = derived_seed(seed, "clusterer")
-        masks = minimal_message_sets(dataset, trainer, seed)
+        seed, dataset = derived_seed(seed, "clusterer"), observed.dataset
+        masks = minimal_message_sets(dataset, self.labeler, seed)
         bits = bits_of(masks, dataset.n_messages)
         longest = min(len(masks), self.max_types or len(masks))
         distinct = min(len(np.unique(masks)), longest)

@@ -3,7 +3,7 @@ labelers predict answers that were held out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +12,9 @@ from scipy.special import softmax
 
 from xplain.learning.answers import truth
 from xplain.learning.data.dataset import Dataset, places, query_index
+from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer, by_question, split
-from xplain.learning.types import Clustering
-from xplain.learning.user_types import Clusterer, Single, UserTypes, learn_types
+from xplain.learning.user_types import Single, TypeFinder, UserTypes
 from xplain.randomness import derived_seed, stream
 
 EDGE = 0.002
@@ -144,8 +144,8 @@ class HeldOut:
         return f"not decided whether types predict held-out answers better {than}"
 
 
-def held_out(dataset: Dataset, clusterer: Clusterer, trainer: LabelerTrainer, seed: int) -> HeldOut:
-    """Predicts labels that neither the clusterer nor the labelers saw.
+def held_out(dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed: int) -> HeldOut:
+    """Predicts labels that the finder of types did not see.
 
     A share of the distinct (transition, message set) is put aside (``trainer.holdout``), or, where
     nobody was told anything, of the labels: questions are then items, of which no other teaches.
@@ -158,10 +158,11 @@ def held_out(dataset: Dataset, clusterer: Clusterer, trainer: LabelerTrainer, se
         test = drawn < trainer.holdout
         test[drawn.argmin()], test[drawn.argmax()] = True, False  # one of either, at least
     rest, held = dataset.take(np.flatnonzero(~test)), dataset.take(np.flatnonzero(test))
-    found = clusterer.cluster(rest, trainer, seed, None)
-    alone = Single().cluster(rest, trainer, seed, None)
-    of_types = log_likelihoods(rest, held, found, trainer, seed)
-    others = [log_likelihoods(rest, held, alone, trainer, seed), _of_means(dataset, test)]
+    of_types, of_one = (
+        log_likelihoods(rest, held, one.find(Observed(rest), seed))
+        for one in (finder, Single(labeler=trainer))
+    )
+    others = [of_one, _of_means(dataset, test)]
     best = max(others, key=lambda one: float(one.mean()))
     more = np.bincount(held.observer, of_types - best)
     count = np.bincount(held.observer)
@@ -173,35 +174,18 @@ def held_out(dataset: Dataset, clusterer: Clusterer, trainer: LabelerTrainer, se
     return HeldOut(float(of_types.mean()), one_type, question_mean, ends, tenths)
 
 
-def log_likelihoods(
-    train: Dataset, test: Dataset, found: Clustering, trainer: LabelerTrainer, seed: int
-) -> NDArray[np.float64]:
-    """log P of each label of ``test``: [P]. Where the method predicts answers itself, by that;
-    else by the labeler of its observer's cluster, fitted to ``train``. A cluster without labels in
-    ``train`` is predicted by everybody's. Where the trainer knows that an answer is not a label, as
-    :func:`predicted`."""
-    if trainer.means_truth:
-        return _log(predicted(train, _all_learned(train, found, trainer, seed), test), test.label)
-    if found.expected is not None:
-        return _log(found.expected[test.observer, test.transition], test.label)
-    result = np.empty(len(test))
-    for cluster in range(found.n_types):
-        members = found.members(cluster)
-        own = train.of(members)
-        labeler = trainer.fit(own if len(own) else train, seed)
-        rows = np.flatnonzero(np.isin(test.observer, members))
-        result[rows] = log_likelihood(labeler, test.take(rows))
-    return result
-
-
-def _all_learned(
-    train: Dataset, found: Clustering, trainer: LabelerTrainer, seed: int
-) -> UserTypes:
-    """The types; clusters without labels are the first that has some."""
-    labels = np.bincount(found.assignment[train.observer], minlength=found.n_types)
-    has = labels[found.assignment] > 0
-    assignment = np.where(has, found.assignment, found.assignment[has][0])
-    return learn_types(train, replace(found, assignment=assignment), trainer, seed)
+def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[np.float64]:
+    """log P of each label of ``test``, by the types that were found in ``train``: [P]. Where the
+    method predicts answers itself, by that; else by the labeler of its observer's type. Where
+    labelers say what people think, as :func:`predicted`."""
+    found, rows = types.clustering, np.arange(len(test))
+    if all(one.means_truth for one in types.labelers):
+        one = predicted(train, types, test)
+    elif found.expected is not None:
+        one = found.expected[test.observer, test.transition]
+    else:
+        one = _of_types(types.labelers, test)[rows, found.assignment[test.observer]]
+    return _log(one, test.label)
 
 
 def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> float:

@@ -22,7 +22,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.learning.answers import ErrorRates, QuestionErrors
 from xplain.learning.data.dataset import Dataset, encoded, places
 from xplain.learning.data.label_file import MAX_MASK
-from xplain.learning.labelers import Labeler, OfTruth
+from xplain.learning.labelers import FittedLabeler, Labeler, OfTruth
 from xplain.learning.user_types import UserTypes, label_table
 
 TREE = "sklearn.tree._tree.Tree"
@@ -53,17 +53,10 @@ class SavedTable(OfTruth):
         return np.stack([1 - one, one], axis=1)
 
 
-def arrays_of(labeler: Labeler) -> dict[str, NDArray[Any]]:
-    """What to write of a labeler's classifier, by name."""
-    if labeler.means_truth:
-        return dict(zip(("rows", "table"), labeler.classifier.tabulated(), strict=True))
-    return {"skops": np.frombuffer(skops.io.dumps(labeler.classifier), dtype=np.uint8)}
-
-
 def classifier_of(
     arrays: Mapping[str, NDArray[Any]], t: int, features: int, messages: int, trusted: Sequence[str]
 ) -> Any:
-    """The classifier of type t in a file that was written by :func:`arrays_of`.
+    """The classifier of type t in a file that was written by :meth:`Labeler.arrays`.
 
     Args:
         arrays: of the file, those of type t named ``t/…``.
@@ -210,10 +203,10 @@ class LearnedTypes:
                 "errors/guess": self.errors.guess,
                 "errors/rates": self.errors.errors.rates,
             }
+        for t, labeler in enumerate(self.labelers):
+            arrays |= {f"{t}/{key}": own for key, own in labeler.arrays().items()}
         for key in FIGURES:
             arrays[key] = np.array([getattr(labeler, key) for labeler in self.labelers])
-        for t, labeler in enumerate(self.labelers):
-            arrays |= {f"{t}/{key}": own for key, own in arrays_of(labeler).items()}
         with Path(path).open("wb") as file:  # an open file keeps its name as it is
             np.savez_compressed(file, **arrays)
 
@@ -240,7 +233,7 @@ class LearnedTypes:
             if len(messages) > MAX_MASK:
                 raise InputError("types", len(messages), f"at most {MAX_MASK} messages")
             labelers = tuple(
-                Labeler(
+                FittedLabeler(
                     classifier_of(arrays, t, len(features), len(messages), trusted),
                     len(messages),
                     **{key: arrays[key][t].item() for key in FIGURES},

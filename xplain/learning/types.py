@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from xplain.errors import TooLargeError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.answers import AnswerModel
+from xplain.learning.data.dataset import Dataset
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,15 @@ class Clustering:
     def members(self, cluster: int) -> NDArray[np.int64]:
         """Indices of the observers of a cluster, ascending."""
         return np.flatnonzero(self.assignment == cluster)
+
+
+class FactSetSearch(Protocol):
+    """Answers of observers, and hypotheses of what people hold wrong that know about them."""
+
+    def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
+        """The types of the dataset's observers by a Dirichlet process over fact sets, α being its
+        ``concentration``; None where labels alone foretell answers better."""
+        ...
 
 
 class TraceTables(NamedTuple):

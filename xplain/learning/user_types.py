@@ -1,16 +1,18 @@
 """User types: which observers are of one type, and one labeler for each type
 (docs/method.md, section 4).
 
-A *clusterer* is a component with one method::
+A component ``clusterer`` is a *type finder*, with one method::
 
-    cluster(dataset, trainer, seed, truth) -> Clustering
+    find(observed, seed) -> UserTypes
 
-``trainer`` fits labelers where the method needs them; ``truth`` [O] is the true type of each
-observer where it is known (simulated observers), and only :class:`Perfect` may look at it.
+It is made with the trainer of the run, ``labeler=``. A :class:`Clusterer` groups the observers, and
+fits a labeler to the labels of each group.
 """
 
 from __future__ import annotations
 
+import logging
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -22,28 +24,24 @@ from xplain.errors import InputError, Range, number
 from xplain.explanation.label_table import DENSE, LabelTable, stacked
 from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset, inputs
+from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence
-from xplain.learning.labelers import Labeler, LabelerTrainer
+from xplain.learning.labelers import FittedLabeler, Labeler, LabelerTrainer
 from xplain.learning.types import Clustering
 
+log = logging.getLogger(__name__)
 
-class Clusterer(Protocol):
-    """Groups observers by user type: the interface of every component ``clusterer``."""
 
-    def cluster(
-        self,
-        dataset: Dataset,
-        trainer: LabelerTrainer,
-        seed: int,
-        truth: NDArray[np.int64] | None,
-    ) -> Clustering:
-        """One cluster a user type.
+class TypeFinder(Protocol):
+    """Finds user types: the interface of every component ``clusterer``."""
+
+    def find(self, observed: Observed, seed: int) -> UserTypes:
+        """The types of the observers, with a labeler each.
 
         Args:
-            dataset: labels of O observers.
-            trainer: fits labelers where the method needs them.
+            observed: the labels of O observers. Their true types, where they are known, are for
+                scoring; only :class:`Perfect` reads them.
             seed: of every draw.
-            truth: [O] the true types, where they are known; only :class:`Perfect` reads them.
 
         Raises:
             InputError: the method needs what the data do not have.
@@ -52,39 +50,49 @@ class Clusterer(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Perfect:
+@dataclass(frozen=True, kw_only=True)
+class Clusterer(ABC):
+    """A type finder that groups the observers.
+
+    Attributes:
+        labeler: fits the labeler of each group.
+    """
+
+    labeler: LabelerTrainer = field(default_factory=LabelerTrainer)
+
+    @abstractmethod
+    def cluster(self, observed: Observed, seed: int) -> Clustering:
+        """Groups the observers: one cluster a type. As :meth:`TypeFinder.find`."""
+
+    def find(self, observed: Observed, seed: int) -> UserTypes:
+        """As :meth:`TypeFinder.find`."""
+        trainer = self.labeler.given(observed)  # once: what it works out of its task is kept
+        clustering = replace(self, labeler=trainer).cluster(observed, seed)
+        types = learn_types(observed.dataset, clustering, trainer, seed)
+        if types.evidence is not None and types.evidence.lost:
+            log.warning("%s", types.evidence)
+        return types
+
+
+class Perfect(Clusterer):
     """The true types: perfect clustering, the source of the oracle's labelers (docs/method.md,
     section 6)."""
 
-    def cluster(
-        self,
-        dataset: Dataset,
-        trainer: LabelerTrainer,
-        seed: int,
-        truth: NDArray[np.int64] | None,
-    ) -> Clustering:
+    def cluster(self, observed: Observed, seed: int) -> Clustering:
         """Raises InputError where the truth is not known."""
-        if truth is None:
-            raise InputError(
-                "clusterer", "perfect", "needs simulated observers, whose type is known"
-            )
-        return Clustering(np.asarray(truth), "perfect", "truth")
+        if observed.behaviour is None:
+            wanted = "needs simulated observers, whose type is known"
+            raise InputError("clusterer", "perfect", wanted)
+        return Clustering(np.asarray(observed.behaviour), "perfect", "truth")
 
 
-@dataclass(frozen=True)
-class Single:
+class Single(Clusterer):
     """Everybody is of one type (the paper's baseline)."""
 
-    def cluster(
-        self,
-        dataset: Dataset,
-        trainer: LabelerTrainer,
-        seed: int,
-        truth: NDArray[np.int64] | None,
-    ) -> Clustering:
+    def cluster(self, observed: Observed, seed: int) -> Clustering:
         """All O observers in cluster 0."""
-        return Clustering(np.zeros(len(dataset.observers), dtype=np.int64), "single", "one type")
+        everybody = np.zeros(len(observed.dataset.observers), dtype=np.int64)
+        return Clustering(everybody, "single", "one type")
 
 
 @dataclass(frozen=True)
@@ -174,7 +182,8 @@ def learn_types(
     seed: int,
     known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes:
-    """One labeler from the pooled labels of each cluster (paper, section 4.1).
+    """One labeler from the pooled labels of each cluster (paper, section 4.1); everybody's for a
+    cluster without labels.
 
     Args:
         dataset: the labels.
@@ -190,7 +199,8 @@ def learn_types(
     if trainer.means_truth and {tuple(own.tolist()) for own in clusters} != {*(known or ())}:
         known = None  # how people err was learned with other types
     labelers = tuple(
-        (known or {}).get(tuple(own.tolist())) or trainer.fit(dataset.of(own), seed)
+        (known or {}).get(tuple(own.tolist()))
+        or trainer.fit(dataset.of(own) if np.isin(own, dataset.observer).any() else dataset, seed)
         for own in clusters
     )
     names = tuple(f"type_{t}" for t in range(clustering.n_types))
@@ -230,7 +240,7 @@ def base_rate(dataset: Dataset) -> Labeler:
     # A tree that may not split; a labeler of shares reads its root.
     root = DecisionTreeClassifier(min_samples_split=len(x) + 2).fit(x, dataset.label)
     ones = int(dataset.label.sum())
-    return Labeler(
+    return FittedLabeler(
         classifier=root,
         n_messages=dataset.n_messages,
         confidence=(max(ones, len(x) - ones) + 1) / (len(x) + 2),

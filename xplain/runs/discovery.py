@@ -23,8 +23,7 @@ from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import read_questions, read_table
 from xplain.learning.data.observers import Observed
-from xplain.learning.known_types import learn
-from xplain.learning.paper import minimal_message_set
+from xplain.learning.paper import smallest
 from xplain.learning.prediction import HeldOut, held_out, predicted
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.user_types import UserTypes, with_none_of_these
@@ -166,7 +165,8 @@ def discovery(cfg: DictConfig) -> Discovery:
     """
     began = time.perf_counter()
     run_seed(cfg.seed)
-    trainer, clusterer = instantiate(cfg.labeler), instantiate(cfg.clusterer)
+    trainer = instantiate(cfg.labeler)
+    finder = instantiate(cfg.clusterer, _partial_=True)(labeler=trainer)
     if cfg.hypotheses is None:
         dataset = read_table(cfg.data, cfg.messages, cfg.features, cfg.ignore)
     else:
@@ -175,9 +175,9 @@ def discovery(cfg: DictConfig) -> Discovery:
         dataset = read_table(cfg.data, known.messages, cfg.features, cfg.ignore, like=like)
     sentences = sentences_of(cfg.sentences, dataset.messages)
     asked = None if cfg.predict is None else read_questions(cfg.predict, dataset)
-    types = learn(Observed(dataset), trainer, clusterer, cfg.seed)
+    types = finder.find(Observed(dataset), cfg.seed)
     types = with_none_of_these(types, dataset, cfg.none_of_these)
-    unseen = held_out(dataset, clusterer, trainer, cfg.seed) if cfg.held_out else None
+    unseen = held_out(dataset, finder, trainer, cfg.seed) if cfg.held_out else None
     answers = None
     if asked is not None:
         table, questions = asked
@@ -237,7 +237,8 @@ def _summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
             if known is not None:  # by all observers' labels, not by this type's alone
                 needed = int(known[t])
             else:
-                needed = minimal_message_set(labeler.classifier, labelled, dataset.n_messages)
+                table = labeler.table(labelled)
+                needed = smallest((table.p[:, :, 0] < 0.5).sum(axis=0), table.relevant[0])
             row["needs"] = list(names_of(needed, dataset.messages))
         except TooLargeError:  # no tree, and too many messages to try them all
             row["needs"] = None

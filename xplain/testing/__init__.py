@@ -21,7 +21,7 @@ from typing import Any
 
 _WHERE = {
     "Chosen": "chosen",
-    "ClustererConformance": "clusterer",
+    "TypeFinderConformance": "clusterer",
     "DomainConformance": "domain",
     "ExplaineeConformance": "explainee",
     "LabelerConformance": "labeler",

@@ -1,6 +1,6 @@
 from xplain.testing.chosen import Chosen as Chosen
-from xplain.testing.clusterer import ClustererConformance as ClustererConformance
 from xplain.testing.clusterer import PartitionConformance as PartitionConformance
+from xplain.testing.clusterer import TypeFinderConformance as TypeFinderConformance
 from xplain.testing.domain import DomainConformance as DomainConformance
 from xplain.testing.explainee import ExplaineeConformance as ExplaineeConformance
 from xplain.testing.labeler import LabelerConformance as LabelerConformance

@@ -1,4 +1,4 @@
-"""Properties of every clusterer and every partition (see :mod:`xplain.learning.types`)."""
+"""Properties of every type finder and every partition (see :mod:`xplain.learning.user_types`)."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.data.observers import Observed
 from xplain.learning.types import Clustering, by_first_appearance
+from xplain.learning.user_types import UserTypes
 from xplain.testing.data import rule_data
 from xplain.testing.suite import Conformance
 
 
-class ClustererConformance(Conformance):
-    """Tests a clusterer, ``cluster(dataset, trainer, seed, truth)``, for what learning and scoring
-    need from its :class:`~xplain.learning.types.Clustering`.
+class TypeFinderConformance(Conformance):
+    """Tests a type finder, ``find(observed, seed)``, for what explaining and scoring need from its
+    :class:`~xplain.learning.user_types.UserTypes`.
 
     Attributes:
         finds_types: it must distinguish types that answer the same questions differently.
@@ -30,14 +31,14 @@ class ClustererConformance(Conformance):
     def test_every_observer_gets_a_type(self, component: Any) -> None:
         """Types are numbered from 0 in the order of the observers."""
         data, truth = self._data()
-        found = self._cluster(component, data, truth).assignment
+        found = self._find(component, data, truth).clustering.assignment
         assert found.shape == (len(data.observers),), "not one type for each observer"
         assert np.array_equal(found, by_first_appearance(found)), "not numbered by appearance"
 
     def test_says_how_it_chose(self, component: Any) -> None:
         """The report needs a method, a rule, and a curve if there is one."""
         data, truth = self._data()
-        clustering = self._cluster(component, data, truth)
+        clustering = self._find(component, data, truth).clustering
         assert isinstance(clustering, Clustering)
         assert clustering.method.strip(), "the method has no name"
         assert clustering.rule.strip(), "the rule for the number of types has no name"
@@ -45,7 +46,7 @@ class ClustererConformance(Conformance):
     def test_the_same_seed_gives_the_same_types(self, component: Any) -> None:
         """Randomness comes from the seed alone."""
         data, truth = self._data()
-        once, again = (self._cluster(component, data, truth).assignment for _ in range(2))
+        once, again = (self._find(component, data, truth).clustering.assignment for _ in range(2))
         assert np.array_equal(once, again), "two clusterings with one seed differ"
 
     def test_does_not_look_at_the_truth(self, component: Any) -> None:
@@ -53,8 +54,8 @@ class ClustererConformance(Conformance):
         if self.needs_truth:
             return
         data, truth = self._data()
-        blind = component.cluster(data, LabelerTrainer(), 3, None).assignment
-        seen = component.cluster(data, LabelerTrainer(), 3, truth).assignment
+        blind = component.find(Observed(data), 3).clustering.assignment
+        seen = component.find(Observed(data, truth), 3).clustering.assignment
         assert np.array_equal(blind, seen), "the clustering depends on the truth"
 
     def test_finds_plain_types(self, component: Any) -> None:
@@ -62,7 +63,7 @@ class ClustererConformance(Conformance):
         if not self.finds_types:
             return
         data, truth = self._data()
-        found = self._cluster(component, data, truth).assignment
+        found = self._find(component, data, truth).clustering.assignment
         assert np.array_equal(found, truth), f"found {found.tolist()}, true {truth.tolist()}"
 
     def test_observers_may_come_in_any_order(self, component: Any) -> None:
@@ -70,7 +71,7 @@ class ClustererConformance(Conformance):
         data, truth = self._data()
         last_type_first = np.array([8, 0, 4, 1, 7, 3, 6, 5, 2])
         shuffled, true = _in_order(data, last_type_first), truth[last_type_first]
-        found = self._cluster(component, shuffled, true).assignment
+        found = self._find(component, shuffled, true).clustering.assignment
         assert found[0] == 0, f"the first observer's type is called {found[0]}"
         if self.finds_types:
             expected = by_first_appearance(true)
@@ -79,17 +80,32 @@ class ClustererConformance(Conformance):
     def test_observers_who_answer_alike_are_of_one_type(self, component: Any) -> None:
         """Six observers with the same answers to the same questions are one type."""
         data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=6)
-        found = self._cluster(component, data, truth).assignment
+        found = self._find(component, data, truth).clustering.assignment
         assert (found == 0).all(), f"{found.tolist()}"
 
     def test_a_single_observer_is_a_type(self, component: Any) -> None:
         """A data set with one observer gives one type, and no error."""
         data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=1)
-        assert self._cluster(component, data, truth).assignment.tolist() == [0]
+        assert self._find(component, data, truth).clustering.assignment.tolist() == [0]
 
-    def _cluster(self, component: Any, data: Dataset, truth: NDArray[np.int64]) -> Clustering:
-        given = truth if self.needs_truth else None
-        return component.cluster(data, LabelerTrainer(), 3, given)
+    def test_each_type_has_a_name_a_share_and_labels(self, component: Any) -> None:
+        """A labeler says P(label = 1), never certain, of any transitions under any messages."""
+        data, truth = self._data()
+        types = self._find(component, data, truth)
+        number = len(types.labelers)
+        assert len(set(types.names)) == number >= types.clustering.n_types, types.names
+        assert types.prior.shape == (number,), "one prior a type"
+        assert np.isclose(types.prior.sum(), 1), "the prior does not sum to 1"
+        for labeler in types.labelers:
+            table = labeler.table(data.features).array(data.n_messages)
+            assert table.shape == (1, len(data.features), 1 << data.n_messages), table.shape
+            assert ((table > 0) & (table < 1)).all(), "P must be inside (0, 1)"
+            one = labeler.probability(data.features[data.transition], data.message_set)
+            assert np.allclose(one, table[0, data.transition, data.message_set])
+
+    def _find(self, component: Any, data: Dataset, truth: NDArray[np.int64]) -> UserTypes:
+        found: UserTypes = component.find(Observed(data, truth if self.needs_truth else None), 3)
+        return found
 
     @staticmethod
     def _data() -> tuple[Dataset, NDArray[np.int64]]:

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from xplain import Clustering, Dataset, InputError, LabelerTrainer
+from xplain import Clusterer, Clustering, InputError
 from xplain.learning.data.dataset import query_index
+from xplain.learning.data.observers import Observed
 
 
 @dataclass(frozen=True)
-class SameAnswers:
+class SameAnswers(Clusterer):
     """Attributes:
     tolerance: share of the common questions that two observers of one type may answer
         differently, in [0, 1).
@@ -25,14 +25,9 @@ class SameAnswers:
         if not 0 <= self.tolerance < 1:
             raise InputError("clusterer.tolerance", self.tolerance, "a share in [0, 1)")
 
-    def cluster(
-        self,
-        dataset: Dataset,
-        trainer: LabelerTrainer,
-        seed: int,
-        truth: NDArray[np.int64] | None,
-    ) -> Clustering:
+    def cluster(self, observed: Observed, seed: int) -> Clustering:
         """Who agrees with whom makes a graph; a type is a connected part of it."""
+        dataset = observed.dataset
         question = query_index(dataset)
         answers = np.zeros((2, len(dataset.observers), question.max() + 1))  # answers 0, answers 1
         answers[dataset.label, dataset.observer, question] = 1

@@ -1,5 +1,5 @@
-from xplain.testing import Chosen, ClustererConformance
+from xplain.testing import Chosen, TypeFinderConformance
 
 
-class TestSameAnswers(ClustererConformance):
+class TestSameAnswers(TypeFinderConformance):
     chosen = Chosen("clusterer", "same_answers", conf="conf")

@@ -18,7 +18,7 @@ from tests.people.visitors import GENEROUS, Visitor, pages
 from xplain.cli.people import configured
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
-from xplain.learning.labelers import Labeler
+from xplain.learning.labelers import FittedLabeler
 from xplain.learning.saved import LearnedTypes, SavedTable
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
@@ -75,7 +75,7 @@ def save_types(path: Path, feature: str, messages: tuple[str, ...] = FACTS) -> N
     features = np.arange(len(WHEN), dtype=np.float32)[:, None]
     told = [{f for j, f in enumerate(FACTS) if mask >> j & 1} for mask in range(8)]
     labelers = [
-        Labeler(
+        FittedLabeler(
             SavedTable(
                 features,
                 np.array(

@@ -28,7 +28,7 @@ from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import DOUBTED, Evidence, foretold
 from xplain.learning.labelers import (
-    Labeler,
+    FittedLabeler,
     LabelerTrainer,
     OfTruth,
     cheap,
@@ -48,6 +48,8 @@ from xplain.learning.mixture.likelihood import (
 from xplain.learning.mixture.partition import Partition, errors_of, partition
 from xplain.learning.prediction import log_likelihood
 from xplain.learning.types import Clustering
+
+log = logging.getLogger(__name__)
 
 KEPT = 1e-4
 """Fact sets with a smaller share of the posterior are left out of predictions."""
@@ -81,7 +83,7 @@ class FactSetClassifier(OfTruth):
         self,
         known: KnownTransitions,
         answers: Answers,
-        fit_alone: Callable[[], Labeler],
+        fit_alone: Callable[[], FittedLabeler],
         given: NDArray[np.float64] | None = None,
         trust: float = 1.0,
     ) -> None:
@@ -113,7 +115,7 @@ class FactSetClassifier(OfTruth):
         self.learned = (of_cell * posterior[self.cells.which]).sum(axis=(1, 2, 3))
 
     @cached_property
-    def alone(self) -> Labeler:
+    def alone(self) -> FittedLabeler:
         """Learned from the labels alone, when it is first asked."""
         return self._fit_alone()
 
@@ -258,6 +260,22 @@ class KnownAnswers:
         """The likeliest types, α of the process being ``concentration``."""
         return partition(self.grown, self.of_observers, concentration)
 
+    def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
+        """The same, with what is expected of all transitions of the dataset that these answers are
+        of; None where labels alone foretell answers better."""
+        facts, _, expected = self.partition(concentration)
+        if self.evidence(np.unique(facts, return_inverse=True)[1]).beaten:
+            return None
+        if surprise := int(np.bitwise_or.reduce(facts & self.grown.unwritten)):
+            names = ", ".join(names_of(surprise, dataset.messages))
+            log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
+        if expected is not None:
+            place, count = self.place, len(self.place)
+            ones = np.bincount(dataset.transition, dataset.label, count)
+            mean = (ones + 1) / (np.bincount(dataset.transition, minlength=count) + 2)
+            expected = np.where(place >= 0, expected[:, place], mean)
+        return Clustering.by_facts(facts, "hypotheses", expected=expected)
+
     def errors(self, assignment: NDArray[np.int64]) -> AnswerModel:
         """How these people err when they answer, their types [O] being given."""
         return errors_of(self.grown, self.of_observers, assignment)
@@ -284,7 +302,7 @@ class KnownAnswers:
         return self.classifier(data, partial(cheap().fit, data, 0))
 
     def classifier(
-        self, data: Dataset, alone: Callable[[], Labeler], *about: Any
+        self, data: Dataset, alone: Callable[[], FittedLabeler], *about: Any
     ) -> FactSetClassifier:
         """Of people of one type, by some of the answers; ``about`` as for the class."""
         answers = self._answers(data)
@@ -295,11 +313,8 @@ class KnownAnswers:
         return Answers(self.place[data.transition], data.message_set, label)
 
 
-log = logging.getLogger(__name__)
-
-
 @dataclass(frozen=True)
-class HypothesisLabeler(Labeler):
+class HypothesisLabeler(FittedLabeler):
     """A labeler that tells transitions apart that share their features."""
 
     classifier: FactSetClassifier
@@ -386,7 +401,7 @@ class HypothesisTrainer(LabelerTrainer):
             raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
         return KnownTransitions.of(hypotheses)
 
-    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> Labeler:
+    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> FittedLabeler:
         """As :meth:`LabelerTrainer.fit`; without hypotheses, where the labels are of another
         task."""
         if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
@@ -414,7 +429,7 @@ class HypothesisTrainer(LabelerTrainer):
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
         """With how these people err when they answer, their types [O] being given."""
-        asked = self._known_answers(dataset)
+        asked = self.known_answers(dataset)
         if asked is None:
             return self, self.answers, self.evidence
         made, where = asked.errors(assignment), [*asked.place, -1]
@@ -426,31 +441,7 @@ class HypothesisTrainer(LabelerTrainer):
             evidence,
         )
 
-    def find_types(self, dataset: Dataset, concentration: float) -> Clustering | None:
-        """The types by a Dirichlet process over fact sets; None where the hypotheses know nothing
-        of the dataset.
-
-        Args:
-            dataset: labels of O observers.
-            concentration: α of the process.
-        """
-        asked = self._known_answers(dataset)
-        if asked is None:
-            return None
-        facts, _, expected = asked.partition(concentration)
-        if asked.evidence(np.unique(facts, return_inverse=True)[1]).beaten:
-            return None
-        if surprise := int(np.bitwise_or.reduce(facts & asked.grown.unwritten)):
-            names = ", ".join(names_of(surprise, dataset.messages))
-            log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
-        if expected is not None:
-            place, count = asked.place, len(asked.place)
-            ones = np.bincount(dataset.transition, dataset.label, count)
-            mean = (ones + 1) / (np.bincount(dataset.transition, minlength=count) + 2)
-            expected = np.where(place >= 0, expected[:, place], mean)
-        return Clustering.by_facts(facts, "hypotheses", expected=expected)
-
-    def _known_answers(self, dataset: Dataset) -> KnownAnswers | None:
+    def known_answers(self, dataset: Dataset) -> KnownAnswers | None:
         """The answers that hypotheses know about; None where they know nothing of the dataset."""
         if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
             return None

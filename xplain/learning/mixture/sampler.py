@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from xplain.errors import Count, Positive, Range, TooLargeError, checks
 from xplain.learning.answers import AnswerModel, CellAnswers, learned
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.data.observers import Observed
 from xplain.learning.mixture.classes import answer_classes
 from xplain.learning.mixture.kernels import (
     REACH,
@@ -50,6 +50,7 @@ from xplain.learning.mixture.kernels import (
 )
 from xplain.learning.mixture.likelihood import log_cell
 from xplain.learning.types import Clustering, shares_of
+from xplain.learning.user_types import Clusterer
 from xplain.randomness import derived_seed, stream
 
 NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
@@ -391,7 +392,7 @@ MAX_SUBSETS = 1 << 15
 
 @checks("clusterer")
 @dataclass(frozen=True)
-class DirichletMixture:
+class DirichletMixture(Clusterer):
     """Finds types by Gibbs sampling; the state of the highest joint probability is the answer.
 
     Attributes:
@@ -414,27 +415,21 @@ class DirichletMixture:
     heat: Annotated[float, Range(1)] = 4.0
     jobs: int = 1
 
-    def cluster(
-        self,
-        dataset: Dataset,
-        trainer: LabelerTrainer,
-        seed: int,
-        truth: NDArray[np.int64] | None,
-    ) -> Clustering:
+    def cluster(self, observed: Observed, seed: int) -> Clustering:
         """Types, what each needs to be told, and the posterior over their number.
 
         Where nobody was told anything, types are classes of answers
-        (:mod:`xplain.learning.mixture.classes`). A trainer that knows what people might
-        hold wrong finds the types itself: its hypotheses take the place of the prior over which
-        facts matter where.
+        (:mod:`xplain.learning.mixture.classes`). Hypotheses of what people might hold wrong, where
+        the trainer has some, take the place of the prior over which facts matter where.
 
         Raises:
             TooLargeError: ``depth`` is too large for so many messages.
         """
-        seed = derived_seed(seed, "clusterer")
-        known = trainer.find_types(dataset, self.concentration)
-        if known is not None:
-            return known
+        seed, dataset = derived_seed(seed, "clusterer"), observed.dataset
+        asked = self.labeler.given(observed).known_answers(dataset)
+        found = None if asked is None else asked.cluster(dataset, self.concentration)
+        if found is not None:
+            return found
         if dataset.message_set.any():
             found = self._sampled(dataset, seed)
         else:

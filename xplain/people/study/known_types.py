@@ -15,7 +15,6 @@ from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.pipeline import observe
 from xplain.explanation.habits import Habits
-from xplain.learning.known_types import learn
 from xplain.learning.labelers import Labeler
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.user_types import Perfect
@@ -47,8 +46,9 @@ def learned_types(cfg: DictConfig) -> tuple[Setting, Learned]:
             participants shall be told what one type knows, and types are found: nothing says which
             of them is whose.
     """
-    domain, users, clusterer = (instantiate(cfg[key]) for key in ("domain", "users", "clusterer"))
-    if cfg.briefing == "assigned" and (cfg.types is not None or not isinstance(clusterer, Perfect)):
+    domain, users, trainer = (instantiate(cfg[key]) for key in ("domain", "users", "labeler"))
+    finder = instantiate(cfg.clusterer, _partial_=True)(labeler=trainer)
+    if cfg.briefing == "assigned" and (cfg.types is not None or not isinstance(finder, Perfect)):
         wanted = "none with types that were found, by types=FILE or another clusterer than perfect"
         raise InputError("briefing", cfg.briefing, wanted)
     names = transition_feature_names(domain)
@@ -56,7 +56,7 @@ def learned_types(cfg: DictConfig) -> tuple[Setting, Learned]:
         observers, queries = instantiate(cfg.observers), instantiate(cfg.queries)
         observed = observe(domain, users, observers, queries, cfg.seed)
         assert observed.setting is not None
-        types = learn(observed, instantiate(cfg.labeler), clusterer, cfg.seed)
+        types = finder.find(observed, cfg.seed)
         columns = tuple(range(len(names)))
         habits = None if types.answers is None else types.answers.habits
         learned = Learned(types.names, types.labelers, types.prior, columns, habits)
