@@ -22,10 +22,9 @@ from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, upd
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.solvers import evaluate as policy_value
-from xplain.solvers.base import Policy
+from xplain.solvers.base import GIB, Policy
 from xplain.solvers.greedy import QMDP, Baseline, KnownType
 from xplain.solvers.known_type import known_bytes
-from xplain.solvers.memory import GIB
 from xplain.solvers.simple import QHR, Silent
 from xplain.testing.literal_pomdp import literal_optimal_value, reduced_optimal_value
 

@@ -11,7 +11,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.base import CachedPolicy
 
 
 class Scripted:

@@ -15,9 +15,8 @@ from xplain.explanation.belief import answered, update
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Policy, best_action
+from xplain.solvers.base import CachedPolicy, Policy, best_action
 from xplain.solvers.bounds import bounds
-from xplain.solvers.cached_policy import CachedPolicy
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi.solver import Certified, Effort

@@ -10,13 +10,13 @@ import pytest
 from tests.decisions import worths
 from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
+from xplain.solvers.base import GIB
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi.solver import Effort
 from xplain.solvers.known_type import known_bytes
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.memory import GIB
 from xplain.testing.literal_pomdp import reduced_optimal_value
 from xplain.testing.problems import random_problem
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.decisions import messages_given, worths
 from xplain.explanation.actions import EXPLAIN, Action, GiveMessages, VisibleState
 from xplain.explanation.problem import Problem
-from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.pomcp.solver import POMCP
 
 

@@ -11,8 +11,8 @@ import pytest
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
+from xplain.solvers.base import GIB, check_memory
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.memory import GIB, check_memory
 
 
 def test_what_fits_exactly_is_allowed_and_a_byte_more_is_not() -> None:

@@ -25,8 +25,7 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Explainee
 from xplain.interaction.metrics import Record
 from xplain.randomness import derived_seed
-from xplain.solvers.base import Solver
-from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.base import CachedPolicy, Solver
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ there are. A dense table is the case where every message is relevant to every ty
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -241,14 +241,6 @@ class LabelTable:
     def compact(self, n: int) -> LabelTable:
         """As tables are kept: dense where messages are few, else over what changes some label."""
         return self.over([range(n)] * self.n_types if n <= DENSE else self.effective())
-
-    def with_messages(self, kept: Sequence[int]) -> LabelTable:
-        """The table where only some messages (ascending positions) are ever given; they are
-        numbered anew."""
-        number = {j: i for i, j in enumerate(kept)}
-        some = self.over([[j for j in row if j in number] for row in self.rows])
-        renamed = [[number[j] for j in row] for row in some.rows]
-        return replace(some, relevant=_padded(renamed, some.relevant.shape[1]))
 
     def of_types(self, types: Sequence[int]) -> LabelTable:
         """Some of the types."""

@@ -14,8 +14,7 @@ from xplain.errors import InputError
 from xplain.explanation.asking import PREFIX, Questions
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.problem import Problem
-from xplain.explanation.problem_values import numbers
+from xplain.explanation.problem import Problem, numbers
 
 DENSE = ("p_explicable",)
 BY_TYPE = ("relevant", "p_relevant")

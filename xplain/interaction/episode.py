@@ -15,8 +15,7 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
 from xplain.interaction.explainees import Person
-from xplain.solvers.base import Policy, messages_of
-from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.base import CachedPolicy, Policy, messages_of
 
 
 @dataclass(frozen=True)

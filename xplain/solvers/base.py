@@ -8,6 +8,8 @@ Policies that search at random draw from a stream made of the seed and those two
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
@@ -15,9 +17,14 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.errors import TooLargeError
 from xplain.explanation.actions import Action, AskQuestion, GiveMessages, VisibleState, give
+from xplain.explanation.belief import rounded
 from xplain.explanation.problem import Problem
 
+log = logging.getLogger(__name__)
+
+GIB = 1 << 30
 TIE = 1e-9
 """Values closer than this, relative to 1 + their size, are equal."""
 
@@ -117,3 +124,57 @@ def best_action(values: Mapping[Action, float]) -> Action:
             min(q for q, value in asked.items() if value >= best - TIE * (1 + abs(best)))
         )
     return give(best_of(np.array(list(said)), np.array(list(said.values()))))
+
+
+class CachedPolicy:
+    """A policy and the decisions that it has taken so far: users who answer alike lead to the same
+    questions, and a search takes long. How long a decision took is kept with it, so that what was
+    cached does not pass for fast.
+
+    Attributes:
+        policy: the one that is asked.
+        seconds: what the last decision took when the policy was asked.
+        decisions: action and seconds, by visible state and rounded belief.
+    """
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+        self.seconds = 0.0
+        self.decisions: dict[tuple[VisibleState, bytes], tuple[Action, float]] = {}
+
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """See :class:`xplain.solvers.base.Policy`. The policy sees the rounded belief: which of
+        two that differ by rounding came first makes no difference."""
+        belief = rounded(belief)
+        key = visible, belief.tobytes()
+        if key not in self.decisions:
+            before = time.perf_counter()
+            action = self.policy.decide(visible, belief)
+            self.decisions[key] = action, time.perf_counter() - before
+        action, self.seconds = self.decisions[key]
+        return action
+
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return self.policy.values(visible, belief)
+
+
+def check_memory(what: str, size: int, limit_gib: float, instead: str) -> None:
+    """Refuses tables before they are taken, and tells of large ones.
+
+    Args:
+        what: the solver.
+        size: bytes.
+        limit_gib: the solver's ``memory_gib``.
+        instead: what could be done.
+
+    Raises:
+        TooLargeError: more than the limit.
+    """
+    if size > limit_gib * GIB:
+        raise TooLargeError(
+            f"{what} needs {size / GIB:.2f} GiB for its tables, more than "
+            f"solver.memory_gib={limit_gib:g}: {instead}"
+        )
+    if size > GIB / 4:
+        log.info("%s takes %.2f GiB for its tables", what, size / GIB)

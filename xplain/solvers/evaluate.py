@@ -16,8 +16,7 @@ from xplain.explanation.belief import rounded
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.randomness import stream
-from xplain.solvers.base import Policy, PolicyValue, messages_of
-from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.base import CachedPolicy, Policy, PolicyValue, messages_of
 from xplain.solvers.known_type import known_values
 from xplain.solvers.process import (
     Process,

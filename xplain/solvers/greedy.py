@@ -24,9 +24,8 @@ from xplain.errors import InputError, Positive, checks
 from xplain.explanation.actions import EXPLAIN, Action, GiveMessages, VisibleState, give
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Knowledge, Policy, best_of
+from xplain.solvers.base import Knowledge, Policy, best_of, check_memory
 from xplain.solvers.known_type import KnownValues, known_bytes, known_values
-from xplain.solvers.memory import check_memory
 from xplain.solvers.process import (
     Process,
     before_step,

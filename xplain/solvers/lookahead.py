@@ -17,10 +17,9 @@ from xplain.errors import Count, Positive, checks
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.message_sets import indices, subsets
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import TIE, Knowledge, Policy, best_action
+from xplain.solvers.base import TIE, Knowledge, Policy, best_action, check_memory
 from xplain.solvers.greedy import greedy_policy
 from xplain.solvers.known_type import KnownValues
-from xplain.solvers.memory import check_memory
 from xplain.solvers.process import (
     Process,
     all_given,

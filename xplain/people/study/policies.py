@@ -13,7 +13,7 @@ from xplain.interaction.explainees import SimulatedUser
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.randomness import derived_seed
-from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.base import CachedPolicy
 
 
 def at_work(plan: StudyPlan) -> Study:

@@ -31,7 +31,7 @@ from xplain.explanation.label_table import MAX_RELEVANT, NONE
 from xplain.explanation.message_sets import compress, expand
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
-from xplain.solvers.base import Knowledge, Policy, best_action
+from xplain.solvers.base import GIB, Knowledge, Policy, best_action, check_memory
 from xplain.solvers.hsvi import kernel
 from xplain.solvers.hsvi.kernel import (
     ACTIONS,
@@ -51,7 +51,6 @@ from xplain.solvers.hsvi.kernel import (
     Tables,
 )
 from xplain.solvers.known_type import known_values
-from xplain.solvers.memory import GIB, check_memory
 from xplain.solvers.process import (
     Process,
     before_step,

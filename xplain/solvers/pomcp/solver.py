@@ -48,9 +48,8 @@ from xplain.explanation.label_table import NONE
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derived_seed
-from xplain.solvers.base import Knowledge, Policy, best_action, messages_of
+from xplain.solvers.base import Knowledge, Policy, best_action, check_memory, messages_of
 from xplain.solvers.known_type import KnownValues, known_bytes, known_values
-from xplain.solvers.memory import check_memory
 from xplain.solvers.pomcp.kernel import (
     COLUMN,
     EDGE,

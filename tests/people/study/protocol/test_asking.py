@@ -20,7 +20,7 @@ from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.policies import difference
 from xplain.people.study.prepare import conditions_of
-from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
 
 
