@@ -16,7 +16,7 @@ from importlib.util import find_spec
 import pytest
 
 from tests.conftest import ROOT
-from xplain.cli.commands import COMMANDS
+from xplain.cli.main import COMMANDS
 
 
 def module(name):

@@ -34,6 +34,8 @@ def plugin(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     fingerprints._package.cache_clear()
     yield tmp_path
+    for name in [name for name in sys.modules if name.startswith("their_")]:
+        del sys.modules[name]
     fingerprints._package.cache_clear()
     fingerprints._distributions.cache_clear()
 
@@ -148,6 +150,29 @@ def test_what_a_package_imports_of_its_own_is_no_other_package(plugin):
     (plugin / "their_solver" / "best.py").write_text("from flask import app\n")
     fingerprints._package.cache_clear()
     assert "flask" in component_code(CONFIG)
+
+
+def test_what_a_component_declares_counts(plugin):
+    """A file beside the code whose name nobody writes down, a server's version, a licence."""
+    weights = plugin / "weights.bin"
+    weights.write_bytes(b"1")
+    (plugin / "their_helper.py").write_text(
+        "from pathlib import Path\n"
+        "class Model:\n"
+        "    def __init__(self, version=1): self.version = version\n"
+        "    def depends_on(self):\n"
+        f"        return {{'weights': Path({str(weights)!r}), 'version': self.version}}\n"
+    )
+    config = {"labeler": {"_target_": "their_helper.Model", "version": 1}, "lambda": 1.0}
+    before = fingerprint(config)
+    assert fingerprint(config) == before
+    weights.write_bytes(b"2")
+    other = fingerprint(config)
+    assert other != before
+    weights.write_bytes(b"1")
+    assert fingerprint(config) == before
+    config["labeler"]["_target_"] = "their_helper.Absent"  # the experiment says what is wrong
+    assert fingerprint(config) not in (before, other)
 
 
 def test_targets_are_found_at_any_depth(plugin):

@@ -238,6 +238,28 @@ def test_a_module_that_was_edited_and_loaded_again_is_another_address(
     assert found[0].metrics["messages"].mean == 0 < found[1].metrics["messages"].mean
 
 
+@pytest.mark.parametrize("ran_before", [True, False])
+def test_a_module_that_was_edited_and_not_loaded_again_is_refused(
+    here: Path, monkeypatch: pytest.MonkeyPatch, ran_before: bool
+) -> None:
+    """Its results would stand at the address of the new code."""
+    monkeypatch.syspath_prepend(str(here))
+    source = here / f"stale_{ran_before}.py"
+    source.write_text("from xplain.solvers.simple import Silent\nclass Mine(Silent): pass\n")
+    importlib.invalidate_caches()
+    loaded = importlib.import_module(source.stem)
+    if ran_before:
+        xplain.run(*SMALL, solver=loaded.Mine())
+    os.utime(source, (1, 1))  # copied, and the same
+    xplain.run(*SMALL, solver=loaded.Mine(), trade_off=2)
+    source.write_text("from xplain.solvers.simple import SayAll\nclass Mine(SayAll): pass\n")
+    for start in (xplain.run, xplain.sweep):
+        with pytest.raises(XplainError, match="was edited after it was loaded; reload or restart"):
+            start(*SMALL, solver=loaded.Mine(), trade_off=3)
+    importlib.reload(loaded)
+    assert xplain.run(*SMALL, solver=loaded.Mine(), trade_off=3).results.metrics["messages"].mean
+
+
 class Tee:
     """Standard error as a program may replace it."""
 

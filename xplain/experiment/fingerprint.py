@@ -2,8 +2,9 @@
 
 A fingerprint covers the resolved configuration, the sources of this package, the versions of the
 libraries that compute, the sources of every component plugged in from elsewhere with all that
-they import, and the content of every file that the configuration names. Results are taken for
-finished, and cached stages for valid, by their fingerprint alone, so it errs on the side of change.
+they import, what such a component declares (:class:`Dependent`), and the content of every file that
+the configuration names. Results are taken for finished, and cached stages for valid, by their
+fingerprint alone, so it errs on the side of change.
 """
 
 from __future__ import annotations
@@ -13,18 +14,24 @@ import hashlib
 import importlib.util
 import inspect
 import json
+import marshal
 import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib import metadata
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, Protocol, runtime_checkable
 
+from hydra.errors import HydraException
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.errors import InputError
+from xplain.errors import InputError, XplainError
 
 LIBRARIES = {
     **{name: name for name in ("numpy", "scipy", "kneed", "numba", "pandas", "pyarrow")},
@@ -40,6 +47,15 @@ from the one that a sweep is planned with."""
 
 _KNOWN = {"xplain", *LIBRARIES.values()}
 """Packages that are in every fingerprint by other ways."""
+
+
+@runtime_checkable
+class Dependent(Protocol):
+    """A component whose results depend on more than its configuration, its code and the files that
+    its configuration names."""
+
+    def depends_on(self) -> Mapping[str, object]:
+        """What decides as well, by name: numbers, texts, or files, whose content counts."""
 
 
 def configuration(cfg: DictConfig) -> dict[str, Any]:
@@ -61,6 +77,7 @@ def fingerprint(config: Mapping[str, Any]) -> str:
         "code": code_version(),
         "libraries": library_versions(),
         "components": component_code(config),
+        "declared": declared(config),
         "files": {text: _digest(path.read_bytes()) for text, path in named.items() if path},
     }
     return _digest(json.dumps(content, sort_keys=True).encode())
@@ -121,6 +138,24 @@ def component_code(config: Any) -> dict[str, str]:
         found[name], imported = _package(name)
         pending += imported
     return found
+
+
+def declared(config: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """``{group: {name: what it is}}`` of all that components from elsewhere declare. One that
+    cannot be made declares nothing: the experiment says why."""
+    found = {}
+    for group, node in config.items():
+        target = str(node.get("_target_", "xplain")) if isinstance(node, Mapping) else "xplain"
+        if target.partition(".")[0] not in _KNOWN:
+            with suppress(HydraException):
+                made = instantiate(dict(node))
+                if isinstance(made, Dependent):
+                    found[group] = {name: _known_by(own) for name, own in made.depends_on().items()}
+    return found
+
+
+def _known_by(value: object) -> str:
+    return _digest(value.read_bytes()) if isinstance(value, Path) else repr(value)
 
 
 _NAMES_CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.-]*").fullmatch
@@ -237,6 +272,45 @@ def _distributions() -> dict[str, list[str]]:
 def clear_caches() -> None:
     """Code is read again: in a program that lives on it may have been edited."""
     _package.cache_clear()
+    code_version.cache_clear()
+
+
+_LOADED: dict[str, tuple[object, str]] = {}
+"""Of each module that was looked at: its specification, which loading it again replaces, and the
+digest of its file."""
+
+
+def require_as_loaded(config: Mapping[str, Any]) -> None:
+    """Refuses code that was edited after it was loaded: this process would compute with the old
+    code what belongs to the address of the new one.
+
+    Raises:
+        XplainError: it is so.
+    """
+    ours = {"xplain", *component_code(config)}
+    for name, module in [*sys.modules.items()]:
+        file = Path(getattr(module, "__file__", None) or "")
+        if name.partition(".")[0] not in ours or file.suffix != ".py" or not file.is_file():
+            continue
+        source, spec = file.read_bytes(), module.__spec__
+        known = _LOADED.get(name, (None, ""))
+        looked_at = name in _LOADED and known[0] is spec
+        if known[1] != _digest(source) if looked_at else _was_compiled_from_other(module, source):
+            raise XplainError(f"{name}: {file} was edited after it was loaded; reload or restart")
+        _LOADED[name] = spec, _digest(source)
+
+
+def _was_compiled_from_other(module: ModuleType, source: bytes) -> bool:
+    """Whether Python's compiled file of a module, as it was loaded, is of another source; unknown,
+    and False, where there is none."""
+    if type(getattr(module, "__loader__", None)) is not SourceFileLoader:
+        return False
+    try:
+        content = Path(getattr(module, "__cached__", None) or "").read_bytes()
+        loaded = marshal.loads(content[16:])
+        return compile(source, loaded.co_filename, "exec", dont_inherit=True) != loaded
+    except (OSError, ValueError, EOFError, TypeError, SyntaxError):
+        return False
 
 
 def _digest(content: bytes) -> str:

@@ -45,7 +45,7 @@ from xplain.experiment.config import (
     register,
     require_names,
 )
-from xplain.experiment.fingerprint import clear_caches
+from xplain.experiment.fingerprint import clear_caches, require_as_loaded
 from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.report.comparison import answer, main_table
 from xplain.report.measure import TITLES
@@ -191,6 +191,7 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
             own = {key: value for key, (value,) in objects.items()}
             choices = dict(cfg.hydra.runtime.choices) | set_values(cfg, own)
             job, folder = Job.of(cfg, choices), Path(cfg.hydra.run.dir).absolute()
+        require_as_loaded(job.config)
         if cfg.dry_run:
             raise InputError("dry_run", True, "false: nothing ran")
         there = folder.exists()
@@ -231,6 +232,8 @@ def sweep(
             where = [one for one in single if one.startswith("hydra")]
             task = [one for one in words if one not in where]
             plan = Plan.of(config, named, task, objects, lambda own: composed([*where, *own]))
+        for one in plan.todo.values():
+            require_as_loaded(one.config)
         workers = config.hydra.launcher.get("n_jobs", 1)
         for key, values in objects.items():
             if workers != 1 and key in GROUPS and any(map(_is_of_this_program, values)):
