@@ -54,10 +54,11 @@ class Greedy:
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         """As :class:`xplain.solvers.base.Policy` says."""
         process, chosen = self.process, 0
-        said = before_step(process, visible.given)
+        said, useful = before_step(process, visible.given), matters(process, belief)
         while True:
             margin = 0.0 if process.jump is None else PATIENCE * (1 - belief.max())
-            messages, values = self._values(visible.step, said | chosen, belief, margin)
+            messages = indices(useful & ~(said | chosen))
+            values = self._values(visible.step, said | chosen, belief, messages, margin)
             new = best_of(np.array([0, *(1 << j for j in messages)]), values)
             if not new:
                 return give(chosen)
@@ -67,23 +68,31 @@ class Greedy:
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """Of *explain* and of each message alone."""
         said = before_step(self.process, visible.given)
-        messages, values = self._values(visible.step, said, belief)
+        messages = indices(matters(self.process, belief) & ~said)
+        values = self._values(visible.step, said, belief, messages)
         actions: list[Action] = [EXPLAIN, *(GiveMessages(1 << j) for j in messages)]
         return dict(zip(actions, values.tolist(), strict=True))
 
     def _values(
-        self, step: int, said: int, belief: NDArray[np.float64], margin: float = 0.0
-    ) -> tuple[list[int], NDArray[np.float64]]:
-        """The messages that may be given, and the values of *explain* and of each of them."""
+        self,
+        step: int,
+        said: int,
+        belief: NDArray[np.float64],
+        messages: list[int],
+        margin: float = 0.0,
+    ) -> NDArray[np.float64]:
+        """The values of *explain* and of each of these messages."""
         process, known = self.process, self.known
-        messages = indices(matters(process, belief) & ~said)
-        values = np.empty(len(messages) + 1)
-        values[0] = belief @ known.explained(step, said)
-        cells = known.value_cells.at(said) + known.value_cells.stride[messages]
+        values, now = np.empty(len(messages) + 1), known.value_cells.at(said)
+        lands = process.jump is None  # then both tables are read at the same cells
+        values[0] = belief @ known.explain[step].take(
+            now if lands else known.explain_cells.at(said)
+        )
+        cells = now + known.value_cells.stride[messages]
         later = expected_after_giving(process, messages, known.value[step].take(cells))
         values[1:] = process.message_discount * (later @ belief)
         values[1:] -= (1 + margin) * process.price[messages]
-        return messages, values
+        return values
 
 
 def greedy_policy(problem: Problem, what: str, memory_gib: float) -> Greedy:
