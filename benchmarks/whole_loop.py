@@ -28,11 +28,11 @@ from xplain.people.collect.bot import crowd, truth_of
 from xplain.people.collect.labels import dataset_of, why_left_out
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, source_of
+from xplain.people.study.analysis import CONDITIONS
 from xplain.people.study.bot import Habits, Measures, take_part
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
-from xplain.people.study.table2 import CONDITIONS
 from xplain.people.wording import fixed
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream

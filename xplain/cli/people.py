@@ -420,10 +420,10 @@ def analyse(folder: Path, stream: str, exclude: Path | None, seed: int, out: Pat
     """
     from rich.console import Console
 
-    from xplain.people.study import table2
-    from xplain.people.study.report import exclusions, save, show
+    from xplain.people.study.analysis import analyses, exclusions, read
+    from xplain.people.study.report import save, show
 
-    found = table2.analyses(table2.read(folder), stream, exclusions(exclude), seed=seed)
+    found = analyses(read(folder), stream, exclusions(exclude), seed=seed)
     out = out or folder
     files: list[str] = []
     for name, analysis in found.items():

@@ -46,18 +46,6 @@ def test_the_document_says_what_the_plan_does() -> None:
     assert "messages_again" not in plain
 
 
-def test_the_paper_s_power_is_that_of_the_published_effects() -> None:
-    """20 a condition: .55 to .63 (from the rounded p values), and 40 to 48 a condition for .8 with
-    a third of α."""
-    twenty = document(street_plan(rules=RULES | {"per_cell": 20}))  # 60 a condition
-    rows = [line.split("|") for line in twenty.splitlines() if line.startswith("| ")][1:]
-    assert len(rows) == 3
-    assert all(float(row[4]) > 0.8 for row in rows)
-    small = document(street_plan(rules=RULES | {"per_cell": 6}))  # 18 a condition
-    rows = [line.split("|") for line in small.splitlines() if line.startswith("| ")][1:]
-    assert all(0.45 < float(row[3]) < 0.63 for row in rows)
-
-
 def test_the_command_reads_a_study_that_was_started(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from xplain.people.study.analysis import MEASURES, SECONDARY
 from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.people.study.policies import difference
-from xplain.people.study.statistics import t_power
-from xplain.people.study.table2 import MEASURES, SECONDARY, paper_effect
 
 DIRECTION = {
     "interaction_time_s": "less time",
@@ -48,11 +47,4 @@ def document(plan: StudyPlan) -> str:
         secondary=secondary,
         direction=DIRECTION,
         meaning=MEANING,
-        power={title: _power(plan, measure) for measure, title in MEASURES.items()},
     )
-
-
-def _power(plan: StudyPlan, measure: str) -> tuple[float, float, float]:
-    """The published effect, and the power for it: alone, and at the hardest step of Holm's."""
-    size, d = plan.rules.per_cell * len(plan.roles), abs(paper_effect(measure))
-    return d, t_power(d, size), t_power(d, size, 0.05 / len(MEASURES))

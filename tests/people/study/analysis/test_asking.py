@@ -16,10 +16,10 @@ from xplain.cli.main import main
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import visit
+from xplain.people.study.analysis import MEASURES, analyses
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.preregistration import document
 from xplain.people.study.site import StudySite
-from xplain.people.study.table2 import MEASURES, analyses
 
 
 def test_costs_and_questions_are_those_of_the_log(

@@ -18,9 +18,16 @@ from tests.people.study.analysis.completed import completed
 from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.people.analysis.export import described
+from xplain.people.study.analysis import (
+    CONDITIONS,
+    MEASURES,
+    Analysis,
+    analyse,
+    exclusions,
+    paper_table,
+)
 from xplain.people.study.codebook import CODEBOOK
-from xplain.people.study.report import draw, exclusions, save, show
-from xplain.people.study.table2 import CONDITIONS, MEASURES, TITLES, Analysis, analyse, paper_table
+from xplain.people.study.report import TITLES, draw, save, show
 from xplain.people.study.tables import export
 
 
@@ -136,27 +143,6 @@ def test_the_picture_shows_everybody_and_the_means(
             assert np.asarray(bar.get_segments()[0])[:, 1] == pytest.approx(ends)
             stars = [line.get_ydata()[0] for line in axis.lines if line.get_marker() == "*"]
             assert stars[x] == paper[condition]
-
-
-def test_the_picture_shows_the_papers_effects_and_ours(
-    analysis: Analysis, tmp_path: Path, drawn: list[Figure]
-) -> None:
-    draw(analysis, tmp_path / "measures.png")
-    for axis, (measure, paper) in zip(drawn[0].axes[3:], paper_table().items(), strict=True):
-        ours = analysis.measures.loc[measure]
-        n = int(paper["n_per_arm"])
-        sign = 1 if paper["conformant"] > paper["personalized"] else -1
-        t = sign * stats.t.isf(paper["p_value"] / 2, 2 * n - 2)
-        g = t * np.sqrt(2 / n) * (1 - 3 / (4 * (2 * n - 2) - 1))
-        dots = {line.get_marker(): line for line in axis.lines if len(line.get_xdata()) == 1}
-        assert list(dots["*"].get_ydata()) == [0]
-        assert dots["*"].get_xdata()[0] == pytest.approx(g, rel=2e-3)
-        assert list(dots["o"].get_xdata()) == [ours["hedges_g"]]
-        below, above = (line.get_xdata() for line in axis.lines if line.get_linewidth() == 2)
-        assert below[0] < g < below[1]
-        assert list(above) == [ours["g_low"], ours["g_high"]]
-        zero = stats.nct.ppf([0.975, 0.025], 2 * n - 2, np.array(below) / g * t)
-        assert zero == pytest.approx(t, rel=1e-2)  # ends at which t is as rare as said
 
 
 def test_the_terminal_tells_where_everybody_went(analysis: Analysis) -> None:

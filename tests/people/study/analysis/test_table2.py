@@ -9,8 +9,8 @@ import pytest
 
 from tests.people.study.analysis.completed import completed
 from xplain.errors import InputError
-from xplain.people.study.table2 import analyse as analysis_of
-from xplain.people.study.table2 import paper_table, read
+from xplain.people.study.analysis import analyse as analysis_of
+from xplain.people.study.analysis import paper_table, read
 
 
 def test_the_table_is_what_scipy_computes_from_people_alone() -> None:

@@ -1,0 +1,312 @@
+"""The paper's Table 2 from exported data, with what should stand beside it: the paper's t test of
+two independent groups, Welch's, Hedges' g, a permutation test, Holm's correction."""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy import special, stats
+
+from xplain.errors import InputError, one_of
+from xplain.people.analysis.stored import STREAMS
+from xplain.people.study.flow import ENDS
+from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED
+from xplain.randomness import derived_seed
+
+CONDITIONS = (CONFORMANT, PERSONALIZED)
+"""What the paper compares."""
+COMPARED = {"table2": CONDITIONS, "asking": (PERSONALIZED, ASKING)}
+"""Which conditions, by the name of the table: the second only in studies that ask."""
+MEASURES = {
+    "interaction_time_s": "Interaction time (s)",
+    "inexplicable_transitions": "Inexplicable transitions",
+    "quiz_score": "Quiz score",
+}
+SECONDARY = {
+    "visible_time_s": "Interaction time while visible (s)",
+    "messages_given": "Messages",
+    "messages_again": "Messages said again",
+    "questions_asked": "Questions",
+    "cost": "Cost",
+}
+"""Shown where they are known of everybody."""
+NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES)
+PERMUTATIONS = 10_000
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Everything that is reported.
+
+    Attributes:
+        conditions: that are compared, the first less the second.
+        stream: whose data: person, pilot or bot. Never mixed.
+        measures: a row a measure, the three primary ones first (the others are not part of the
+            correction): the figures of :func:`compare`, those of a group by its condition;
+            ``student_p_holm``; and ``paper_…`` what the paper has there.
+        flow: participants that reached a stage, those that came to an end, those that were
+            excluded and why, and those that are analysed; of all and by condition.
+        data: the completed, included participants.
+    """
+
+    conditions: tuple[str, str]
+    stream: str
+    measures: pd.DataFrame
+    flow: pd.DataFrame
+    data: pd.DataFrame
+
+
+@cache
+def paper_table() -> dict[str, dict[str, float]]:
+    """The paper's Table 2: {measure: {conformant, personalized, p_value, n_per_arm}}."""
+    text = files("xplain.people.study").joinpath("paper_table2.csv").read_text(encoding="utf-8")
+    return {
+        row["measure"]: {key: float(v) for key, v in row.items() if key != "measure"}
+        for row in csv.DictReader(text.splitlines())
+    }
+
+
+def read(folder: Path) -> pd.DataFrame:
+    """The table of participants of an export.
+
+    Raises:
+        InputError: there is none, or a column is missing.
+    """
+    path = folder / "participants.csv"
+    if not path.is_file():
+        raise InputError("data", str(folder), "a folder with participants.csv, as exported")
+    data = pd.read_csv(path)
+    for column in NEEDED:
+        if column not in data.columns:
+            raise InputError("data", str(path), f"lacks the column {column}")
+    return data
+
+
+def exclusions(path: Path | None) -> dict[str, str]:
+    """{participant: reason} of a CSV with these two columns.
+
+    Raises:
+        InputError: no such file, or other columns.
+    """
+    if path is None:
+        return {}
+    if not path.is_file():
+        raise InputError("exclude", str(path), "a CSV file with the columns participant, reason")
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        rows = csv.DictReader(file)
+        if set(rows.fieldnames or ()) != {"participant", "reason"}:
+            raise InputError("exclude", rows.fieldnames, "the columns participant, reason")
+        return {row["participant"]: row["reason"] for row in rows}
+
+
+def analyses(
+    data: pd.DataFrame, stream: str, excluded: Mapping[str, str], seed: int = 0
+) -> dict[str, Analysis]:
+    """:func:`analyse` of the paper's two conditions, and of asking where somebody was to be asked,
+    by the names in COMPARED. Each corrects for its own three measures."""
+    met = set(data.loc[(data["stream"] == stream) & (data["stage"] == "done"), "condition"])
+    return {
+        name: analyse(data, stream, excluded, seed, pair)
+        for name, pair in COMPARED.items()
+        if pair == CONDITIONS or ASKING in met
+    }
+
+
+def analyse(
+    data: pd.DataFrame,
+    stream: str,
+    excluded: Mapping[str, str],
+    seed: int = 0,
+    conditions: tuple[str, str] = CONDITIONS,
+) -> Analysis:
+    """Compares two conditions.
+
+    Args:
+        data: table of participants.
+        stream: "person", "pilot" or "bot"; only these rows count.
+        excluded: {participant: reason}, decided before looking at the results.
+        seed: of the permutation tests.
+        conditions: the two.
+
+    Raises:
+        InputError: an unknown stream, participant or condition, or nobody to analyse.
+    """
+    one_of("stream", stream, STREAMS)
+    for who in excluded:
+        if who not in set(data["participant"]):
+            raise InputError("exclude", who, "a participant in the data")
+    own = data[data["stream"] == stream]
+    done = own[own["stage"] == "done"]
+    for condition in set(done["condition"]):
+        one_of("condition", condition, (*CONDITIONS, ASKING))
+    done = done[done["condition"].isin(conditions)]
+    if "attention_missed" in done:
+        missed = done.loc[done["attention_missed"] > 0, "participant"]
+        excluded = dict.fromkeys(missed, "attention check missed") | dict(excluded)
+    reasons = done["participant"].map(excluded)
+    kept = done[reasons.isna()]
+    counts = {c: int((kept["condition"] == c).sum()) for c in conditions}
+    if min(counts.values()) < 2:
+        wanted = f"at least 2 completed participants (stream {stream}) a condition"
+        raise InputError("data", counts, wanted)
+    shown = [m for m in SECONDARY if m in kept and kept[m].notna().all()]
+    if ASKING not in conditions:
+        shown = [m for m in shown if m != "questions_asked"]
+    found = {m: _compared(kept, m, conditions, seed) for m in (*MEASURES, *shown)}
+    measures = pd.DataFrame.from_dict(found, orient="index").rename_axis("measure")
+    adjusted = pd.Series(holm(measures.loc[[*MEASURES], "student_p"]), [*MEASURES])
+    measures.insert([*measures.columns].index("hedges_g"), "student_p_holm", adjusted)
+    if conditions == CONDITIONS:
+        measures = measures.join(pd.DataFrame(paper_table()).T.add_prefix("paper_"))
+    left_out = {f"excluded: {one}": reasons == one for one in dict.fromkeys(reasons.dropna())}
+    if kept["interaction_time_s"].isna().any():
+        left_out["time left out: the clock was set back"] = kept["interaction_time_s"].isna()
+    left_out["analysed"] = reasons.isna()
+    return Analysis(conditions, stream, measures, _flow(own, left_out), kept)
+
+
+def _compared(
+    data: pd.DataFrame, measure: str, conditions: tuple[str, str], seed: int
+) -> dict[str, float]:
+    """The first condition against the second, the figures of each by its name."""
+    data = data.dropna(subset=[measure])  # a time that cannot be is left out
+    a, b = (data[data["condition"] == condition] for condition in conditions)
+    types_a, types_b = (group["type"].astype(str).tolist() for group in (a, b))
+    drawn = derived_seed(seed, "permutation", measure)
+    return compare(a[measure], b[measure], types_a, types_b, drawn, conditions)
+
+
+def _flow(own: pd.DataFrame, ends: Mapping[str, pd.Series[bool]]) -> pd.DataFrame:
+    """How many got how far, how the others ended, who is left out and why, and who is analysed.
+
+    Args:
+        own: participants of a stream.
+        ends: {reason: who}, of rows of ``own``; absent rows are False.
+    """
+    everybody = own["participant"].notna()
+    reached = {
+        "entered": everybody,
+        "consented": own["condition"].notna(),
+        "eligible": own["eligible"] == 1,
+        "evaluated": own["inexplicable_transitions"].notna(),
+        "completed": own["stage"] == "done",
+        **{end.replace("_", " "): own["stage"] == end for end in ENDS},
+        "still on their way": ~own["stage"].isin(["done", *ENDS]),
+        **{name: who.reindex(own.index, fill_value=False) for name, who in ends.items()},
+    }
+    asked = (ASKING,) if (own["condition"] == ASKING).any() else ()
+    of = {"all": everybody} | {c: own["condition"] == c for c in (*CONDITIONS, *asked)}
+    counted = {
+        whose: {stage: int((who & theirs).sum()) for stage, who in reached.items()}
+        for whose, theirs in of.items()
+    }
+    return pd.DataFrame(counted).rename_axis("stage")
+
+
+# Statistics -------------------------------------------------------------------------------------
+
+
+def compare(
+    a: ArrayLike,
+    b: ArrayLike,
+    strata_a: Sequence[str],
+    strata_b: Sequence[str],
+    seed: int,
+    names: tuple[str, str] = ("a", "b"),
+) -> dict[str, float]:
+    """Group a against group b.
+
+    Args:
+        a, b: the measure of each participant.
+        strata_a, strata_b: their user types, within which labels are shuffled.
+        seed: of the permutations.
+        names: of the groups.
+
+    Returns:
+        ``n_…``, ``mean_…`` and ``sd_…`` of each group; t, df and p of Student's test (the paper's)
+        and of Welch's, two-sided; Hedges' g of a − b with its 95 % interval; the permutation test's
+        p. NaN where the groups are too small or without any spread.
+    """
+    groups = [pd.Series(np.asarray(values, dtype=float)) for values in (a, b)]
+    x, y = groups
+    found: dict[str, float] = {}
+    for name, group in zip(names, groups, strict=True):
+        about = (len(group), group.mean(), group.std())
+        found |= dict(zip((f"n_{name}", f"mean_{name}", f"sd_{name}"), about, strict=True))
+    varies = min(len(x), len(y)) > 1 and (np.ptp(x) > 0 or np.ptp(y) > 0)
+    for test, equal in (("student", True), ("welch", False)):
+        figures = (np.nan,) * 3
+        if varies:
+            with warnings.catch_warnings():
+                # A group without spread: messages of a policy that tells everybody the same.
+                warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
+                t = stats.ttest_ind(x, y, equal_var=equal)
+            figures = (float(t.statistic), float(t.df), float(t.pvalue))
+        found |= dict(zip((f"{test}_t", f"{test}_df", f"{test}_p"), figures, strict=True))
+    g = hedges(found["student_t"], len(x), len(y)) if varies else (np.nan,) * 3
+    found |= dict(zip(("hedges_g", "g_low", "g_high"), g, strict=True))
+    strata = np.array(strata_a), np.array(strata_b)
+    p = stratified_permutation(x.to_numpy(), y.to_numpy(), *strata, seed)
+    return found | {"permutation_p": p}
+
+
+def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, float, float]:
+    """Hedges' g from Student's t, with the exact interval by the noncentral t distribution.
+
+    The small-sample factor is exact, J = Γ(ν/2) / (√(ν/2) Γ((ν − 1)/2)) (Hedges 1981).
+    """
+    df, scale = n_a + n_b - 2, np.sqrt(1 / n_a + 1 / n_b)
+    correction = np.exp(special.gammaln(df / 2) - special.gammaln((df - 1) / 2)) / np.sqrt(df / 2)
+    tail = (1 - level) / 2
+    to_g = float(correction * scale)
+    # Computed for |t|, where the function is accurate, and mirrored.
+    low, high = (to_g * special.nctdtrinc(df, [1 - tail, tail], abs(t))).tolist()
+    return (t * to_g, low, high) if t >= 0 else (t * to_g, -high, -low)
+
+
+def holm(p: ArrayLike) -> NDArray[np.float64]:
+    """Holm's step-down adjusted p values [tests], in the order given; NaN stays, and does not count
+    as a test."""
+    values = np.asarray(p, dtype=float)
+    order = np.argsort(values)  # NaN last
+    steps = (~np.isnan(values)).sum() - np.arange(len(values))
+    adjusted = np.empty_like(values)
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(values[order] * steps))
+    return adjusted
+
+
+def stratified_permutation(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    strata_x: NDArray[np.str_],
+    strata_y: NDArray[np.str_],
+    seed: int,
+    permutations: int = PERMUTATIONS,
+) -> float:
+    """Two-sided p of the difference in means when labels are shuffled within strata.
+
+    The test that assignment in blocks justifies: within a type, who got which condition was drawn
+    by lot. (1 + as extreme) / (1 + permutations), so never 0.
+    """
+    if not len(x) or not len(y):
+        return float("nan")
+    values, strata = np.concatenate([x, y]), np.concatenate([strata_x, strata_y])
+    rng = np.random.default_rng(seed)
+    masks = np.tile(np.arange(len(values)) < len(x), (1 + permutations, 1))
+    for stratum in np.unique(strata):
+        where = np.flatnonzero(strata == stratum)
+        masks[1:, where] = rng.permuted(masks[1:, where], axis=1)
+    sums = masks @ values
+    gaps = np.abs(sums / len(x) - (values.sum() - sums) / len(y))
+    # Equal differences count as extreme, whatever the order of summation made of them.
+    slack = 1e-9 * (1 + np.abs(values).max())
+    return float((gaps >= gaps[0] - slack).sum() / (1 + permutations))
