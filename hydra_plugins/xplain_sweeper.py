@@ -27,6 +27,7 @@ class XplainSweeper(Sweeper):
         pool: swept keys over whose values the report averages; every other one has rows or lines
             of its own.
         report: ``table1`` adds the paper's Table 1 with its published values; null adds nothing.
+        together: swept keys whose values one worker runs after each other, on the same data.
     """
 
     def __init__(self, **keys: Any) -> None:

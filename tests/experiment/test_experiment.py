@@ -8,6 +8,7 @@ from typing import NoReturn
 import pytest
 
 from tests.handmade import a_prepared
+from xplain.experiment.cache import EpisodeCache
 from xplain.experiment.certificates import Certify
 from xplain.experiment.experiment import Experiment
 from xplain.experiment.explanations import Costs
@@ -45,7 +46,9 @@ def test_a_solver_is_compared_with_those_that_can_be(
     solver: Solver, perfect: bool, beside: set[str]
 ) -> None:
     prepared = a_prepared(perfect)
-    same, records = replace(EXPERIMENT, solver=solver).explained(prepared, SILENT)
+    same, records = replace(EXPERIMENT, solver=solver).explained(
+        prepared, EpisodeCache(None, {}), SILENT
+    )
     assert same is prepared
     assert {record.solver for record in records} == {"solver", "clairvoyant", *beside}
     for name in {record.solver for record in records}:

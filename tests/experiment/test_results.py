@@ -138,7 +138,7 @@ def test_what_was_learned_and_what_was_run_are_told(results):
         "true": ["T1", "T2", "T3"],
         "found": ["F1", "F2"],
         "behave_alike": [0, 1, 1],
-        "stands_for": [0, 1],
+        "matched_true_type": [0, 1],
     }
     assert results["scene"] == {
         "rows": 2,

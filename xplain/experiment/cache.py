@@ -1,19 +1,22 @@
 """Work done once: what :func:`xplain.experiment.pipeline.prepare` made, kept on disk by its
 fingerprint.
 
-Data, types, labelers and traces are the same for every λ and solver. The key covers their
-configuration and every piece of code that made them (:mod:`xplain.experiment.fingerprint`), so an
-entry cannot be stale; one that is damaged is made again. Entries are arrays and JSON, nothing is
-unpickled.
+Data, types, labelers and traces are the same for every λ and solver; the references' episodes are
+the same for every solver, and a solver's episodes with true labels for every learner. The key
+covers their configuration and every piece of code that made them
+(:mod:`xplain.experiment.fingerprint`), so an entry cannot be stale; one that is damaged is made
+again. Entries are arrays and JSON, nothing is unpickled.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +26,8 @@ from numpy.typing import NDArray
 from xplain.experiment.config import SOURCE_GROUPS
 from xplain.experiment.fingerprint import fingerprint
 from xplain.experiment.pipeline import Prepared
-from xplain.storage import decode, encode, written_whole
+from xplain.interaction.metrics import Record
+from xplain.storage import decode, encode, write_text, written_whole
 
 SOURCE = (*SOURCE_GROUPS, "traces", "max_steps", "seed")
 """The configuration's keys that decide data, types and traces."""
@@ -82,3 +86,53 @@ def _write(path: Path, prepared: Prepared) -> None:
     # The cache costs its sharing, not the result, where it cannot be written.
     with suppress(OSError), written_whole(path, "wb") as file:
         np.savez_compressed(file, allow_pickle=False, content=content, **arrays)
+
+
+@dataclass(frozen=True)
+class EpisodeCache:
+    """Episodes that several results share, on disk.
+
+    Attributes:
+        folder: of the cache; None keeps nothing.
+        config: the resolved configuration.
+    """
+
+    folder: Path | None
+    config: Mapping[str, Any]
+
+    def once(
+        self, prepared: Prepared, parts: tuple[str, ...], make: Callable[[], list[Record]]
+    ) -> list[Record]:
+        """The episodes of these traces and users; made, and kept, where there are none.
+
+        Args:
+            prepared: what explainers and users know, and nothing else: the key covers it all.
+            parts: keys of the configuration that decide nothing of them.
+            make: does the work.
+        """
+        if self.folder is None:
+            return make()
+        arrays: dict[str, NDArray[Any]] = {}
+        content = json.dumps(encode(prepared, arrays), sort_keys=True).encode()
+        digest = hashlib.sha256(content)
+        for array in arrays.values():
+            digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+        apart = {*SOURCE, "certify", *parts} - {"seed"}
+        others = {key: value for key, value in self.config.items() if key not in apart}
+        path = self.folder / f"{fingerprint(others | {'prepared': digest.hexdigest()})}.json"
+        try:
+            found: tuple[Record, ...] = decode(
+                tuple[Record, ...], json.loads(path.read_text(encoding="utf-8"))
+            )
+        except (OSError, ValueError, LookupError, TypeError):
+            made = make()
+            with suppress(OSError):
+                write_text(path, json.dumps(encode(made)))
+            return made
+        return [
+            # JSON has no shape of an empty array.
+            replace(
+                own, episode=replace(own.episode, questions=own.episode.questions.reshape(-1, 3))
+            )
+            for own in found
+        ]

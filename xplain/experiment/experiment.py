@@ -6,12 +6,18 @@ Components ── Prepared ── Records ── certificates
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from xplain.experiment.cache import prepared_once
+from xplain.experiment.cache import EpisodeCache, prepared_once
 from xplain.experiment.certificates import Certify
-from xplain.experiment.explanations import Costs, evaluate, with_true_labels
+from xplain.experiment.explanations import (
+    Costs,
+    evaluate,
+    same_problems,
+    with_true_labels,
+    without_tables,
+)
 from xplain.experiment.pipeline import Components, Prepared, prepare
 from xplain.experiment.progress import Progress
 from xplain.experiment.strangers import with_strangers
@@ -50,23 +56,56 @@ class Experiment:
                 return prepare(self.components(), progress)
             return prepared_once(cache, key, lambda: prepare(self.components(), progress))
 
-    def explained(self, prepared: Prepared, progress: Progress) -> tuple[Prepared, list[Record]]:
+    def explained(
+        self, prepared: Prepared, cache: EpisodeCache, progress: Progress
+    ) -> tuple[Prepared, list[Record]]:
         """The second half: each trace explained to a user of each type, by the solver and by those
-        that it is compared with; and the traces with the users that there were."""
-        solvers = {"solver": self.solver, "clairvoyant": KnownType("labels")}
+        that it is compared with; and the traces with the users that there were.
+
+        Args:
+            prepared: of the first half.
+            cache: has the episodes that other solvers' and learners' runs share with this one.
+            progress: hears how far it is.
+        """
+        references: dict[str, Solver] = {"clairvoyant": KnownType("labels")}
         stranger = isinstance(self.explainee, Stranger)
         if stranger:
             prepared = with_strangers(prepared, self.components())
         elif all(case.perfect is not None for case in prepared.cases):
-            solvers["oracle"] = KnownType("type")
-        rest = self.belief, self.explainee, self.seed, progress
-        records = evaluate(prepared, self.costs, solvers, *rest)
+            references["oracle"] = KnownType("type")
+
+        def explain(known: Prepared, solvers: dict[str, Solver], what: str) -> list[Record]:
+            rest = self.belief, self.explainee, self.seed, progress, what
+            return evaluate(known, self.costs, solvers, *rest)
+
+        truth = with_true_labels(prepared)
+        habits = self.belief.habits(prepared.habits)
+
+        def with_truth(name: str) -> list[Record]:
+            seen, what = without_tables(truth), "explaining, true labels known"
+            made = cache.once(
+                replace(seen, habits=habits),
+                (),
+                lambda: explain(seen, {"true_labels": self.solver}, what),
+            )
+            return [replace(record, solver=name) for record in made]
+
+        seen = without_tables(truth, prepared)
+        records = cache.once(
+            replace(seen, habits=habits),
+            ("solver",),
+            lambda: explain(seen, references, "references"),
+        )
         # Of solvers that plan for others the learned types are not what they plan with, and of
         # strangers no true type is known.
-        if self.solver.knows == "types" and not stranger:
-            known, again = with_true_labels(prepared), {"true_labels": self.solver}
-            records += evaluate(known, self.costs, again, *rest, "explaining, true labels known")
-        return prepared, records
+        compared = self.solver.knows == "types" and not stranger
+        if compared and same_problems(prepared, truth):
+            own = with_truth("solver")  # nothing was learned
+        else:
+            own = explain(prepared, {"solver": self.solver}, "explaining")
+        if compared:
+            records = [*records, *with_truth("true_labels")]
+        return prepared, [*own, *records]
 
     def certificates(self, prepared: Prepared, progress: Progress) -> dict[str, float]:
         """Of the solver's problems; see :meth:`Certify.certificates`."""

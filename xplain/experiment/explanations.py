@@ -223,6 +223,41 @@ def _known(case: Case) -> Case:
     return replace(case, learned=case.labels, questions=asked)
 
 
+def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepared:
+    """Without what explainers who know the true labels never look at, so that it is the same for
+    all learners.
+
+    Args:
+        prepared: of :func:`with_true_labels`.
+        oracle: has the oracle's labels, which are kept; None for an explainer that needs none.
+    """
+    perfect = [None if oracle is None else case.perfect for case in (oracle or prepared).cases]
+    pairs = zip(prepared.cases, perfect, strict=True)
+    return replace(
+        prepared,
+        learning={},
+        curve=np.zeros(0),
+        rule="",
+        cases=tuple(replace(case, everyone=None, perfect=table) for case, table in pairs),
+    )
+
+
+def same_problems(one: Prepared, other: Prepared) -> bool:
+    """Whether the same types, equally likely, are known with the same labels."""
+
+    def tables(prepared: Prepared) -> list[bytes]:
+        learned = [case.learned for case in prepared.cases]
+        return [a.tobytes() for t in learned for a in (t.relevant, t.p, t.answers)]
+
+    return (
+        one.learned_types == other.learned_types
+        and np.array_equal(one.matched_true_type, other.matched_true_type)
+        and np.array_equal(one.type_shares, other.type_shares)
+        and tables(one) == tables(other)
+        and all(case.questions is None for case in one.cases)
+    )
+
+
 def what_is_thought(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
     """The true labels of a trace's transitions and then of its questions, and for each the first
     that it is a copy of: people err alike about copies."""

@@ -56,14 +56,14 @@ class TypeNames:
 
     Attributes:
         true: M names of the true types; ``behave_alike`` [M] numbers those that behave alike.
-        found: N names of the learned types; ``stands_for`` [N] the ``behave_alike`` number of
-            most of their observers, −1 unknown.
+        found: N names of the learned types; ``matched_true_type`` [N] the ``behave_alike`` number
+            of most of their observers, −1 unknown.
     """
 
     true: tuple[str, ...]
     found: tuple[str, ...]
     behave_alike: tuple[int, ...]
-    stands_for: tuple[int, ...]
+    matched_true_type: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def results_of(prepared: Prepared, records: list[Record], provenance: Provenance
             true=prepared.types,
             found=prepared.learned_types,
             behave_alike=tuple(prepared.distinct.tolist()),
-            stands_for=tuple(prepared.matched_true_type.tolist()),
+            matched_true_type=tuple(prepared.matched_true_type.tolist()),
         ),
         steps={name: tuple(values.tolist()) for name, values in by_step(records).items()},
         episodes=tuple(

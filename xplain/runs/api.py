@@ -240,11 +240,12 @@ def sweep(
                 allowed = "a component from a file: workers of a sweep import it (or n_jobs=1)"
                 raise InputError(key, values[0]["_target_"], allowed)
 
-        def launch(run: list[Listed], _: Any) -> list[Any]:
-            todo = [(plan.todo[job.fingerprint], job) for job in run]
+        def launch(batches: list[list[Listed]], _: Any) -> list[Any]:
             calls = [
-                delayed(run_in_sweep)(own, plan.folder.of(job), job.fingerprint)
-                for own, job in todo
+                delayed(_run_batch)(
+                    [(plan.todo[job.fingerprint], plan.folder.of(job)) for job in batch]
+                )
+                for batch in batches
             ]
             try:
                 Parallel(n_jobs=workers, batch_size=1)(calls)
@@ -258,6 +259,11 @@ def sweep(
         outputs = plan.folder.path.parents[1]
         finish(plan.folder, instantiate(config.tracking), outputs, began, log.info, shown=False)
         return Sweep(plan.folder.path, measure)
+
+
+def _run_batch(batch: Sequence[tuple[Job, Path]]) -> None:
+    for job, folder in batch:
+        run_in_sweep(job, folder, folder.name)
 
 
 def discover(

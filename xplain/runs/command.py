@@ -60,7 +60,7 @@ def _alone(cfg: DictConfig, own: Any) -> float | None:
 
 def _in_sweep(cfg: DictConfig, own: Any) -> float | None:
     from xplain.runs.job import Job, dry_run
-    from xplain.runs.sweep import list_job, run_in_sweep
+    from xplain.runs.sweep import list_job, run_batch, run_in_sweep
 
     made = Job.of(cfg, own.runtime.choices)
     folder = Path(own.sweep.dir).absolute() / "jobs" / (cfg.fingerprint or made.fingerprint)
@@ -69,7 +69,9 @@ def _in_sweep(cfg: DictConfig, own: Any) -> float | None:
         return None
     if cfg.fingerprint is None:
         list_job(made, own.overrides.task, folder)
-    return run_in_sweep(made, folder, cfg.fingerprint or made.fingerprint)
+    regret = run_in_sweep(made, folder, cfg.fingerprint or made.fingerprint)
+    run_batch(folder)
+    return regret
 
 
 class SweepEnd(Callback):

@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
 from xplain.errors import InputError, XplainError
-from xplain.experiment.cache import source_fingerprint
+from xplain.experiment.cache import EpisodeCache, source_fingerprint
 from xplain.experiment.config import GROUPS, require_usable
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
 from xplain.experiment.from_config import check, experiment_of
@@ -114,7 +114,8 @@ class Job:
         cache = None if self.anew else self.outputs / "cache"
         prepared = experiment.prepared(cache, self.source, progress)
         halfway = time.perf_counter()
-        prepared, records = experiment.explained(prepared, progress)
+        shared = EpisodeCache(cache, self.config)
+        prepared, records = experiment.explained(prepared, shared, progress)
         explained = time.perf_counter()
         name = f"{domain_name(self.choices, self.config)} {self.choices['solver']}"
         provenance = Provenance(

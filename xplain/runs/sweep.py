@@ -43,6 +43,9 @@ from xplain.storage import write_text
 
 log = logging.getLogger(__name__)
 
+BATCH = "batch.json"
+"""In the folder of a job: others that its worker runs after it."""
+
 POLL = 1.0
 """Seconds between looks at how far a sweep is."""
 
@@ -61,6 +64,7 @@ class Plan:
         finished: fingerprints of the jobs that have results.
         config: of the process that plans it, with the ``hydra`` node.
         about: what is kept beside the jobs.
+        together: keys whose values one worker runs after each other.
     """
 
     folder: SweepFolder
@@ -69,6 +73,7 @@ class Plan:
     finished: frozenset[str]
     config: DictConfig
     about: Mapping[str, Any]
+    together: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -83,7 +88,7 @@ class Plan:
 
         Args:
             config: of the process that plans it, with the ``hydra`` node.
-            keys: ``params``, ``settings``, ``pool`` and ``report`` of the sweep's file.
+            keys: of the sweep's file, as in conf/hydra/sweeper/xplain.yaml.
             words: overrides, swept (``choice``, ``range``, commas) or single.
             objects: values from Python by key, which are no text.
             compose: makes a job's configuration.
@@ -132,7 +137,18 @@ class Plan:
             todo = {key: own for key, own in todo.items() if key in failed}
         check([job.config for job in todo.values()])
         todo = _in_launch_order(todo)
-        return cls(folder, listed([*rows.values()]), todo, finished, config, about)
+        rest = config, about, tuple(file.together)
+        return cls(folder, listed([*rows.values()]), todo, finished, *rest)
+
+    def batches(self) -> list[list[Listed]]:
+        """The jobs to run, by the worker that runs them."""
+        rows = {job.fingerprint: job for job in self.jobs}
+        found: dict[tuple[tuple[str, str], ...], list[Listed]] = {}
+        for key in self.todo:
+            values = rows[key].values.items()
+            apart = tuple(item for item in values if item[0] not in self.together)
+            found.setdefault(apart if self.together else (("", key),), []).append(rows[key])
+        return [*found.values()]
 
 
 @checks("hydra.sweeper")
@@ -145,9 +161,11 @@ class _File:
         settings: list[dict[str, Any]] | None = None,
         pool: list[str] | None = None,
         report: str | None = None,
+        together: list[str] | None = None,
     ) -> None:
         self.params = mapping("hydra.sweeper.params", params or {}, "key: values")
         self.settings, self.pool, self.report = settings, list(pool or ()), report
+        self.together = list(together or ())
 
 
 def _in_launch_order(jobs: Mapping[str, Job]) -> dict[str, Job]:
@@ -159,12 +177,12 @@ def _in_launch_order(jobs: Mapping[str, Job]) -> dict[str, Job]:
     return {key: jobs[key] for key in sorted(jobs, key=lambda key: order[key])}
 
 
-def run_missing(plan: Plan, launch: Callable[[list[Listed], list[list[str]]], Any]) -> Any:
+def run_missing(plan: Plan, launch: Callable[[list[list[Listed]], list[list[str]]], Any]) -> Any:
     """Runs the jobs of a plan that have no result, and returns what the launcher does.
 
     Args:
         plan: of the sweep. With ``dry_run=true`` its jobs are printed.
-        launch: runs jobs, each of which has overrides.
+        launch: runs batches of jobs, each of which has overrides.
 
     Raises:
         KeyboardInterrupt: it was interrupted; what had ended is in MLflow.
@@ -177,12 +195,14 @@ def run_missing(plan: Plan, launch: Callable[[list[Listed], list[list[str]]], An
         made = {"code": code_version(), "git": git_state(), "started": time.time()}
         outputs = folder.path.parents[1]
         folder.save(plan.jobs, outputs / "results", {**plan.about, **made})
-        rows = {job.fingerprint: job for job in plan.jobs}
-        run = [rows[key] for key in plan.todo]
+        batches = plan.batches()
+        run = [job for batch in batches for job in batch]
         words = [f"{len(run)} jobs to run" if run else "nothing is missing"]
         words += [f"{done} finished before"] if done else []
         log.info("%s: %s", folder.identity, ", ".join(words))
-        batch = [
+        for first, *others in batches if plan.together else ():
+            save_batch(folder.of(first), [plan.todo[job.fingerprint] for job in others])
+        arguments = [
             [
                 *job.overrides,
                 f"fingerprint='{job.fingerprint}'",
@@ -190,13 +210,13 @@ def run_missing(plan: Plan, launch: Callable[[list[Listed], list[list[str]]], An
                 f"hydra.sweep.subdir=jobs/{job.fingerprint}",
                 "hydra/job_logging=none",  # a job in this process would take the sweep's words
             ]
-            for job in run
+            for job, *_ in batches
         ]
         returned: Any = []
         try:
             with interruptible() as interrupted, _watched(folder, run, done):
                 try:
-                    returned = launch(run, batch) if run else []
+                    returned = launch(batches, arguments) if run else []
                 except Exception as error:  # noqa: BLE001  (launchers raise what they like)
                     log.warning("the launcher gave up (%s)", first_line(error)[:160])
                 if interrupted.is_set():  # what was interrupted made another error of it
@@ -207,7 +227,7 @@ def run_missing(plan: Plan, launch: Callable[[list[Listed], list[list[str]]], An
             finished = sum(folder.state(job) == "finished" for job in plan.jobs)
             said = f"{finished} of {len(plan.jobs)} jobs are finished; the same command goes on"
             raise KeyboardInterrupt(said) from None
-        for job, one in zip(run, returned, strict=False):
+        for (job, *_), one in zip(batches, returned, strict=False):
             with failing_into(folder.of(job)):
                 _ = one.return_value  # raises what it failed with outside of its own code
     return returned
@@ -232,6 +252,22 @@ def run_in_sweep(job: Job, folder: Path, expected: str) -> float | None:
             )
         regret = job.result().regret
     return regret
+
+
+def save_batch(folder: Path, others: Sequence[Job]) -> None:
+    """Leaves word in the folder of a batch's first job which others its worker runs after it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = {job.fingerprint: {**asdict(job), "outputs": str(job.outputs)} for job in others}
+    write_text(folder / BATCH, json.dumps(kept))
+
+
+def run_batch(folder: Path) -> None:
+    """Runs what :func:`save_batch` left in the folder of a job, if anything."""
+    if (folder / BATCH).exists():
+        kept = json.loads((folder / BATCH).read_text(encoding="utf-8"))
+        for fingerprint, own in kept.items():
+            job = Job(**{**own, "outputs": Path(own["outputs"])})
+            run_in_sweep(job, folder.parent / fingerprint, fingerprint)
 
 
 @contextmanager
