@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import NoReturn
 
 import pytest
@@ -15,8 +16,10 @@ from xplain.experiment.explanations import Costs
 from xplain.experiment.progress import SILENT
 from xplain.explanation.belief import Independent
 from xplain.interaction.explainees import Exact
+from xplain.interaction.metrics import Record
 from xplain.solvers.base import Solver
 from xplain.solvers.greedy import QMDP, Baseline
+from xplain.solvers.simple import QHR
 
 
 def learned_again() -> NoReturn:
@@ -59,3 +62,36 @@ def test_a_solver_is_compared_with_those_that_can_be(
 
 def test_without_certificates_there_are_none() -> None:
     assert EXPERIMENT.certificates(a_prepared(), SILENT) == {}
+
+
+def costs(records: list[Record]) -> dict[tuple[str, int, int], float]:
+    return {(r.solver, r.trace, r.user_type): r.episode.cost for r in records}
+
+
+def test_episodes_that_results_share_are_those_that_each_would_have_made(tmp_path: Path) -> None:
+    """Every solver after the first finds its references, whatever the learner made of the data."""
+    kept = EpisodeCache(tmp_path, {"lambda": 1.5})
+    other = a_prepared()
+    wrong = [replace(case.learned, p=1 - case.learned.p) for case in other.cases]
+    cases = zip(other.cases, wrong, strict=True)
+    other = replace(other, cases=tuple(replace(case, learned=table) for case, table in cases))
+    for number, (solver, prepared) in enumerate(
+        [(QMDP(), a_prepared()), (QHR(), a_prepared()), (QMDP(), other)]
+    ):
+        own = replace(EXPERIMENT, solver=solver)
+        cache = replace(kept, config={**kept.config, "solver": repr(solver)})
+        _, alone = own.explained(prepared, EpisodeCache(None, {}), SILENT)
+        for _ in range(2):
+            _, shared = own.explained(prepared, cache, SILENT)
+            assert costs(shared) == costs(alone)
+        # References and two solvers with true labels; another learner adds none.
+        assert len([*tmp_path.iterdir()]) == min(number + 2, 3)
+
+
+def test_a_damaged_entry_is_made_again(tmp_path: Path) -> None:
+    cache = EpisodeCache(tmp_path, {})
+    _, before = EXPERIMENT.explained(a_prepared(), cache, SILENT)
+    for path in tmp_path.iterdir():
+        path.write_text(path.read_text()[:100])
+    _, after = EXPERIMENT.explained(a_prepared(), cache, SILENT)
+    assert costs(after) == costs(before)

@@ -104,6 +104,17 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
 
 
+def test_jobs_that_one_worker_runs_together_have_the_same_results(finished, tmp_path):
+    """Each at its own address; a run of MLflow each."""
+    together = "hydra.sweeper.together=[solver,lambda]"
+    code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL, together)
+    assert code == 0, output
+    assert len([*tmp_path.glob("outputs/sweeps/*/jobs/*/batch.json")]) == 1
+    expected = {name: content for name, (_, content) in results(finished.folder).items()}
+    assert {name: content for name, (_, content) in results(tmp_path).items()} == expected
+    assert len(sweeps.runs(tmp_path)) == 1 + 6
+
+
 def test_all_anew_on_demand(finished, tmp_path):
     shutil.copytree(finished.folder, tmp_path, dirs_exist_ok=True)
     before, tables, runs = results(tmp_path), sweeps.tables(tmp_path), sweeps.runs(tmp_path)
