@@ -68,6 +68,7 @@ SIDEBAR = {
     ],
     "Embed and extend": [
         "docs/explainer.md",
+        "docs/service.md",
         "docs/python.md",
         "docs/api.rst",
         "docs/your-own-domain.md",

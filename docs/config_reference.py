@@ -28,7 +28,7 @@ GROUPS = {
     "ask": "what the explainer asks the user",
     "tracking": "where results go besides the disk",
 }
-COMMANDS = ("discover", "observe", "questions", "plan", "export", "collect")
+COMMANDS = ("discover", "observe", "questions", "plan", "export", "collect", "serve")
 """Commands with keys of their own."""
 UNTOLD = ("defaults", "hydra", "_convert_")
 """Sections that are no settings of an experiment."""

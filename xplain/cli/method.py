@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -218,23 +219,35 @@ def clean(delete: bool, outputs: Path) -> None:
     print(f"{len(sizes)} results, {sum(sizes.values()) / 2**20:.1f} MiB, {done}")
 
 
-@command("demo", "play one explanation, with a simulated user or you")
+@command("serve", "what to say and to ask next, over HTTP; a playground", "serve")
+@keys
+def serve(words: list[str]) -> None:
+    """Serves the method over HTTP until it is stopped (docs/service.md): explanations and
+    questionnaires, for pages and robots of your own, and a playground in the browser.
+    """
+    import uvicorn
+
+    from xplain.experiment.config import composed
+    from xplain.people.service.app import create_app
+    from xplain.people.service.served import served
+    from xplain.people.service.talks import Talks
+
+    cfg = composed("serve", words)
+    talks = Talks(Path(cfg.database), served(cfg))
+    try:
+        print(f"service: http://{cfg.host}:{cfg.port}/", file=sys.stderr)
+        app = create_app(talks, tuple(cfg.origins), cfg.key)
+        uvicorn.run(app, host=cfg.host, port=cfg.port, log_level="warning")
+    finally:
+        talks.close()
+
+
+@command("demo", "play one explanation, with a simulated user")
 @click.option("--user")
 @click.option("--trace", type=click.IntRange(0))
 @click.option("--html", type=FILE, default="demo.html")
-@click.option("--serve", is_flag=True)
-@click.option("--host", default="127.0.0.1")
-@click.option("--port", type=int, default=5050)
 @keys
-def demo(
-    words: list[str],
-    user: str | None,
-    trace: int | None,
-    html: Path,
-    serve: bool,
-    host: str,
-    port: int,
-) -> None:
+def demo(words: list[str], user: str | None, trace: int | None, html: Path) -> None:
     """Plays one explanation, and writes it as a page to step through, on phones too: at each step
     the robot says what this user needs to know, and the user says which transitions make no sense.
 
@@ -243,19 +256,10 @@ def demo(
         xplain demo --trace 3                    another trace, from 0
         xplain demo --html mine.html             another file
         xplain demo domain=four_rooms solver=qhr seed=3
-        xplain demo --serve [--port 5050]        a playground in the browser: you are the user of
-                                                 two policies
-
-    The playground listens on this machine's own address alone; --host names another.
 
     Without --trace it is the one of the first five in which the user's type is found with fewest
     messages. Keys are those of the experiment (domain, users, solver, lambda, seed, ...).
     """
-    if serve:
-        from xplain.demo.serve import serve as serve_playground
-
-        serve_playground(words, host, port)
-        return
     if not html.absolute().parent.is_dir():
         raise InputError("--html", str(html), "a file in a folder that exists")
     from xplain.demo.page import write_page

@@ -1,1 +1,1 @@
-"""One explanation, played: ``xplain demo`` writes a page, ``--serve`` opens a playground."""
+"""One explanation, played and written as a page: ``xplain demo``."""

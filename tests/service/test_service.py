@@ -1,0 +1,366 @@
+"""The service: each answer counts once, nothing acknowledged is lost, refusals give a reason."""
+
+from __future__ import annotations
+
+import csv
+import json
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+import requests
+
+from tests.conftest import ROOT
+from tests.service.conftest import Running, free_port
+from xplain import discover
+from xplain.people.service.served import Served
+from xplain.people.service.talks import Conflict, Talks
+
+Json = dict[str, Any]
+KINDS = ("session", "questionnaire")
+
+
+def reaction(
+    task: Served, decided: Json, trace: list[int], said: set[str], wrong: set[str]
+) -> Json:
+    """What somebody does who believes these facts incorrectly until they are told."""
+    if decided["kind"] == "ask" and "question" in decided:
+        texts = [row["text"] for row in task.description["transitions"]]
+        return {"answer": task.labels(list(wrong), list(said))[texts.index(decided["about"])]}
+    labels = task.labels(list(wrong), list(said | {*decided["messages"]}))
+    if decided["kind"] == "ask":
+        labels = task.labels(list(wrong), decided["messages"])
+        return {"answer": labels[decided["transition"]]}
+    return {"labels": [labels[t] for t in trace[: decided["step"]]]}
+
+
+def go_through(
+    talks: Talks, kind: str, person: str, wrong: set[str], anew: Any = None
+) -> list[Json]:
+    """All decisions of a talk with somebody; ``anew`` gives the talks to go on with each time."""
+    trace, said, decisions = list(talks.task.traces[0]), set[str](), []
+    half = len(trace) // 2
+    begun = {"trace": trace[:half], "expected_steps": 0} if kind == "session" else {}
+    which, now = talks.begin(kind, person, begun)
+    while now["kind"] != "end":
+        decisions.append(now)
+        talks = anew() if anew else talks
+        if now["kind"] == "wait":
+            if now["step"] == len(trace):
+                break
+            more = {"transitions": trace[half:]}
+            now = talks.receive(kind, which, f"trace {half}", more)
+        else:
+            came = reaction(talks.task, now, trace, said, wrong)
+            said |= {*now.get("messages", ())} if kind == "session" else set()
+            now = talks.receive(kind, which, f"answer {now['number']}", came)
+    return [json.loads(json.dumps(one)) for one in decisions]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("wrong", [set(), {"fire", "rubble"}])
+def test_a_talk_restored_before_every_request_goes_on_as_one_that_never_stopped(
+    task: Served, talks: Talks, tmp_path: Path, kind: str, wrong: set[str]
+) -> None:
+    opened: list[Talks] = []
+
+    def anew() -> Talks:
+        opened.append(Talks(tmp_path / "restored.sqlite", task))
+        return opened[-1]
+
+    whole = go_through(talks, kind, "anna", wrong)
+    assert go_through(anew(), kind, "anna", wrong, anew) == whole
+    assert len(whole) > 4
+    for one in opened:
+        one.close()
+
+
+def test_who_believes_facts_incorrectly_is_told_them_and_found(task: Served, talks: Talks) -> None:
+    go_through(talks, "session", "anna", {"fire", "rubble"})
+    decisions = go_through(talks, "questionnaire", "anna", {"fire", "rubble"})
+    (which,) = {row["observer"] for row in talks.labels()}
+    assert which == "anna"
+    labels = [row["label"] for row in talks.labels()]
+    assert len(labels) == len(decisions)
+    assert 0 in labels
+
+
+def test_what_is_sent_again_counts_once_whatever_replies_were_lost(running: Running) -> None:
+    running.lose = 0.4
+    trace, sent = list(range(5)), 0
+
+    def surely(path: str, **content: Any) -> Json:
+        while (got := running.post(path, **content)).status_code == 502:
+            pass
+        found: Json = got.json()
+        assert got.ok, found
+        return found
+
+    for person in map(str, range(20)):
+        talk = surely("questionnaires", person=person)
+        while talk["next"]["kind"] == "ask":
+            number = talk["next"]["number"]
+            talk = surely(f"questionnaires/{talk['id']}/answers", number=number, answer=1)
+            sent += 1
+        session = surely("sessions", person=person, trace=trace)
+        while (now := session["next"])["kind"] != "wait":
+            came = {"answer": 1} if now["kind"] == "ask" else {"labels": [1] * now["step"]}
+            path = f"sessions/{session['id']}/answers"
+            session = surely(path, number=now["number"], **came)
+    running.lose = 0
+    rows = requests.get(f"{running.url}/labels.csv", timeout=9).text.splitlines()
+    assert len(rows) - 1 == sent
+
+
+def test_labels_are_what_discover_reads(running: Running, tmp_path: Path, talks: Talks) -> None:
+    for person in range(8):
+        go_through(talks, "questionnaire", f"p{person}", {"fire"} if person % 2 else {"fence"})
+    table = tmp_path / "labels.csv"
+    table.write_text(requests.get(f"{running.url}/labels.csv", timeout=9).text, encoding="utf-8")
+    talks.task.questionnaire.hypotheses.save(tmp_path / "hypotheses.npz")
+    found = discover(
+        table,
+        labeler="hypotheses",
+        hypotheses=str(tmp_path / "hypotheses.npz"),
+        output=str(tmp_path / "types"),
+    )
+    assert found is not None
+    with (tmp_path / "types" / "assignment.csv").open(encoding="utf-8") as file:
+        types = {row["observer"]: row["type"] for row in csv.DictReader(file)}
+    assert len({types[f"p{person}"] for person in range(0, 8, 2)}) == 1
+    assert types["p0"] != types["p1"]
+
+
+def test_another_answer_or_number_is_a_conflict(running: Running) -> None:
+    talk = running.post("questionnaires", person="p").json()
+    path = f"questionnaires/{talk['id']}/answers"
+    assert running.post(path, number=2, answer=1).status_code == 409
+    first = running.post(path, number=1, answer=1).json()
+    assert running.post(path, number=1, answer=0).status_code == 409
+    assert running.post(path, number=1, answer=1).json() == first
+    assert running.post("sessions", person="p", trace=[1]).status_code == 201
+    assert running.post("sessions", person="p", trace=[2]).status_code == 409
+
+
+def test_more_of_a_trace_comes_once_and_leaves_what_is_open(running: Running) -> None:
+    talk = running.post("sessions", person="p", trace=[0, 1]).json()
+    path = f"sessions/{talk['id']}/trace"
+    longer = running.post(path, after=2, transitions=[2, 3]).json()
+    assert longer["next"] == talk["next"]
+    assert running.post(path, after=2, transitions=[2, 3]).json() == longer
+    assert running.post(path, after=2, transitions=[4]).status_code == 409
+    assert running.post(path, after=7, transitions=[4]).status_code == 409
+    state = requests.get(f"{running.url}/sessions/{talk['id']}", timeout=9).json()
+    assert state["known"] == 4
+
+
+def test_reading_writes_nothing(running: Running, talks: Talks, tmp_path: Path) -> None:
+    which = {kind: running.post(f"{kind}s", person="p").json()["id"] for kind in KINDS}
+    with sqlite3.connect(tmp_path / "service.sqlite") as other:
+        (before,) = other.execute("PRAGMA data_version").fetchone()
+        paths = [f"{kind}s/{one}" for kind, one in which.items()]
+        paths += ["task", "labels.csv", f"{paths[1]}/labels.csv", "openapi.json", "", "docs"]
+        paths += ["task/labels?wrong=fire"]
+        for path in paths:
+            assert requests.get(f"{running.url}/{path}", timeout=9).ok, path
+        assert other.execute("PRAGMA data_version").fetchone() == (before,)
+
+
+@pytest.mark.parametrize(
+    ("origin", "allowed"),
+    [("https://lab.example.org", True), ("null", True), ("https://elsewhere.org", False)],
+)
+def test_pages_of_the_list_alone_may_call_it(running: Running, origin: str, allowed: bool) -> None:
+    asks = {
+        "Access-Control-Request-Method": "POST",
+        "Access-Control-Request-Headers": "content-type",
+    }
+    got = requests.options(f"{running.url}/sessions", headers={"Origin": origin} | asks, timeout=9)
+    assert (got.headers.get("Access-Control-Allow-Origin") == origin) == allowed
+    assert got.ok == allowed
+
+
+def test_the_key_is_taken_from_headers_and_from_the_body(talks: Talks) -> None:
+    service = Running(talks, key="secret key")
+    try:
+        assert service.post("sessions").status_code == 401
+        assert service.post("sessions", key="wrong").status_code == 401
+        text = json.dumps({"key": "secret key", "trace": [1]})  # as a beacon sends it
+        begun = requests.post(f"{service.url}/sessions", text, timeout=9)
+        assert begun.status_code == 201
+        erase, own = (
+            f"{service.url}/sessions/{begun.json()['id']}",
+            {"Authorization": "Bearer secret key"},
+        )
+        assert requests.delete(erase, timeout=9).status_code == 401
+        assert requests.get(f"{service.url}/labels.csv", timeout=9).status_code == 401
+        assert requests.get(f"{service.url}/labels.csv", headers=own, timeout=9).ok
+        assert requests.delete(erase, headers=own, timeout=9).status_code == 204
+        assert requests.get(erase, timeout=9).status_code == 404
+    finally:
+        service.stop()
+
+
+DEEP = "[" * 100_000 + "]" * 100_000
+HOSTILE: list[tuple[str, str, Any]] = [
+    ("POST", "sessions", body)
+    for body in (
+        *("", "null", "[]", "3", '"x"', "{", "\x00", DEEP, '{"trace": ' + DEEP + "}"),
+        *('{"trace": null}', '{"trace": [null]}', '{"trace": [NaN]}', '{"trace": [[Infinity]]}'),
+        *('{"trace": [[1, 2]]}', '{"trace": [-1]}', '{"trace": [1e99]}', '{"trace": [99999]}'),
+        *('{"trace": [true]}', '{"trace": [1.5]}', '{"trace": ["0"]}', '{"trace": [{"a": 1}]}'),
+        *('{"trace": [{"row": "\\ud800"}]}', '{"trace": [' + "0," * 2000 + "0]}"),
+        *('{"expected_steps": -1}', '{"expected_steps": 1e9}', '{"unknown": 1}'),
+        *(
+            '{"person": ""}',
+            '{"person": "=1+1"}',
+            '{"person": "a\\u0000b"}',
+            '{"person": "\\ud800"}',
+        ),
+        *('{"person": "a/../b"}', '{"person": 7}', json.dumps({"person": "x" * 101})),
+        '{"key": "\\ud800"}',
+        " " * (2 << 20),
+    )
+]
+HOSTILE += [
+    ("POST", f"sessions/{path}", body)
+    for path in ("nobody/answers", "../sessions/x/answers", "%00/answers", "' OR 1=1 --/answers")
+    for body in ('{"number": 1, "labels": [1]}', '{"number": 0}')
+]
+HOSTILE += [("GET", path, "") for path in (
+    "sessions/nobody", "sessions/%ff", "sessions/' OR '1'='1", "questionnaires/nobody/labels.csv",
+    "task/labels?wrong=nobody", "task/labels?wrong=%00", "../../etc/passwd", "%2e%2e/etc/passwd",
+    "labels.csv/../task", "static/x",
+)]  # fmt: skip
+HOSTILE += [("DELETE", "sessions/nobody", ""), ("PUT", "sessions", "{}"), ("TRACE", "sessions", "")]
+HOSTILE += [
+    ("POST", "{session}/answers", body)
+    for body in (
+        *('{"number": 1}', '{"number": 1, "labels": []}', '{"number": 1, "answer": 2}'),
+        *('{"number": 1, "labels": [1, 1]}', '{"number": 1, "answer": "x"}'),
+        *('{"number": 1, "labels": [2]}', '{"number": 99999999999999999999, "answer": 1}'),
+        *('{"number": 1, "answer": [1]}', '{"answer": 1}', '{"number": -1, "answer": 1}'),
+    )
+]
+
+
+@pytest.fixture(scope="module")
+def attacked(
+    task: Served, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Running, str]]:
+    opened = Talks(tmp_path_factory.mktemp("attacked") / "service.sqlite", task)
+    service = Running(opened)
+    yield service, service.post("sessions", trace=[0, 1]).json()["id"]
+    service.stop()
+    opened.close()
+
+
+@pytest.mark.parametrize(("method", "path", "body"), HOSTILE)
+def test_hostile_requests_change_nothing_and_are_refused_with_a_reason(
+    attacked: tuple[Running, str], method: str, path: str, body: str
+) -> None:
+    service, session = attacked
+    own = f"{service.url}/sessions/{session}"
+    before = requests.get(own, timeout=9).json()
+    url = f"{service.url}/{path.format(session=f'sessions/{session}')}"
+    got = requests.request(method, url, data=body.encode("utf-8", "surrogatepass"), timeout=20)
+    if not path.endswith("/../task"):
+        assert 400 <= got.status_code < 500
+        assert got.headers["Content-Type"] == "application/problem+json"
+        assert got.json()["detail"]
+    assert requests.get(own, timeout=9).json() == before
+
+
+def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
+    """Eight clients answer while the process is killed again and again."""
+    port, database = free_port(), tmp_path / "service.sqlite"
+    url, stop = f"http://127.0.0.1:{port}", threading.Event()
+    command = [sys.executable, "-m", "xplain", "serve", f"port={port}", f"database={database}"]
+    acknowledged: dict[str, list[tuple[Json, Json]]] = {str(n): [] for n in range(8)}
+
+    def surely(path: str, content: Json) -> Json:
+        """The reply to a request that is sent until it is acknowledged; {} where all is over."""
+        while not stop.is_set():
+            try:
+                got = requests.post(f"{url}/{path}", json=content, timeout=5)
+                assert got.ok, got.text
+                found: Json = got.json()
+                return found
+            except requests.RequestException:
+                time.sleep(0.05)
+        return {}
+
+    def client(person: str) -> None:
+        draw, own = random.Random(person), acknowledged[person]
+        while not stop.is_set():
+            sent: Json = {"person": f"{person}-{len(own)}"}
+            talk = surely("questionnaires", sent)
+            while talk:
+                own.append((sent, talk))
+                if talk["next"]["kind"] == "end":
+                    break
+                sent = {"number": talk["next"]["number"], "answer": draw.randrange(2)}
+                talk = surely(f"questionnaires/{talk['id']}/answers", sent)
+
+    with ThreadPoolExecutor(8) as clients:
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        running = [clients.submit(client, person) for person in acknowledged]
+        try:
+            for _ in range(3):
+                served_before = sum(map(len, acknowledged.values()))
+                while sum(map(len, acknowledged.values())) < served_before + 40:
+                    assert process.poll() is None
+                    time.sleep(0.02)
+                process.send_signal(signal.SIGKILL)
+                process.wait()
+                process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        finally:
+            stop.set()
+            process.kill()
+            process.wait()
+        for one in running:
+            one.result()
+    with sqlite3.connect(database) as stored:
+        rows = stored.execute("SELECT talk, key, came, decided FROM event").fetchall()
+    found = {row[:2]: (json.loads(row[2]), json.loads(row[3])) for row in rows}
+    assert len(found) == len(rows)
+    for sent, talk in (one for own in acknowledged.values() for one in own):
+        came, decided = found[
+            talk["id"], f"answer {sent['number']}" if "number" in sent else "begin"
+        ]
+        assert came.get("answer") == sent.get("answer")
+        assert decided["number"] == talk["next"]["number"]
+
+
+def test_two_processes_may_have_one_file_open(task: Served, talks: Talks, tmp_path: Path) -> None:
+    other = Talks(tmp_path / "service.sqlite", task)
+    which, now = talks.begin("questionnaire", "p", {})
+    for turn in range(4):
+        here, there = (talks, other) if turn % 2 else (other, talks)
+        answer = {"answer": turn % 2}
+        other_answer = {"answer": 1 - turn % 2}
+        before = f"answer {now['number']}"
+        now = here.receive("questionnaire", which, before, answer)
+        with pytest.raises(Conflict):
+            there.receive("questionnaire", which, before, other_answer)
+    other.close()
+
+
+def test_the_examples_run_as_they_stand(running: Running) -> None:
+    def ran(*command: str) -> str:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+    told = ran(sys.executable, str(ROOT / "examples/service/robot.py"), running.url)
+    assert "belief:" in told
+    lines = ran("bash", str(ROOT / "examples/service/curl.sh"), running.url).splitlines()
+    assert lines == requests.get(f"{running.url}/labels.csv", timeout=9).text.splitlines()
+    assert len(lines) > 4

@@ -1,0 +1,1 @@
+"""The method over HTTP, for pages and robots of others: what to say now, and what to ask next."""

@@ -1,0 +1,263 @@
+"""The service's addresses: sessions (a trace explained) and questionnaires (what to ask next).
+
+Errors are problem+json (RFC 9457) with ``key``, ``value`` and ``allowed``. GET never writes. A
+request that is sent again is replied to as before.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import secrets
+import sqlite3
+from collections.abc import Callable, Sequence
+from http import HTTPStatus
+from importlib.resources import files
+from typing import Annotated, Any, Literal
+
+from fastapi import Depends, FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.middleware.cors import CORSMiddleware
+from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.exceptions import HTTPException
+
+from xplain import __version__
+from xplain.errors import XplainError
+from xplain.people.service.talks import Conflict, Talks, Unknown
+
+LARGEST = 1 << 20
+"""Bytes of a request."""
+Person = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:@-]{0,99}$")]
+Column = float | Annotated[str, Field(max_length=200, pattern=r"^[^\\x00]*$")]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Transition = (
+    Annotated[int, Field(strict=True, ge=0)]
+    | Annotated[list[Number], Field(max_length=1000)]
+    | Annotated[dict[str, Column], Field(max_length=1000)]
+)
+Trace = Annotated[list[Transition], Field(max_length=1000)]
+Bit = Annotated[int, Field(ge=0, le=1)]
+
+
+def problem(status: int, detail: str, **about: Any) -> JSONResponse:
+    """An error as RFC 9457 has it."""
+    body = {"title": HTTPStatus(status).phrase, "status": status, "detail": detail, **about}
+    return JSONResponse(body, status, media_type="application/problem+json")
+
+
+def _not_allowed(_: Request, error: Exception) -> JSONResponse:
+    about = {key: str(getattr(error, key, ""))[:200] for key in ("key", "value", "allowed")}
+    return problem(422, str(error)[:500], **about)
+
+
+def _not_understood(_: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"][1:]) or "body"
+    about = {"key": key, "value": repr(first.get("input"))[:200], "allowed": first["msg"]}
+    return problem(422, f"{key}: {first['msg']}", **about)
+
+
+PROBLEMS: dict[Any, Callable[[Request, Exception], JSONResponse]] = {
+    XplainError: _not_allowed,
+    RequestValidationError: _not_understood,
+    Unknown: lambda _, error: problem(404, "there is no such talk"),
+    Conflict: lambda _, error: problem(409, str(error)),
+    sqlite3.Error: lambda _, error: problem(503, f"nothing was stored: {error}"),
+    HTTPException: lambda _, error: problem(error.status_code, str(error.detail)),  # type: ignore[attr-defined]
+}
+
+
+class OnlyJson:
+    """Reads every body as JSON, as beacons send it as text, and at most LARGEST bytes of it."""
+
+    def __init__(self, app: Any) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """See ASGI."""
+        size, kind = 0, (b"content-type", b"application/json")
+        others = [one for one in scope.get("headers", ()) if one[0] != kind[0]]
+
+        async def counted() -> Any:
+            nonlocal size
+            message = await receive()
+            size += len(message.get("body", b""))
+            if size > LARGEST:
+                raise HTTPException(413, f"at most {LARGEST} bytes")
+            return message
+
+        await self.app({**scope, "headers": [*others, kind]}, counted, send)
+
+
+class Body(BaseModel):
+    """What every request may hold: the key, for frames and beacons that send no headers."""
+
+    model_config = ConfigDict(extra="forbid")
+    key: str = Field("", max_length=200)
+
+
+class NewSession(Body):
+    """A trace to explain to somebody new; none known yet is fine."""
+
+    person: Person | None = None
+    trace: Trace = []
+    expected_steps: Annotated[int, Field(ge=0, le=1000)] = 0
+
+
+class NewQuestionnaire(Body):
+    """Questions to somebody new."""
+
+    person: Person | None = None
+
+
+class Labels(Body):
+    """Labels of all transitions shown (1: it makes sense), or the answer to a question."""
+
+    number: Annotated[int, Field(ge=1)]
+    labels: Annotated[list[Bit], Field(max_length=1000)] | None = None
+    answer: Bit | None = None
+
+
+class More(Body):
+    """Transitions that follow those known; ``after`` says how many these were."""
+
+    after: Annotated[int, Field(ge=0)]
+    transitions: Annotated[Trace, Field(min_length=1)]
+
+
+class Next(BaseModel):
+    """What to do next, and under which number its answer is expected.
+
+    ``explain``: give the messages, show the first ``step`` transitions, send the labels of these.
+    ``ask``: put the question, send its answer. ``wait``: the trace is explained as far as it is
+    known. ``end``: the questionnaire is over.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    number: int
+    kind: Literal["explain", "ask", "wait", "end"]
+    messages: list[str] | None = None
+    sentences: list[str] | None = None
+    step: int | None = None
+    text: str | None = None
+
+
+class Reply(BaseModel):
+    """The id of the talk, and what to do next."""
+
+    id: str
+    next: Next
+
+
+def bearer(request: Request) -> str:
+    """The key that came in the headers; "" for none."""
+    return request.headers.get("Authorization", "").removeprefix("Bearer ")
+
+
+Key = Annotated[str, Depends(bearer)]
+
+
+def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> FastAPI:
+    """The service as an ASGI application.
+
+    Args:
+        talks: of a task, in an open file.
+        origins: of pages that may call it.
+        key: needed to begin a talk, and to read or erase what people said; "" for none.
+    """
+    app = FastAPI(
+        title="xplain",
+        version=__version__,
+        summary="What to say and what to ask next.",
+        strict_content_type=False,  # beacons send text
+    )
+    app.add_middleware(
+        CORSMiddleware,
+        allow_origins=list(origins),
+        allow_methods=["GET", "POST", "DELETE"],
+        allow_headers=["Authorization", "Content-Type"],
+    )
+    app.add_middleware(OnlyJson)
+    for error, told in PROBLEMS.items():
+        app.add_exception_handler(error, told)
+
+    def check(own: str) -> None:
+        if key and not secrets.compare_digest(own.encode(), key.encode()):
+            raise HTTPException(401, "the key of this service, as `Authorization: Bearer KEY`")
+
+    def begin(kind: str, person: str | None, request: dict[str, Any]) -> Any:
+        which, decided = talks.begin(kind, person, request)
+        return {"id": which, "next": decided}
+
+    @app.post("/sessions", status_code=201, response_model=Reply, tags=["explain"])
+    def new_session(body: NewSession, given: Key) -> Any:
+        check(given or body.key)
+        return begin("session", body.person, body.model_dump(include={"trace", "expected_steps"}))
+
+    @app.post("/questionnaires", status_code=201, response_model=Reply, tags=["ask"])
+    def new_questionnaire(body: NewQuestionnaire, given: Key) -> Any:
+        check(given or body.key)
+        return begin("questionnaire", body.person, {})
+
+    @app.post("/sessions/{which}/answers", response_model=Reply, tags=["explain"])
+    def labels(which: str, body: Labels) -> Any:
+        return receive("session", which, body)
+
+    @app.post("/questionnaires/{which}/answers", response_model=Reply, tags=["ask"])
+    def answer(which: str, body: Labels) -> Any:
+        return receive("questionnaire", which, body)
+
+    def receive(kind: str, which: str, body: Labels) -> Any:
+        came = body.model_dump(include={"labels", "answer"}, exclude_none=True)
+        return {"id": which, "next": talks.receive(kind, which, f"answer {body.number}", came)}
+
+    @app.post("/sessions/{which}/trace", response_model=Reply, tags=["explain"])
+    def more(which: str, body: More) -> Any:
+        came = body.model_dump(include={"transitions"})
+        return {"id": which, "next": talks.receive("session", which, f"trace {body.after}", came)}
+
+    @app.get("/{kind}s/{which}", tags=["explain", "ask"])
+    def state(kind: Literal["session", "questionnaire"], which: str) -> Any:
+        rows, found = talks.read(kind, which)
+        history = [{"key": row.key, "received": row.came, "next": row.decided} for row in rows]
+        return {"id": which, **found, "next": rows[-1].decided, "history": history}
+
+    @app.delete("/{kind}s/{which}", status_code=204, tags=["explain", "ask"])
+    def erase(kind: Literal["session", "questionnaire"], which: str, given: Key) -> None:
+        check(given)
+        talks.erase(kind, which)
+
+    @app.get("/labels.csv", response_class=PlainTextResponse, tags=["ask"])
+    def all_labels(given: Key) -> Any:
+        check(given)
+        return csv_of(talks.labels())
+
+    @app.get("/questionnaires/{which}/labels.csv", response_class=PlainTextResponse, tags=["ask"])
+    def own_labels(which: str) -> Any:
+        return csv_of(talks.labels(which))
+
+    @app.get("/task", tags=["task"])
+    def task() -> Any:
+        return talks.task.description
+
+    @app.get("/task/labels", tags=["task"])
+    def labels_of(wrong: str = "", given: str = "") -> Any:
+        sets = ([name for name in names.split(",") if name] for names in (wrong, given))
+        return talks.task.labels(*sets)
+
+    @app.get("/", response_class=HTMLResponse, include_in_schema=False)
+    def playground() -> Any:
+        return files("xplain.people.service").joinpath("playground.html").read_text("utf-8")
+
+    return app
+
+
+def csv_of(rows: Sequence[dict[str, Any]]) -> PlainTextResponse:
+    """A table of labels, as ``discover`` reads it."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, rows[0] if rows else ["observer", "messages", "label"])
+    writer.writeheader()
+    writer.writerows(rows)
+    return PlainTextResponse(text.getvalue(), media_type="text/csv; charset=utf-8")

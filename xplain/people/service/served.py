@@ -1,0 +1,227 @@
+"""What the service knows of a task: who people may be, what may be asked, what its map looks like.
+
+configuration ── served ── explanations and questionnaires (talks.py)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hydra.utils import instantiate
+from numpy.typing import NDArray
+from omegaconf import DictConfig
+
+from xplain.domains.base import Domain, transition_features
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
+from xplain.domains.users.setting import Setting, UserType
+from xplain.errors import InputError
+from xplain.experiment.pipeline import draw_trace, observe
+from xplain.explanation.asking import Limits, nearest_first
+from xplain.explanation.message_sets import mask_of
+from xplain.interaction.explainer import Explainer
+from xplain.interaction.moves import Candidate
+from xplain.learning.saved import LearnedTypes
+from xplain.questions.own_transitions import read_transitions, with_features
+from xplain.questions.questionnaire import Questionnaire
+from xplain.randomness import run_seed
+from xplain.storage import encode
+
+Transition = int | Sequence[float] | Mapping[str, float | str]
+"""A number among the task's transitions, its features in order, or its columns by name."""
+TRACES = 5
+"""Traces of a domain's robot that a page can show."""
+
+
+@dataclass(frozen=True)
+class Served:
+    """A task.
+
+    Attributes:
+        explainer: of people of the types that were learned.
+        types: these types.
+        hypotheses: T transitions with features, and what people may believe incorrectly of them;
+            None where only traces can be explained.
+        sentences: what to say for each message, by its name.
+        beliefs: what somebody would say who believes a fact incorrectly, by its message's name.
+        seed: of the questionnaires' ties.
+        questions: of one questionnaire, at most.
+        asking: how a questionnaire chooses them.
+        clips: transitions that an explanation may ask about, at most.
+        scene: a domain's map; None without one.
+        cells: [T, 2] cells of the map where a transition starts and ends.
+        traces: of the domain's robot, numbers of transitions.
+    """
+
+    explainer: Explainer
+    types: LearnedTypes
+    hypotheses: Hypotheses | None
+    sentences: Mapping[str, str]
+    beliefs: Mapping[str, str] = field(default_factory=dict)
+    seed: int = 0
+    questions: int = 20
+    asking: Mapping[str, Any] = field(default_factory=dict)
+    clips: int = 0
+    scene: Any = None
+    cells: tuple[tuple[Any, Any], ...] = ()
+    traces: tuple[tuple[int, ...], ...] = ()
+
+    @cached_property
+    def features(self) -> NDArray[np.float64]:
+        """[T, F] of the transitions, in the order of the types' columns."""
+        known = self.hypotheses
+        if known is None or known.features is None:
+            return np.empty((0, len(self.types.feature_names)))
+        columns = [known.feature_names.index(name) for name in self.types.feature_names]
+        return known.features[:, columns]
+
+    @cached_property
+    def questionnaire(self) -> Questionnaire:
+        """One that nobody has answered yet.
+
+        Raises:
+            InputError: there are no hypotheses.
+        """
+        if self.hypotheses is None:
+            wanted = "a service that was started with domain=, transitions= or hypotheses="
+            raise InputError("questionnaires", "none", wanted)
+        return Questionnaire(self.hypotheses, **self.asking)
+
+    def row(self, transition: Transition) -> list[float]:
+        """The features of a transition, however it was given.
+
+        Raises:
+            InputError: there is no such transition.
+        """
+        names, count = self.types.feature_names, len(self.features)
+        if isinstance(transition, Mapping):
+            return list(self.types.encode(transition))
+        if isinstance(transition, int) and 0 <= transition < count:
+            return [float(value) for value in self.features[transition]]
+        if isinstance(transition, int) or len(transition) != len(names):
+            allowed = f"a number below {count}, {len(names)} features, or columns by name"
+            raise InputError("trace", transition, allowed)
+        return list(transition)
+
+    def candidates(self, trace: Sequence[Sequence[float]]) -> tuple[Candidate, ...]:
+        """The transitions that may be asked about while a trace is explained, the nearest first."""
+        known = self.hypotheses
+        if known is None or not self.clips or not trace:
+            return ()
+        order = nearest_first(self.features, np.array(trace))[: self.clips].tolist()
+        return tuple(Candidate(self.features[t].tolist(), self.text(t)) for t in order)
+
+    def text(self, transition: int) -> str:
+        """What the robot does there."""
+        phrases = () if self.hypotheses is None else self.hypotheses.phrases
+        return phrases[transition] if phrases else f"transition {transition}"
+
+    def labels(self, wrong: Sequence[str], given: Sequence[str]) -> list[int]:
+        """[T] the labels of somebody who believes these facts incorrectly and was given messages.
+
+        Raises:
+            InputError: there is no such fact.
+        """
+        known = self.questionnaire.hypotheses
+        held = mask_of(wrong, known.messages, "wrong") & ~mask_of(given, known.messages, "given")
+        found: list[int] = known.labels[known.row(np.array(held))].tolist()
+        return found
+
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        """The task in plain JSON, for pages."""
+        cells = self.cells or ((None, None),) * len(self.features)
+        return {
+            "messages": self.sentences,
+            "beliefs": self.beliefs,
+            "types": self.types.names,
+            "features": self.types.feature_names,
+            "transitions": [
+                {"number": t, "text": self.text(t), "from": start, "to": end}
+                for t, (start, end) in enumerate(cells)
+            ],
+            "traces": self.traces,
+            "scene": None if self.scene is None else encode(self.scene),
+        }
+
+
+def served(cfg: DictConfig) -> Served:
+    """The task of a configuration (conf/serve.yaml).
+
+    Raises:
+        XplainError: a file or a value cannot be used.
+    """
+    run_seed(cfg.seed)
+    domain = instantiate(cfg.domain) if cfg.types is None else None
+    known = _hypotheses(cfg, domain)
+    types = LearnedTypes.load(cfg.types) if domain is None else _learned(cfg, domain)
+    if known is not None and {*known.feature_names} != {*types.feature_names}:
+        wanted = f"transitions with the columns {', '.join(types.feature_names)}"
+        raise InputError("transitions", ", ".join(known.feature_names), wanted)
+    facts = () if domain is None else domain.parameters
+    sentences = {fact.name: fact.message for fact in facts} or types.sentences
+    explainer = Explainer(
+        types,
+        instantiate(cfg.solver),
+        cfg["lambda"],
+        cfg.message_cost,
+        cfg.inexplicability_cost,
+        cfg.discount,
+        cfg.discount_per,
+        seed=cfg.seed,
+        ask=Limits(cfg.ask.cost, cfg.ask.most, cfg.ask.when) if cfg.ask.kinds else None,
+    )
+    shown = {} if domain is None or known is None else _map(domain, known, cfg)
+    return Served(
+        explainer,
+        types,
+        known,
+        {name: sentences.get(name) or name for name in types.messages},
+        {fact.name: fact.belief for fact in facts},
+        cfg.seed,
+        cfg.questions,
+        {"error": cfg.error, "stop": cfg.stop},
+        cfg.ask.clips if cfg.ask.kinds else 0,
+        **shown,
+    )
+
+
+def _learned(cfg: DictConfig, domain: Domain) -> LearnedTypes:
+    """The types of a domain, learned from simulated observers as the experiments learn them."""
+    users, observers, queries = (instantiate(cfg[key]) for key in ("users", "observers", "queries"))
+    observed = observe(domain, users, observers, queries, cfg.seed)
+    types = instantiate(cfg.clusterer).find(observed, cfg.seed)
+    return LearnedTypes.of(types, observed.dataset)
+
+
+def _hypotheses(cfg: DictConfig, domain: Domain | None) -> Hypotheses | None:
+    """What people may believe incorrectly: of a file, a table, or the domain; None of nothing.
+
+    Raises:
+        InputError: a file and a table were given.
+    """
+    if cfg.hypotheses is not None and cfg.transitions is not None:
+        raise InputError("transitions", cfg.transitions, "either transitions or hypotheses")
+    if cfg.transitions is not None:
+        return with_features(read_transitions(Path(cfg.transitions)).hypotheses)
+    if cfg.hypotheses is None and domain is None:
+        return None
+    return hypotheses_of(domain, cfg.hypotheses)
+
+
+def _map(domain: Domain, known: Hypotheses, cfg: DictConfig) -> dict[str, Any]:
+    """The map of a domain, and some traces of its robot over the transitions of hypotheses."""
+    assert known.states is not None, "hypotheses of a domain know states"
+    assert known.features is not None, "and features"
+    cells = tuple((domain.position(a), domain.position(b)) for a, b in known.states.tolist())
+    setting = Setting.build(domain, (UserType("everybody", {}),))
+    number = {row.tobytes(): t for t, row in reversed([*enumerate(known.features)])}
+    traces = []
+    for index in range(TRACES):
+        trace = draw_trace(setting, cfg.max_steps, cfg.seed, index)
+        traces.append(tuple(number[r.tobytes()] for r in transition_features(domain, trace)))
+    return {"scene": domain.scene, "cells": cells, "traces": tuple(traces)}
