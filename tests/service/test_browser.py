@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from tests.chromium import browser, missing
+from tests.chromium import browser, missing, wait
 from tests.conftest import ROOT
 from tests.service.conftest import Running
 from xplain.people.service.talks import Talks
@@ -45,16 +45,16 @@ def test_the_playground_tells_who_you_are(running: Running, talks: Talks, width:
         find = partial(driver.find_element, "css selector")
         for fact in ("fire", "rubble"):
             find(f"#facts input[value={fact}]").click()
+        driver.implicitly_wait(0)
         for turn in range(60):
             if not (button := find("#next")).is_displayed():
                 break
             assert in_sight(driver, button)
-            before = find("#where").text
+            before = find("body").get_attribute("data-number")
             for reply in driver.find_elements("css selector", "#now [name=reply]")[:1]:
                 reply.click()
             button.click()
-            while find("#where").text == before and button.is_displayed():
-                pass
+            wait(lambda before=before: find("body").get_attribute("data-number") != before)
             if said := driver.find_elements("css selector", "#says .bubble"):
                 assert in_sight(driver, said[0])
             if turn in (0, 8):
@@ -90,14 +90,14 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.mark.parametrize("kind", ["session", "questionnaire"])
 def test_a_lab_s_page_in_jspsych_counts_each_answer_once(talks: Talks, lab: str, kind: str) -> None:
-    """Ten people a kind, with reloads and lost replies."""
+    """Three people a kind, with reloads and lost replies."""
     service, draw = Running(talks, origins=[lab]), random.Random(1)
     trace = list(talks.task.traces[0])[:4]
     service.lose = 0.3
     try:
         with browser() as driver:
             driver.implicitly_wait(0)
-            for person in range(10):
+            for person in range(3):
                 given = f"service={service.url}&person=p{person}&kind={kind}"
                 driver.get(f"{lab}?{given}&trace={','.join(map(str, trace))}")
                 while not driver.find_elements("id", "thanks"):
@@ -110,7 +110,7 @@ def test_a_lab_s_page_in_jspsych_counts_each_answer_once(talks: Talks, lab: str,
             assert not [e for e in driver.get_log("browser") if "Uncaught" in e["message"]]
     finally:
         service.stop()
-    for person in range(10):
+    for person in range(3):
         which, _ = talks.begin(kind, f"p{person}", talks_began(kind, trace))
         rows, _ = talks.read(kind, which)
         keys = [row.key for row in rows]
