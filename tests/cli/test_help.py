@@ -61,6 +61,7 @@ NO_OPTION = {
     "answers": "of labeler=hypotheses: how people err, learned with the types",
     "types": "of labeler=hypotheses: which types the answers come from, known with these",
     "evidence": "of labeler=hypotheses: how well hypotheses foretell answers, learned with them",
+    "labeler": "of clusterer=…: what the group labeler chooses",
 }
 """Parameters of shipped components that a file of conf/ may leave out, and why."""
 
