@@ -199,7 +199,9 @@ def row_of(
         )
         types = clusterer(labeler=trainer).find(observed, seed)
         none = _none(observed, types, hypotheses_of(domain, path), error)
-        references = learn_references(observed, trainer, seed)
+        given = trainer.given(observed)
+        everyone = given.fit(observed.dataset, seed)
+        references = learn_references(observed, given, seed, everyone, types.by_observers)
     assert observed.truth is not None
     alike = setting.distinct[observed.truth]
     row = dict(zip(KEY, (name, way, points, error, people, seed), strict=True))

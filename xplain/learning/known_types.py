@@ -55,8 +55,10 @@ def find_types(
     if (given := trainer.types_of(observed)) is not None:
         return given
     trainer = trainer.given(observed)  # once: what it works out of its task is kept with it
+    everyone = trainer.fit(observed.dataset, seed)
+    _require_tested([everyone])  # before the types: too few labels are refused at once
     types = finder.find(observed, seed)
-    references = learn_references(observed, trainer, seed, types.by_observers)
+    references = learn_references(observed, trainer, seed, everyone, types.by_observers)
     _require_tested(types.labelers)
     oracle = references.oracle
     once = AskedOnce()
@@ -90,17 +92,16 @@ def learn_references(
     observed: Observed,
     trainer: LabelerTrainer,
     seed: int,
-    known: Mapping[tuple[int, ...], Labeler] | None = None,
+    everyone: Labeler,
+    known: Mapping[tuple[int, ...], Labeler],
 ) -> References:
-    """The labeler of all data, and the labelers under perfect clustering; ``known`` as of
-    :func:`~xplain.learning.user_types.learn_types`.
+    """The labeler of all data (``everyone``), and the labelers under perfect clustering; ``known``
+    as of :func:`~xplain.learning.user_types.learn_types`.
 
     Raises:
         XplainError: too few labels to hold some out.
     """
-    dataset, trainer = observed.dataset, trainer.given(observed)
-    everyone = trainer.fit(dataset, seed)
-    _require_tested([everyone])
+    dataset = observed.dataset
     if observed.behaviour is None:
         return References(everyone)
     perfect = learn_types(dataset, Perfect().cluster(observed, 0), trainer, seed, known)
