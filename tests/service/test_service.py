@@ -22,7 +22,8 @@ import requests
 from tests.conftest import ROOT
 from tests.service.conftest import Running, free_port
 from xplain import discover
-from xplain.people.service.served import Served
+from xplain.experiment.config import composed
+from xplain.people.service.served import Served, served
 from xplain.people.service.talks import Conflict, Talks
 
 Json = dict[str, Any]
@@ -64,6 +65,13 @@ def go_through(
             said |= {*now.get("messages", ())} if kind == "session" else set()
             now = talks.receive(kind, which, f"answer {now['number']}", came)
     return [json.loads(json.dumps(one)) for one in decisions]
+
+
+def test_types_come_from_the_labeler_that_was_chosen(task: Served) -> None:
+    """Labelers of hypotheses know the facts that a type believes incorrectly; trees know none."""
+    assert all(labeler.wrong is not None for labeler in task.types.labelers)
+    by_tree = served(composed("serve", ["labeler=tree"])).types
+    assert all(labeler.wrong is None for labeler in by_tree.labelers)
 
 
 @pytest.mark.parametrize("kind", KINDS)

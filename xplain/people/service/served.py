@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hydra.utils import instantiate
 from numpy.typing import NDArray
 from omegaconf import DictConfig
 
@@ -20,6 +19,7 @@ from xplain.domains.base import Domain, transition_features
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
+from xplain.experiment.from_config import component
 from xplain.experiment.pipeline import draw_trace, observe
 from xplain.explanation.asking import Limits, nearest_first
 from xplain.explanation.message_sets import mask_of
@@ -156,7 +156,7 @@ def served(cfg: DictConfig) -> Served:
         XplainError: a file or a value cannot be used.
     """
     run_seed(cfg.seed)
-    domain = instantiate(cfg.domain) if cfg.types is None else None
+    domain = component(cfg, "domain") if cfg.types is None else None
     known = _hypotheses(cfg, domain)
     types = LearnedTypes.load(cfg.types) if domain is None else _learned(cfg, domain)
     if known is not None and {*known.feature_names} != {*types.feature_names}:
@@ -166,7 +166,7 @@ def served(cfg: DictConfig) -> Served:
     sentences = {fact.name: fact.message for fact in facts} or types.sentences
     explainer = Explainer(
         types,
-        instantiate(cfg.solver),
+        component(cfg, "solver"),
         cfg["lambda"],
         cfg.message_cost,
         cfg.inexplicability_cost,
@@ -192,10 +192,10 @@ def served(cfg: DictConfig) -> Served:
 
 def _learned(cfg: DictConfig, domain: Domain) -> LearnedTypes:
     """The types of a domain, learned from simulated observers as the experiments learn them."""
-    users, observers, queries = (instantiate(cfg[key]) for key in ("users", "observers", "queries"))
+    users, observers, queries = (component(cfg, key) for key in ("users", "observers", "queries"))
     observed = observe(domain, users, observers, queries, cfg.seed)
-    types = instantiate(cfg.clusterer).find(observed, cfg.seed)
-    return LearnedTypes.of(types, observed.dataset)
+    finder = component(cfg, "clusterer", labeler=component(cfg, "labeler"))
+    return LearnedTypes.of(finder.find(observed, cfg.seed), observed.dataset)
 
 
 def _hypotheses(cfg: DictConfig, domain: Domain | None) -> Hypotheses | None:
