@@ -167,12 +167,7 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
         origins: of pages that may call it.
         key: needed to begin a talk, and to read or erase what people said; "" for none.
     """
-    app = FastAPI(
-        title="xplain",
-        version=__version__,
-        summary="What to say and what to ask next.",
-        strict_content_type=False,  # beacons send text
-    )
+    app = FastAPI(title="xplain", version=__version__, summary="What to say and what to ask next.")
     app.add_middleware(
         CORSMiddleware,
         allow_origins=list(origins),

@@ -3,7 +3,7 @@
 A row holds what came in and what was decided then, so a talk is taken up from its rows alone:
 wherever the process was killed, and whatever was installed meanwhile.
 
-    request ── Talks.begin / answer / extend ── row on the disk ── reply
+    request ── Talks.begin / receive ── row on the disk ── reply
 """
 
 from __future__ import annotations
@@ -175,8 +175,9 @@ class Asking(Talk):
         if self.questionnaire.done or self.answered >= self.task.questions:
             return {"kind": "end"}
         transition, given = self.questionnaire.next()
+        assert isinstance(transition, int), "no clips of several transitions"
         said = names_of(given, self.questionnaire.hypotheses.messages)
-        about = {"transition": transition, "text": self.task.text(int(str(transition)))}
+        about = {"transition": transition, "text": self.task.text(transition)}
         sentences = [self.task.sentences.get(name, name) for name in said]
         told = {"message_set": given, "messages": said, "sentences": sentences}
         return {"kind": "ask", **about, **told}
