@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import re
 import signal
+import threading
 import time
 
 import pytest
 
 from tests import forked, processes
 from tests.runs import sweeps
+from xplain.runs.mlflow import Disk
 from xplain.runs.signals import interruptible
+from xplain.runs.sweep import finish
 
 
 def test_a_job_that_raises_lets_the_others_go_on(folder):
@@ -129,6 +132,29 @@ def test_four_at_once_on_an_empty_folder(tmp_path):
     assert len(found) == (1 + 2) + (1 + 2) + 1
     with sweeps.database(tmp_path) as database:
         assert database.execute("pragma integrity_check").fetchone() == ("ok",)
+
+
+def test_a_sweep_that_two_processes_end_is_sent_by_one_at_a_time(tmp_path):
+    """MLflow has no unique keys: two senders would both find a job missing, and send it twice."""
+    folder, inside, most = sweeps.planned(tmp_path, 1), [], []
+
+    class Slow(Disk):
+        def log(self, folder, outputs):
+            inside.append(folder)
+            most.append(len(inside))
+            time.sleep(0.3)
+            inside.pop()
+            return []
+
+    def end():
+        finish(folder, Slow(), tmp_path, 0.0, [].append, shown=False)
+
+    senders = [threading.Thread(target=end) for _ in range(2)]
+    for sender in senders:
+        sender.start()
+    for sender in senders:
+        sender.join()
+    assert most == [1, 1]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, processes.HANG_UP])

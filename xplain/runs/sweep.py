@@ -306,9 +306,11 @@ def finish(
 
     jobs = folder.jobs()
     summary = None
-    with attempted("there is no report"):
-        summary, _ = write_report(folder.path)
-    lines = tracking.log(folder.path, outputs)
+    # The same sweep, started twice, ends twice: both would send the same jobs to MLflow.
+    with folder.alone(f"{folder.identity}: another process ends this sweep; waiting for it"):
+        with attempted("there is no report"):
+            summary, _ = write_report(folder.path)
+        lines = tracking.log(folder.path, outputs)
     if shown and summary is not None and summary.results:
         with attempted("the table was not printed"):
             print_sweep(summary)
