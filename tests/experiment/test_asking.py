@@ -23,11 +23,11 @@ from xplain.experiment.explanations import (
 from xplain.experiment.fingerprint import configuration
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, observe, prepare
-from xplain.experiment.strangers import with_strangers
+from xplain.experiment.strangers import with_others
 from xplain.explanation.asking import Limits, Pool
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
-from xplain.interaction.explainees import Exact, Heedless, Slips
+from xplain.interaction.explainees import Exact, Heedless, Slips, Unseen
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.simple import AskFirst
 
@@ -140,7 +140,7 @@ def test_true_labels_and_strangers_answer_questions_too() -> None:
         assert case.questions is not None
         assert case.questions.learned is case.questions.labels
     cfg = composed("config", [*OVERRIDES, "ask=clips"])
-    strange = with_strangers(prepared, components_of(cfg))
+    strange = with_others(prepared, components_of(cfg), Unseen())
     records = evaluate(strange, costs, {"solver": QMDP()}, Independent(0.1), Exact(), 0)
     assert len(records) == len(strange.types) * len(strange.cases)
 

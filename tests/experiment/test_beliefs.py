@@ -14,8 +14,8 @@ from xplain.experiment.config import composed
 from xplain.experiment.explanations import evaluate
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
-from xplain.experiment.strangers import with_strangers
-from xplain.interaction.explainees import Stranger
+from xplain.experiment.strangers import with_others
+from xplain.interaction.explainees import Unseen
 
 TRUE = ("labeler=truth", "clusterer=perfect", "traces=2")
 HYPOTHESES = ("labeler=hypotheses", "queries=adaptive", "points=20", "traces=2")
@@ -109,15 +109,15 @@ def test_clips_and_beliefs_are_one_list_with_one_cap() -> None:
 @pytest.mark.parametrize("kind", ["clips", "beliefs", "both"])
 def test_strangers_answer_for_themselves(kind: str) -> None:
     GlobalHydra.instance().clear()
-    cfg = composed("config", [*TRUE, f"ask={kind}", "explainee=stranger", "ask.cost=0"])
+    cfg = composed("config", [*TRUE, f"ask={kind}", "explainee=unseen", "ask.cost=0"])
     components = components_of(cfg)
-    strangers = with_strangers(prepare(components), components)
+    strangers = with_others(prepare(components), components, Unseen())
     for case in strangers.cases:
         asked = case.questions
         assert asked is not None
         assert asked.labels.n_types == len(strangers.types)
         for t, name in enumerate(strangers.types):
-            facts = set(name.removeprefix("stranger ").split("+"))
+            facts = set(name.removeprefix("unseen ").split("+"))
             for q in np.flatnonzero(asked.facts >= 0):
                 right = asked.labels.label_probabilities(q + 1, 0)[t, q]
                 assert right == (strangers.messages[asked.facts[q]] not in facts)
@@ -127,7 +127,7 @@ def test_strangers_answer_for_themselves(kind: str) -> None:
                 other = asked.labels.label_probabilities(q + 1, given)[:, q]
                 np.testing.assert_array_equal(one, other)
     explainee = instantiate(cfg.explainee)
-    assert isinstance(explainee, Stranger)
+    assert isinstance(explainee, Unseen)
     solvers = {"solver": instantiate(cfg.solver)}
     records = evaluate(strangers, costs_of(cfg), solvers, instantiate(cfg.belief), explainee, 0)
     assert any(record.episode.n_questions for record in records)

@@ -16,7 +16,7 @@ from xplain.explanation.habits import PAPER
         (("explainee=slips", "explainee.rate=0.2"), (0.2, 1, 0)),
         (("explainee=heedless", "explainee.accept=0.7"), (0, 0.7, 0)),
         (("explainee=forgetful", "explainee.forget=0.3"), (0, 1, 0.3)),
-        (("explainee=stranger",), (0, 1, 0)),
+        (("explainee=unseen",), (0, 1, 0)),
     ],
 )
 def test_who_is_told_knows_the_rates_of_these_users(

@@ -10,7 +10,18 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
-from xplain.interaction.explainees import Exact, Heedless, Reaction, SimulatedUser, Slips
+from xplain.interaction.explainees import (
+    Between,
+    Exact,
+    Expert,
+    Heedless,
+    LearnsUntold,
+    Misreads,
+    Reaction,
+    SimulatedUser,
+    Slips,
+    Sticky,
+)
 from xplain.solvers.simple import Silent
 
 PEOPLE = 400
@@ -162,3 +173,87 @@ def test_costs_are_by_thoughts_and_beliefs_by_answers() -> None:
 def test_a_probability_out_of_range_is_refused(make) -> None:
     with pytest.raises(InputError, match=r"explainee\.(rate|accept|forget)=.*a number in"):
         make()
+
+
+def error_rates(explainee, step: int) -> tuple[float, float]:
+    """How often those err at a step who think 0, and who think 1, of many people."""
+    wrong, thought = np.zeros(2), np.zeros(2)
+    for seed in range(PEOPLE):
+        thoughts, answers = reactions(explainee, seed=seed)[step]
+        thought += np.bincount(thoughts, minlength=2)
+        wrong += np.bincount(thoughts[thoughts != answers], minlength=2)
+    return tuple((wrong / thought).tolist())
+
+
+@pytest.mark.parametrize(
+    ("explainee", "step", "zero", "one"),
+    [
+        (Slips(0.0, False, polite=0.5), 7, 0.5, 0.0),
+        (Slips(0.0, True, polite=0.5), 7, 0.5, 0.0),
+        (Slips(0.5, False), 7, 0.5, 0.5),
+        (Slips(0.0, False, tires=0.03), 7, 0.24, 0.24),
+        (Slips(0.0, False, tires=0.03), 1, 0.06, 0.06),
+        (Slips(0.1, False, tires=0.2), 7, 0.5, 0.5),
+    ],
+)
+def test_people_err_in_either_direction_at_the_rate_of_the_step(
+    explainee, step: int, zero: float, one: float
+) -> None:
+    for found, rate in zip(error_rates(explainee, step), (zero, one), strict=True):
+        assert found == pytest.approx(rate, abs=0.04)
+        assert (found == 0) == (rate == 0)
+
+
+def test_the_sticky_repeat_their_answer_to_the_transition_before() -> None:
+    """Where thoughts alternate, an answer is wrong where it was repeated an odd number of times
+    since one was thought of: 0.4 · 0.6 + 0.4³ · 0.6 + … = 0.4 · 0.6 / (1 − 0.16) in the end."""
+    table = LabelTable.dense(np.tile([[0.0], [1.0]], (STEPS // 2, 1))[None])
+    wrong = 0
+    for seed in range(PEOPLE):
+        thoughts, answers = reactions(Sticky(0.4), table, seed=seed)[-1]
+        assert thoughts.tolist() == table.p[:, 0, 0].tolist()
+        assert answers[0] == thoughts[0]
+        wrong += int(answers[-1] != thoughts[-1])
+    assert within(wrong, PEOPLE, 0.4 * 0.6 / 0.84)
+
+
+def test_experts_find_everything_explicable() -> None:
+    for thoughts, answers in reactions(Expert()):
+        assert thoughts.all()
+        assert answers.all()
+
+
+def test_those_between_have_one_fact_right_at_half_of_the_transitions() -> None:
+    table, right = knowing(), 0
+    for seed in range(PEOPLE):
+        user = Between().meet(table, np.arange(STEPS), seed)
+        right += int(user.react(0, STEPS).thoughts.sum())
+        assert user.react(1, STEPS).thoughts.all()
+    assert within(right, PEOPLE * STEPS, 0.5)
+
+
+def test_messages_that_are_misread_tell_each_others_facts() -> None:
+    table = labels(messages=3)
+    for seed in range(20):
+        user = Misreads().meet(table, np.arange(STEPS), seed)
+        means = {
+            j: {
+                k
+                for k in range(3)
+                if np.array_equal(user.react(1 << j, STEPS).thoughts, table.p[:, 1 << k, 0])
+            }
+            for j in range(3)
+        }
+        assert sorted(len(found) for found in means.values()) == [1, 1, 1]
+        assert sum(found != {j} for j, found in means.items()) == 2
+        for given in (0, 7):
+            assert user.react(given, STEPS).thoughts.tolist() == table.p[:, given, 0].tolist()
+
+
+def test_a_fact_is_found_out_two_steps_after_it_mattered() -> None:
+    """From the third transition on everything depends on the message."""
+    table = LabelTable.dense([[[1.0, 1.0]] * 2 + [[0.0, 1.0]] * (STEPS - 2)])
+    zeros = [int((thoughts == 0).sum()) for thoughts, _ in reactions(LearnsUntold(), table)]
+    assert zeros == [0, 0, 1, 2, 0, 0, 0, 0]
+    told = [int((t == 0).sum()) for t, _ in reactions(LearnsUntold(), table, (0, 0, 1, *(0,) * 5))]
+    assert sum(told) == 0

@@ -20,9 +20,9 @@ from xplain.experiment.explanations import (
 )
 from xplain.experiment.pipeline import Components, Prepared, prepare
 from xplain.experiment.progress import Progress
-from xplain.experiment.strangers import with_strangers
+from xplain.experiment.strangers import with_others
 from xplain.explanation.belief import BeliefUpdate
-from xplain.interaction.explainees import Explainee, Stranger
+from xplain.interaction.explainees import Explainee
 from xplain.interaction.metrics import Record
 from xplain.solvers.base import Solver
 from xplain.solvers.greedy import KnownType
@@ -68,9 +68,9 @@ class Experiment:
             progress: hears how far it is.
         """
         references: dict[str, Solver] = {"clairvoyant": KnownType("labels")}
-        stranger = isinstance(self.explainee, Stranger)
+        stranger = not self.explainee.as_observed
         if stranger:
-            prepared = with_strangers(prepared, self.components())
+            prepared = with_others(prepared, self.components(), self.explainee)
         elif all(case.perfect is not None for case in prepared.cases):
             references["oracle"] = KnownType("type")
 

@@ -9,13 +9,17 @@ and step, so that every solver meets the same person.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
-from typing import Annotated, NamedTuple, Protocol
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Annotated, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.errors import InputError, Probability, Range, Slip, checks
+from xplain.domains.base import Domain
+from xplain.domains.users.setting import UserType
+from xplain.domains.users.types import user_type
+from xplain.errors import Count, InputError, Probability, Range, Slip, checks
 from xplain.explanation.habits import PAPER, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
@@ -65,12 +69,31 @@ class Person(Protocol):
 
 
 class Explainee(Protocol):
-    """A kind of user. A subclass of it has what it does not define."""
+    """A kind of user. A subclass of it has what it does not define.
+
+    Attributes:
+        as_observed: whether they are of the observers' types; else of those of :meth:`others`.
+    """
+
+    as_observed: ClassVar[bool] = True
 
     @property
     def habits(self) -> Habits:
         """How they listen and answer, as far as the clairvoyant may know it."""
         return PAPER
+
+    def others(
+        self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
+    ) -> tuple[UserType, ...]:
+        """Types that these users may be of. The experiment takes those that behave unlike the
+        observers'.
+
+        Args:
+            domain: the task.
+            observed: the observers' types.
+            rng: for types that are drawn.
+        """
+        return ()
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """Somebody new.
@@ -131,43 +154,178 @@ class Exact(Explainee):
 @checks("explainee")
 @dataclass(frozen=True)
 class Slips(Explainee):
-    """Users who mean one thing and answer the other.
+    """Users who think one thing and answer the other.
 
     Args:
         rate: probability that an answer is the opposite of what the person thinks.
         repeats: a person makes the same mistake whenever asked about a transition with the same
-            messages given; else each answer is drawn for itself.
+            messages given; else each answer is drawn independently.
+        polite: probability that somebody who thinks 0 answers 1, where it is larger.
+        tires: added to ``rate`` at each step, up to one half.
     """
 
     rate: Probability = 0.1
     repeats: bool = True
+    polite: Probability = 0.0
+    tires: Probability = 0.0
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """As :class:`Explainee` has it."""
         return _Slipping(SimulatedUser(labels), self, same, seed)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Slipping(Person):
+    """``step`` counts the transitions shown."""
+
     user: SimulatedUser
     how: Slips
     same: NDArray[np.int64]
     seed: int
+    step: int = 0
 
     def hear(self, new: int) -> None:
         """Nothing more than what ``given`` says."""
 
     def react(self, given: int, count: int) -> Reaction:
-        thoughts = self.user.labels(count, given)
+        thoughts, self.step = self.user.labels(count, given), count
         when = () if self.how.repeats else (count,)
-        drawn = stream(self.seed, "slips", given, *when).random(len(self.same))
-        mistaken = drawn[self.same[:count]] < self.how.rate
-        return Reaction(thoughts, thoughts ^ mistaken.astype(np.uint8))
+        mistaken = self._mistaken(thoughts, np.arange(count), given, when)
+        return Reaction(thoughts, thoughts ^ mistaken)
 
     def answer(self, row: int, given: int) -> int:
+        thought = np.array([self.user.answer(row, given)], np.uint8)
         when = () if self.how.repeats else ("asked", row)
-        drawn = stream(self.seed, "slips", given, *when).random(len(self.same))
-        return self.user.answer(row, given) ^ int(drawn[self.same[row]] < self.how.rate)
+        return int((thought ^ self._mistaken(thought, np.array([row]), given, when))[0])
+
+    def _mistaken(
+        self,
+        thoughts: NDArray[np.uint8],
+        rows: NDArray[np.int64],
+        given: int,
+        when: tuple[int | str, ...],
+    ) -> NDArray[np.uint8]:
+        rate = self.how.rate
+        if self.how.tires:
+            rate = max(rate, min(rate + self.how.tires * self.step, 0.5))
+        drawn = stream(self.seed, "slips", given, *when).random(len(self.same))[self.same[rows]]
+        wrong = drawn < np.where(thoughts == 0, max(rate, self.how.polite), rate)
+        return wrong.astype(np.uint8)
+
+
+@checks("explainee")
+@dataclass(frozen=True)
+class Sticky(Explainee):
+    """Users who repeat their last answer without a thought.
+
+    Args:
+        rate: probability that an answer is that to the transition before.
+    """
+
+    rate: Probability = 0.4
+
+    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+        """As :class:`Explainee` has it."""
+        return _Sticky(labels, self.rate, seed)
+
+
+@dataclass(frozen=True)
+class _Sticky(SimulatedUser):
+    rate: float
+    seed: int
+
+    def react(self, given: int, count: int) -> Reaction:
+        thoughts = self.labels(count, given)
+        answers = thoughts.copy()
+        repeated = stream(self.seed, "sticky", given, count).random(count) < self.rate
+        for i in np.flatnonzero(repeated[1:]) + 1:
+            answers[i] = answers[i - 1]
+        return Reaction(thoughts, answers)
+
+
+class Expert(Explainee):
+    """Users who believe nothing incorrectly."""
+
+    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+        """As :class:`Explainee` has it."""
+        return SimulatedUser(replace(labels, p=np.ones_like(labels.p)))
+
+
+class Between(Explainee):
+    """Users who believe one fact of their type incorrectly at half of the transitions only."""
+
+    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+        """As :class:`Explainee` has it."""
+        rng, p = stream(seed, "between"), labels.p.copy()
+        effective = labels.effective()[0]
+        if effective:
+            bit = labels.rows[0].index(int(rng.choice(effective)))
+            right = rng.random(len(p))[same] < 0.5
+            p[right] = p[right][:, np.arange(p.shape[1]) | 1 << bit]
+        return SimulatedUser(replace(labels, p=p))
+
+
+@checks("explainee")
+@dataclass(frozen=True)
+class Misreads(Explainee):
+    """Users who take some messages for each other, for ever: each of them tells another's fact.
+
+    Args:
+        messages: how many are mixed up. One of them matters to the user, if any does.
+    """
+
+    messages: Annotated[int, Range(2)] = 2
+
+    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+        """As :class:`Explainee` has it."""
+        rng, rows = stream(seed, "misreads"), labels.rows[0]
+        effective = labels.effective()[0]
+        if not effective or len(rows) < 2:
+            return SimulatedUser(labels)
+        first = int(rng.choice(effective))
+        others = rng.permutation([j for j in rows if j != first])[: self.messages - 1]
+        mixed = [rows.index(int(j)) for j in (first, *others)]
+        sets = np.arange(labels.p.shape[1])
+        understood = sets & ~sum(1 << bit for bit in mixed)
+        for bit, other in zip(mixed, mixed[1:] + mixed[:1], strict=True):
+            understood |= (sets >> bit & 1) << other
+        return SimulatedUser(replace(labels, p=labels.p[:, understood]))
+
+
+@checks("explainee")
+@dataclass(frozen=True)
+class LearnsUntold(Explainee):
+    """Users who find a fact out by themselves after it mattered.
+
+    Args:
+        after: steps.
+    """
+
+    after: Count = 2
+
+    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+        """As :class:`Explainee` has it."""
+        return _LearningUntold(labels, self.after)
+
+
+@dataclass(frozen=True)
+class _LearningUntold(SimulatedUser):
+    """``mattered`` has the step at which each message would have changed a label first."""
+
+    after: int
+    mattered: dict[int, int] = field(default_factory=dict)
+
+    def react(self, given: int, count: int) -> Reaction:
+        known = given | self._found_out(count)
+        thoughts = self.labels(count, known)
+        for j in indices(sum(1 << j for j in self.table.rows[0]) & ~known):
+            if (self.labels(count, known | 1 << j) != thoughts).any():
+                self.mattered.setdefault(j, count)
+        return Reaction(thoughts, thoughts)
+
+    def _found_out(self, count: int) -> int:
+        found = (j for j, step in self.mattered.items() if count >= step + self.after)
+        return sum(1 << j for j in found)
 
 
 @checks("explainee")
@@ -223,7 +381,61 @@ class _Heedless(Person):
         return bool(stream(self.seed, what, message, time).random() < chance)
 
 
-class Stranger(Exact):
-    """Users as in the paper, but of types that were not among the observers: their facts behave
-    unlike those of every observed type. Who they are, the experiment draws
-    (:mod:`xplain.experiment.strangers`)."""
+class _Others(Exact):
+    as_observed = False
+
+
+class AllWrong(_Others):
+    """Users who believe every fact incorrectly."""
+
+    def others(
+        self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
+    ) -> tuple[UserType, ...]:
+        """As :class:`Explainee` has it."""
+        return (user_type(domain, "all wrong", [one.name for one in domain.parameters]),)
+
+
+class Union(_Others):
+    """Users who believe incorrectly what either of two types does."""
+
+    def others(
+        self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
+    ) -> tuple[UserType, ...]:
+        """As :class:`Explainee` has it."""
+        pairs = list(combinations(observed, 2))
+        drawn = [pairs[i] for i in rng.permutation(len(pairs))]
+        return tuple(
+            UserType(f"{a.name} and {b.name}", {**a.inaccurate, **b.inaccurate}) for a, b in drawn
+        )
+
+
+TRIES = 40
+"""Sets of facts drawn."""
+
+
+class Unseen(_Others):
+    """Users whose incorrect beliefs are a set that no observer had."""
+
+    def others(
+        self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
+    ) -> tuple[UserType, ...]:
+        """As :class:`Explainee` has it: sets drawn at random, of at most one fact more than a
+        type's."""
+        names = [parameter.name for parameter in domain.parameters]
+        most = min(max(len(one.inaccurate) for one in observed) + 1, len(names))
+        found: dict[tuple[str, ...], UserType] = {}
+        for _ in range(TRIES):
+            size = int(rng.integers(1, most + 1))
+            facts = tuple(names[j] for j in sorted(rng.choice(len(names), size, replace=False)))
+            found[facts] = user_type(domain, f"unseen {'+'.join(facts)}", facts)
+        return tuple(found.values())
+
+
+class Backlash(_Others):
+    """Users who believe a fact incorrectly as soon as they are told of it, if they had it right."""
+
+    def others(
+        self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
+    ) -> tuple[UserType, ...]:
+        """As :class:`Explainee` has it."""
+        return tuple(replace(one, name=f"{one.name}, backlash", backlash=True) for one in observed)

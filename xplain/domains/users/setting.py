@@ -6,7 +6,7 @@ Many types and message sets share one model of the task; each distinct model is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -24,10 +24,22 @@ MAX_MODELS = 1 << 14
 
 @dataclass(frozen=True)
 class UserType:
-    """What users of a type hold inaccurately: ``{parameter: their value}``."""
+    """What users of a type hold inaccurately: ``{parameter: their value}``.
+
+    Attributes:
+        name, inaccurate: see above.
+        backlash: a message about any other parameter makes them hold it inaccurately.
+    """
 
     name: str
     inaccurate: Mapping[str, Any]
+    backlash: bool = False
+
+    def after(self, names: Sequence[str], told: Collection[str]) -> list[str]:
+        """Those of these parameters that they hold inaccurately once they were told of some."""
+        if self.backlash:
+            return [name for name in names if (name in self.inaccurate) != (name in told)]
+        return [name for name in names if name in self.inaccurate and name not in told]
 
 
 @dataclass(frozen=True)
@@ -38,7 +50,7 @@ class Setting:
         domain, types: as given.
         models: the distinct models; the first is the robot's.
         optimal: the optimal actions [S, A] of each, by index.
-        bits: for each type, the positions of the messages that correct it.
+        bits: for each type, the positions of the messages that change what it believes.
         table: for each type, [2^len(bits)] index of its model after each set of these messages.
     """
 
@@ -68,12 +80,14 @@ class Setting:
         for user_type in types:
             for name in user_type.inaccurate:
                 one_of(f"users.{user_type.name}", name, names, f"parameter of {domain.name}")
-        if sum(1 << len(user_type.inaccurate) for user_type in types) > MAX_MODELS:
+        heard = [names if t.backlash else [x for x in names if x in t.inaccurate] for t in types]
+        if sum(1 << len(own) for own in heard) > MAX_MODELS:
             raise TooLargeError(
                 f"users: the types' inaccurate parameters span more than {MAX_MODELS} task models; "
                 "use types with fewer inaccurate parameters"
             )
         accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
+        inaccurate = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
         index: dict[str, int] = {}
         models: list[mdp.TaskModel] = []
         whose: list[str] = []
@@ -88,12 +102,14 @@ class Setting:
 
         model_of(accurate, "the robot's model")
         bits, table = [], []
-        for user_type in types:
-            own = tuple(j for j, name in enumerate(names) if name in user_type.inaccurate)
+        for user_type, hears in zip(types, heard, strict=True):
+            own = tuple(names.index(name) for name in hears)
+            theirs = {**inaccurate, **user_type.inaccurate}
             row = np.empty(1 << len(own), dtype=np.int64)
             for given in range(len(row)):
-                wrong = [names[j] for i, j in enumerate(own) if not given >> i & 1]
-                values = accurate | {name: user_type.inaccurate[name] for name in wrong}
+                told = [name for i, name in enumerate(hears) if given >> i & 1]
+                wrong = user_type.after(names, told)
+                values = accurate | {name: theirs[name] for name in wrong}
                 row[given] = model_of(values, f"type {user_type.name} wrong on {wrong}")
             bits.append(own)
             table.append(row)
@@ -113,7 +129,8 @@ class Setting:
     @property
     def wrong(self) -> NDArray[np.float64]:
         """[M, n] 1 where a type holds a fact wrong, else 0."""
-        return np.array([[j in own for j in range(self.n_messages)] for own in self.bits], float)
+        names = self.message_names
+        return np.array([[name in one.inaccurate for name in names] for one in self.types], float)
 
     def model_index(self, user_type: int, message_sets: NDArray[np.int64]) -> NDArray[np.int64]:
         """The model that a type holds after each of these message sets: [P] → [P]."""

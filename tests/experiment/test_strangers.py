@@ -1,0 +1,57 @@
+"""Users of types that no observer is of think by the task as their own beliefs have it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from xplain.experiment.config import composed
+from xplain.experiment.from_config import components_of
+from xplain.experiment.pipeline import prepare
+from xplain.experiment.strangers import with_others
+from xplain.interaction.explainees import AllWrong, Backlash, Explainee, Union, Unseen
+
+TRUE = ("domain=rescue", "labeler=truth", "clusterer=perfect", "traces=3")
+RESCUE = {
+    "A": {"fire", "rubble"},
+    "B": {"first_aid", "fence"},
+    "C": {"fire", "puddle"},
+    "D": {"first_aid", "rubble"},
+    "E": {"refuel", "puddle"},
+}
+
+
+def wrong_of(explainee: Explainee, name: str, told: set[str]) -> set[str]:
+    """What the user of this name believes incorrectly, told these messages."""
+    match explainee:
+        case AllWrong():
+            return set.union(*RESCUE.values()) - told
+        case Union():
+            one, other = name.split(" and ")
+            return (RESCUE[one] | RESCUE[other]) - told
+        case Unseen():
+            return set(name.removeprefix("unseen ").split("+")) - told
+    return RESCUE[name.removesuffix(", backlash")] ^ told
+
+
+@pytest.mark.parametrize("explainee", [AllWrong(), Union(), Unseen(), Backlash()])
+def test_their_labels_are_those_of_the_task_that_they_believe_in(explainee: Explainee) -> None:
+    components = components_of(composed("config", TRUE))
+    prepared = prepare(components)
+    others = with_others(prepared, components, explainee)
+    domain, names = components.domain, prepared.messages
+    assert others.types
+    for t, name in enumerate(others.types):
+        assert others.distinct[t] not in prepared.distinct
+        for given in (0, 1, 21, 63):
+            told = {names[j] for j in range(6) if given >> j & 1}
+            wrong = wrong_of(explainee, name, told)
+            values = {
+                one.name: one.inaccurate if one.name in wrong else one.accurate
+                for one in domain.parameters
+            }
+            model = domain.model(values)
+            optimal = model.solve([model], ["them"])
+            for case in others.cases:
+                labels = case.labels.label_probabilities(len(case.transitions), given)[t]
+                assert np.array_equal(labels, optimal.labels(case.transitions)[0])
