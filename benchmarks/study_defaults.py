@@ -23,13 +23,12 @@ from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Explainee, Slips
+from xplain.people.material import fixed
 from xplain.people.study.flow import Study
-from xplain.people.study.known_types import learned_types
 from xplain.people.study.plan import PERSONALIZED
 from xplain.people.study.policies import at_work
 from xplain.people.study.prepare import drafted
-from xplain.people.study.task import OfDomain
-from xplain.people.wording import fixed
+from xplain.people.study.task import OfDomain, learned_types
 from xplain.randomness import derived_seed
 
 FIRST = 9600

@@ -30,14 +30,13 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.people.server_process import ServerProcess
 from xplain.experiment.config import composed
+from xplain.people.bots import Browser, Page, Researcher, Visitor
 from xplain.people.collect.bot import Habits as Answers
 from xplain.people.collect.bot import bot
 from xplain.people.collect.prepare import collect_plan
 from xplain.people.collect.site import CollectSite
-from xplain.people.server.site import Site
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import Researcher
-from xplain.people.simulation.browser import Browser, Page, Visitor
+from xplain.people.site import Site
+from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite

@@ -25,15 +25,15 @@ from xplain.interaction.statistics import clustered_mean
 from xplain.learning.data.label_file import write_table
 from xplain.people.collect.bot import Habits as Observing
 from xplain.people.collect.bot import crowd, truth_of
-from xplain.people.collect.labels import dataset_of, why_left_out
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, source_of
+from xplain.people.collect.tables import dataset_of, why_left_out
+from xplain.people.material import fixed
 from xplain.people.study.analysis import CONDITIONS
 from xplain.people.study.bot import Habits, Measures, take_part
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
-from xplain.people.wording import fixed
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
 

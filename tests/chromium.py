@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from xplain.errors import InputError
+from xplain.people.bots import Page, Visitor, walk
 from xplain.people.flow import Fields
-from xplain.people.simulation.browser import Page, Visitor, walk
 
 FLAGS = (
     "--headless=new",
@@ -124,7 +124,7 @@ def take_part(
     look: Callable[[Page], None] = lambda page: None,
 ) -> str:
     """From the page that is open after :func:`go_in` to the end; see
-    :func:`xplain.people.simulation.browser.walk`."""
+    :func:`xplain.people.bots.walk`."""
 
     def answered(page: Page, fields: Fields) -> Page:
         answer(driver, page, fields)

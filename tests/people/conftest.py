@@ -12,10 +12,10 @@ from flask.testing import FlaskClient
 from tests.people.study.conftest import person as person
 from tests.people.study.conftest import study as study
 from tests.people.visitors import GENEROUS, Visitor
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
+from xplain.people.store import Store
 from xplain.people.study.flow import Study
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 
 @pytest.fixture

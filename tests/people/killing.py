@@ -13,9 +13,8 @@ import numpy as np
 
 from tests.people.server_process import ServerProcess
 from xplain.errors import InputError
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import Researcher
-from xplain.people.simulation.browser import Browser, Page
+from xplain.people.bots import Browser, Page, Researcher
+from xplain.people.store import Store
 
 RATE = (
     *("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6"),

@@ -11,15 +11,14 @@ import numpy as np
 from tests.people.collect import stand_in as collecting
 from tests.people.study import stand_in as studying
 from tests.people.visitors import GENEROUS, Visitor
+from xplain.people.bots import Bot, visit
 from xplain.people.collect.bot import Observer
 from xplain.people.collect.site import CollectSite
-from xplain.people.server.app import create_app
-from xplain.people.server.site import Site
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import Bot
-from xplain.people.simulation.browser import visit
+from xplain.people.site import Site
+from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 KINDS = ("study", "collect")
 ASKING = "asking"

@@ -12,7 +12,7 @@ import pytest
 from tests.people.killing import survive
 from tests.people.study.stand_in import ASK, FAULTLESS, street_study
 from tests.people.test_dry_runs import everything_replays
-from xplain.people.server.store import Store
+from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.site import StudySite
 from xplain.people.study.tables import export

@@ -34,9 +34,8 @@ from tests.people.kinds import ASKING, site_of
 from tests.people.server_process import ROOT, ServerProcess
 from tests.people.study.stand_in import FAULTLESS, street_study
 from xplain.cli.main import main
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import Researcher
-from xplain.people.simulation.browser import Page
+from xplain.people.bots import Page, Researcher
+from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.prepare import study_plan

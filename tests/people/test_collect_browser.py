@@ -17,13 +17,12 @@ from tests.people.test_browser import By, complaints, look_at, moved_on
 from tests.people.test_browser import axe as axe
 from tests.people.test_browser import driver as driver
 from xplain.cli.main import main
+from xplain.people.bots import Page, Researcher
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectRules
 from xplain.people.collect.site import CollectSite
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import Researcher
-from xplain.people.simulation.browser import Page
+from xplain.people.store import Store
 from xplain.questions.designs import Adaptive
 
 pytestmark = pytest.mark.browser
@@ -39,7 +38,7 @@ def rescue() -> Collection:
     """The rescue task with clips of two steps and the lab's questions."""
     from xplain.experiment.config import composed
     from xplain.people.collect.prepare import assemble, source_of
-    from xplain.people.wording import fixed
+    from xplain.people.material import fixed
 
     questions = (
         "wording.questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"

@@ -27,15 +27,14 @@ from xplain.cli.main import main
 from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
 from xplain.learning.saved import LearnedTypes
+from xplain.people.bots import Browser, Refusal, Researcher, visit
 from xplain.people.collect.site import CollectSite
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import Researcher
-from xplain.people.simulation.browser import Browser, Refusal, visit
+from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.site import StudySite
 from xplain.people.study.tables import export
+from xplain.people.web import create_app
 
 
 @pytest.fixture

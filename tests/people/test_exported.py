@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from xplain.people.analysis.export import defused, described
+from xplain.people.export import defused, described
 
 CODEBOOK = {"who": "who it is", "stated_…": "of each fact", "number": "how many"}
 

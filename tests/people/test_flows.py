@@ -15,10 +15,9 @@ from werkzeug.datastructures import MultiDict
 
 from tests.people.kinds import KINDS, bot_of, site_of
 from xplain.errors import Refused
-from xplain.people.flow import State
+from xplain.people.bots import answer
+from xplain.people.flow import State, small
 from xplain.people.plan import LabQuestion
-from xplain.people.simulation.bots import answer
-from xplain.people.stages import small
 
 ADMITTED: dict[str, dict[str, Any]] = {
     "study": {"position": 0, "user_type": 0, "condition": "personalized"}

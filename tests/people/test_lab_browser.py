@@ -21,10 +21,9 @@ from tests.people.test_browser import axe as axe
 from tests.people.test_browser import driver as driver
 from xplain import Explainer, LearnedTypes
 from xplain.cli.main import main
+from xplain.people.bots import Page, Researcher
 from xplain.people.collect.bot import bot
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.simulation.bots import Researcher
-from xplain.people.simulation.browser import Page
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
 

@@ -17,8 +17,8 @@ from tests.people.test_replay import snapshot as snapshot
 from xplain.cli.commands import COMMANDS
 from xplain.cli.main import main
 from xplain.errors import InputError, XplainError
-from xplain.people.analysis.stored import read_plan
-from xplain.people.server.store import Store
+from xplain.people.export import read_plan
+from xplain.people.store import Store
 
 
 def planned(snapshot: Path, **changes: Any) -> None:

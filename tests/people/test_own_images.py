@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from xplain.errors import InputError
-from xplain.people.own_table import own_table
+from xplain.people.material import own_table
 
 FACTS = "fact,message,belief\ncable,Cables are fine.,Cables stop it.\n"
 

@@ -22,8 +22,8 @@ from tests.chromium import (
 )
 from tests.people.server_process import ServerProcess
 from tests.people.study.stand_in import street_study
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import Researcher
+from xplain.people.bots import Researcher
+from xplain.people.store import Store
 from xplain.people.study.site import StudySite
 
 pytest.importorskip("selenium", reason="selenium is not installed")

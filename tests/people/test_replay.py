@@ -13,12 +13,10 @@ from tests.people.kinds import KINDS, filled, site_of
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.cli.main import main
 from xplain.experiment.config import composed
-from xplain.people.analysis.stored import opened
-from xplain.people.server.app import create_app
-from xplain.people.server.database import Database
-from xplain.people.server.participant_pages import TAB_KINDS
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Page
+from xplain.people.bots import Page
+from xplain.people.export import opened
+from xplain.people.store import Database, Store
+from xplain.people.web import TAB_KINDS, create_app
 
 LATE = "WHERE kind = 'labels' AND number = (SELECT max(number) FROM event WHERE kind = 'labels')"
 EVERYWHERE = {

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from xplain.errors import InputError
-from xplain.people.analysis.stored import plan_of, read_plan, reading
+from xplain.people.export import plan_of, read_plan, reading
 from xplain.people.study.plan import StudyPlan
 
 

@@ -17,22 +17,22 @@ from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.learning.saved import LearnedTypes
+from xplain.people.bots import Visitor as Bot
+from xplain.people.bots import visit
 from xplain.people.collect.bot import Habits, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectRules
 from xplain.people.collect.prepare import assemble, source_of
 from xplain.people.collect.site import CollectSite
 from xplain.people.collect.tables import export
-from xplain.people.server.app import create_app
-from xplain.people.server.site import Site
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Visitor as Bot
-from xplain.people.simulation.browser import visit
+from xplain.people.material import fixed
+from xplain.people.site import Site
+from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
-from xplain.people.wording import fixed
+from xplain.people.web import create_app
 from xplain.questions.designs import Adaptive
 
 

@@ -9,9 +9,9 @@ from typing import Any
 from flask.testing import FlaskClient
 from werkzeug.datastructures import MultiDict
 
-from xplain.people.server.http import Server
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Browser, Page
+from xplain.people.bots import Browser, Page
+from xplain.people.http import Server
+from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 
 GENEROUS = Server(("invitation", "open"), burst=1e9, visitor_burst=1e9, blinded=False)

@@ -23,8 +23,8 @@ from xplain.errors import InputError, XplainError, first_line, mapping, one_of, 
 from xplain.experiment.config import composed
 
 if TYPE_CHECKING:
-    from xplain.people.server.http import Server
-    from xplain.people.server.site import Site
+    from xplain.people.http import Server
+    from xplain.people.site import Site
 
 
 def site(name: str) -> type[Site[Any]]:
@@ -55,7 +55,7 @@ def serve(name: str, words: list[str]) -> None:
     The first start fixes it in its database; later starts go on with it. One worker process with
     threads: it alone has the database open. How a lab does it: docs/study.md, docs/collect.md.
     """
-    from xplain.people.server.http import LOOPBACK
+    from xplain.people.http import LOOPBACK
 
     cfg = configured(name, words)
     # Before the work of a plan: a key that cannot be is refused at once.
@@ -108,8 +108,8 @@ def server_of(cfg: DictConfig) -> Server:
     Raises:
         InputError: a key that cannot be.
     """
+    from xplain.people.http import Server
     from xplain.people.plan import typed
-    from xplain.people.server.http import Server
 
     for key, most in (("port", 65535), ("threads", 256)):
         whole_number(key, cfg[key], 1, most)
@@ -125,8 +125,8 @@ def server_of(cfg: DictConfig) -> Server:
 
 def running(name: str, cfg: DictConfig, path: Path, kind: type[Site[Any]]) -> Any:
     """The plan in the database, or a new one. Names the keys of ``cfg`` that it does not follow."""
-    from xplain.people.analysis.stored import read_plan
-    from xplain.people.wording import fixed
+    from xplain.people.export import read_plan
+    from xplain.people.material import fixed
 
     plan = read_plan(path, kind.PLAN)
     if plan is None:
@@ -150,9 +150,9 @@ def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: Dict
     """Serves until it is stopped."""
     from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
 
-    from xplain.people.server.app import create_app
-    from xplain.people.server.security import Keys
-    from xplain.people.server.store import Store
+    from xplain.people.http import Keys
+    from xplain.people.store import Store
+    from xplain.people.web import create_app
 
     host = f"[{cfg.host}]" if ":" in cfg.host else cfg.host
 
@@ -242,7 +242,7 @@ def bots(
     """
     from requests import RequestException
 
-    from xplain.people.simulation.bots import Researcher, crowd
+    from xplain.people.bots import Researcher, crowd
 
     own = import_module(f"xplain.people.{name}.bot")
     options = [
@@ -278,7 +278,7 @@ def export(name: str, database: Path, folder: Path, identifiers: Path | None) ->
     """
     digest = site(name).export(database, folder)
     if identifiers:
-        from xplain.people.analysis.export import write_identifiers
+        from xplain.people.export import write_identifiers
 
         write_identifiers(database, identifiers)
     print(f"tables and codebook in {folder}\nSHA-256 of events.csv: {digest}")
@@ -294,7 +294,7 @@ def backup(name: str, database: Path, file: Path) -> None:
 
     To restore it, put both files in the place of the old ones while no server runs.
     """
-    from xplain.people.analysis.stored import copied
+    from xplain.people.export import copied
 
     copied(database, file)
     print(f"backup in {file}, its key in {file}.key: keep both secret")
@@ -318,7 +318,7 @@ def erase(name: str, database: Path, reference: str) -> None:
     """
     if not database.is_file():
         raise InputError("database", str(database), site(name).PLAN.OF + "'s database")
-    from xplain.people.server.database import Database
+    from xplain.people.store import Database
 
     with closing(Database(database)) as opened:
         opened.erase(reference)
@@ -335,7 +335,7 @@ def replay(name: str, database: Path) -> None:
 
     The database is one that no server has open. Exit code 1 where anything differs.
     """
-    from xplain.people.analysis.stored import plan_of, reading
+    from xplain.people.export import plan_of, reading
 
     kind = site(name)
     with reading(database) as connection:
@@ -366,7 +366,8 @@ def habits(name: str, database: Path, stream: str) -> None:
     """
     from xplain.explanation.listening import learned_habits
 
-    listening = import_module(f"xplain.people.{name}.listening")
+    module = {"study": "tables", "collect": "listening"}[name]
+    listening = import_module(f"xplain.people.{name}.{module}")
     listeners = listening.listeners_in(database, stream)
     found = learned_habits(listeners)
     print(f"{len(listeners)} participants: rates, and how many people have them")
@@ -388,9 +389,9 @@ def preregister(database: Path, out: Path | None) -> None:
 
     DATABASE holds a study that was started once: what is registered is what runs.
     """
-    from xplain.people.analysis.stored import read_plan
+    from xplain.people.export import read_plan
+    from xplain.people.study.analysis import document
     from xplain.people.study.plan import StudyPlan
-    from xplain.people.study.preregistration import document
 
     plan = read_plan(database, StudyPlan)
     if plan is None:
@@ -420,8 +421,7 @@ def analyse(folder: Path, stream: str, exclude: Path | None, seed: int, out: Pat
     """
     from rich.console import Console
 
-    from xplain.people.study.analysis import analyses, exclusions, read
-    from xplain.people.study.report import save, show
+    from xplain.people.study.analysis import analyses, exclusions, read, save, show
 
     found = analyses(read(folder), stream, exclusions(exclude), seed=seed)
     out = out or folder

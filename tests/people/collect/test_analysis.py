@@ -13,23 +13,23 @@ import pytest
 from tests.people.collect.stand_in import FAULTLESS, street_collection
 from xplain.errors import InputError
 from xplain.learning.data.label_file import read_table, write_table
-from xplain.people.analysis.stored import opened, plan_of
+from xplain.people.bots import answer
 from xplain.people.collect.asking import ATTENTION, CollectState, shared
 from xplain.people.collect.bot import Habits, bot, take_part
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.labels import (
+from xplain.people.collect.plan import CollectPlan
+from xplain.people.collect.site import CollectSite
+from xplain.people.collect.tables import (
     compared,
     dataset_of,
     expected_new,
+    export,
     fact_sets,
     found_types,
     why_left_out,
 )
-from xplain.people.collect.plan import CollectPlan
-from xplain.people.collect.site import CollectSite
-from xplain.people.collect.tables import export
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import answer
+from xplain.people.export import opened, plan_of
+from xplain.people.store import Store
 from xplain.people.study.site import StudySite
 
 COLLECTION = street_collection()
@@ -233,7 +233,7 @@ def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
 def test_a_studys_database_is_not_a_collections(tmp_path: Path) -> None:
     from tests.people.study.stand_in import street_study
     from xplain.errors import XplainError
-    from xplain.people.analysis.stored import read_plan
+    from xplain.people.export import read_plan
     from xplain.people.study.plan import StudyPlan
 
     Store(tmp_path / "s.sqlite", StudySite(street_study())).close()

@@ -19,6 +19,7 @@ from xplain.errors import InputError
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.listening import PRIOR_PEOPLE, learned_habits
 from xplain.explanation.message_sets import indices
+from xplain.people.bots import Page
 from xplain.people.collect import bot
 from xplain.people.collect.asking import (
     HEEDED,
@@ -29,8 +30,7 @@ from xplain.people.collect.asking import (
 )
 from xplain.people.collect.bot import Observer, take_part
 from xplain.people.collect.listening import Asked, asked_of, listeners_in
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Page
+from xplain.people.store import Store
 
 MESSAGES = 3
 COLLECTION = street_collection(listening=MESSAGES)

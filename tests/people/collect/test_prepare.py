@@ -16,10 +16,10 @@ from xplain.cli.people import configured
 from xplain.errors import InputError
 from xplain.experiment.config import CONF
 from xplain.people.collect.bot import Habits, crowd, truth_of
-from xplain.people.collect.labels import fact_sets
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble
-from xplain.people.own_table import own_table, read_facts
+from xplain.people.collect.tables import fact_sets
+from xplain.people.material import own_table, read_facts
 from xplain.questions.designs import Battery
 
 TABLE = """text,image,alt,inexplicable_if,floor,place
@@ -189,7 +189,7 @@ def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> N
 
     from xplain.experiment.config import composed
     from xplain.people.collect.prepare import source_of
-    from xplain.people.wording import fixed
+    from xplain.people.material import fixed
 
     cfg = composed("collect", [f"domain={domain}"])
     config: dict[str, Any] = fixed(cfg)

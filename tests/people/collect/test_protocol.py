@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from tests.people.collect.stand_in import FAULTLESS, street_collection, telling
 from tests.people.kinds import filled, site_of
 from xplain.errors import InputError, XplainError
+from xplain.people.bots import answer
 from xplain.people.collect import flow
 from xplain.people.collect.asking import (
     ATTENTION,
@@ -28,12 +29,11 @@ from xplain.people.collect.asking import (
 )
 from xplain.people.collect.bot import Habits, Observer, take_part
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.labels import dataset_of
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.collect.site import CollectSite
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import answer
-from xplain.people.stages import CANNOT_TELL
+from xplain.people.collect.tables import dataset_of
+from xplain.people.flow import CANNOT_TELL
+from xplain.people.store import Store
 from xplain.questions.designs import Adaptive, Battery
 
 COLLECTION = street_collection()

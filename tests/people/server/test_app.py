@@ -9,12 +9,11 @@ import numpy as np
 from flask.testing import FlaskClient
 
 from tests.people.visitors import Visitor, enter, field
-from xplain.people.server.app import create_app
-from xplain.people.server.http import GUESSES, Server
-from xplain.people.server.security import Keys
-from xplain.people.server.store import Store
+from xplain.people.http import GUESSES, Keys, Server
+from xplain.people.store import Store
 from xplain.people.study.flow import Study
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 
 def test_headers_keep_browsers_strict(client: FlaskClient, store: Store) -> None:

@@ -14,12 +14,12 @@ from tests.people.kinds import ASKING, site_of
 from tests.people.server.test_researcher_pages import logged_in
 from tests.people.study.stand_in import ASK, FAULTLESS, street_study
 from tests.people.visitors import GENEROUS, Visitor, pages
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import answer
+from xplain.people.bots import answer
+from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import StudyState
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 
 @pytest.fixture

@@ -17,16 +17,16 @@ import pytest
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan, telling
 from tests.people.study.stand_in import PLACES
 from tests.people.visitors import GENEROUS, Visitor, enter, field
+from xplain.people.bots import Page
 from xplain.people.collect.asking import CollectState, belief, schedule
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.labels import KnownSoFar
 from xplain.people.collect.site import CollectSite
+from xplain.people.collect.tables import KnownSoFar
+from xplain.people.http import Keys
 from xplain.people.plan import Picture
-from xplain.people.server.app import create_app
-from xplain.people.server.security import Keys
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Page
+from xplain.people.store import Store
+from xplain.people.web import create_app
 from xplain.questions.questionnaire import Questionnaire
 from xplain.runs.discovery import sentences_of
 

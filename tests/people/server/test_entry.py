@@ -17,15 +17,14 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from tests.people.study.stand_in import street_study
 from tests.people.visitors import GENEROUS, Visitor, enter, field
 from xplain.errors import InputError
-from xplain.people.analysis.export import write_identifiers
-from xplain.people.analysis.stored import copied
+from xplain.people import web as application
+from xplain.people.bots import Page
+from xplain.people.export import copied, write_identifiers
+from xplain.people.http import Server
 from xplain.people.plan import typed
-from xplain.people.server import app as application
-from xplain.people.server.app import create_app
-from xplain.people.server.http import Server
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Page
+from xplain.people.store import Store
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 SECRET = "s" * 40
 IDS = {"PROLIFIC_PID": "ann", "STUDY_ID": "s", "SESSION_ID": "x"}

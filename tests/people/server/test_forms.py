@@ -9,7 +9,7 @@ import pytest
 from flask.testing import FlaskClient
 
 from tests.people.visitors import Visitor, enter, field
-from xplain.people.server.store import Store
+from xplain.people.store import Store
 
 
 def test_forged_answers_are_turned_away_and_leave_no_trace(

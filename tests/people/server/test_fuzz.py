@@ -17,12 +17,12 @@ import pytest
 from tests.people.kinds import bot_of, site_of
 from tests.people.server_process import ServerProcess
 from tests.people.visitors import GENEROUS, Visitor, consent, pages
-from xplain.people.server.app import create_app
-from xplain.people.server.security import Keys
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import Researcher
+from xplain.people.bots import Researcher
+from xplain.people.http import Keys
+from xplain.people.store import Store
 from xplain.people.study.flow import Study
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 Send = Callable[[str, str, dict[str, str], bytes], int]
 ROUTES = (

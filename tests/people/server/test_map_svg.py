@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.people.study.stand_in import street_plan
-from xplain.people.server.map_svg import COLOURS, legend, picture
+from xplain.people.map_svg import COLOURS, legend, picture
 from xplain.people.study.flow import Study
 
 

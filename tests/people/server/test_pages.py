@@ -10,9 +10,9 @@ from flask import Flask
 
 from tests.people.kinds import KINDS, bot_of, site_of
 from tests.people.visitors import GENEROUS, Visitor, enter, pages
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Page
+from xplain.people.bots import Page
+from xplain.people.store import Store
+from xplain.people.web import create_app
 
 BEFORE = {
     "study": ("consent", "briefing", "training", "training", "ahead", "eligibility"),

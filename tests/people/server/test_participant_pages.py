@@ -13,18 +13,18 @@ import pytest
 from tests.people.study.stand_in import FAULTLESS, street_plan
 from tests.people.visitors import GENEROUS, Visitor, consent, enter, field, pages
 from xplain.errors import InputError
-from xplain.people.analysis.export import participants
+from xplain.people.bots import Page, visit
+from xplain.people.export import participants
+from xplain.people.http import Context, Server
+from xplain.people.map_svg import picture
 from xplain.people.plan import typed
-from xplain.people.server.app import create_app
-from xplain.people.server.http import Context, Server
-from xplain.people.server.map_svg import picture
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Page, visit
+from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import StudyState
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.site import StudySite
 from xplain.people.study.tables import steps_of
+from xplain.people.web import create_app
 
 
 def test_earlier_labels_stay_and_only_the_new_one_is_needed(

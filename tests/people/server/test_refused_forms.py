@@ -13,13 +13,13 @@ from tests.people.kinds import site_of
 from tests.people.study.stand_in import street_study
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.errors import InputError
-from xplain.people.analysis.export import defused
+from xplain.people.bots import Page
+from xplain.people.export import defused
+from xplain.people.http import Server
 from xplain.people.plan import LabQuestion, lab_questions, typed
-from xplain.people.server.app import create_app
-from xplain.people.server.http import Server
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Page
+from xplain.people.store import Store
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 ASKED = (
     {"name": "age", "label": "Age", "kind": "number", "low": 18, "high": 110},

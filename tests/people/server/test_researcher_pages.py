@@ -13,12 +13,11 @@ from flask.testing import FlaskClient
 
 from tests.people.visitors import GENEROUS, Visitor, consent, field
 from xplain.errors import Refused
-from xplain.people.server.app import create_app
-from xplain.people.server.database import Unknown
-from xplain.people.server.security import Keys
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import visit
+from xplain.people.bots import visit
+from xplain.people.http import Keys
+from xplain.people.store import Store, Unknown
 from xplain.people.study.bot import StudyBot
+from xplain.people.web import create_app
 
 
 def test_the_researchers_page_needs_its_key(store: Store, client: FlaskClient) -> None:

@@ -9,8 +9,8 @@ import pytest
 from flask import Flask
 
 from tests.people.visitors import Visitor, enter, field
-from xplain.people.server.security import MAX_BODY, SESSION, Keys, RateLimit, ReadToTheEnd
-from xplain.people.server.store import Store
+from xplain.people.http import MAX_BODY, SESSION, Keys, RateLimit, ReadToTheEnd
+from xplain.people.store import Store
 
 
 def test_nobody_can_be_somebody_else(

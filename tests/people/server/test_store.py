@@ -19,19 +19,17 @@ from tests.people.server.test_fuzz import records
 from tests.people.study.stand_in import FAULTLESS, street_plan, street_study
 from tests.people.visitors import GENEROUS, Visitor, consent
 from xplain.errors import InputError, Refused, XplainError
-from xplain.people.analysis.stored import read_plan
+from xplain.people.bots import visit
+from xplain.people.export import read_plan
 from xplain.people.flow import Conflict
-from xplain.people.server.app import create_app
-from xplain.people.server.database import MAX_TAB_EVENTS, Clock, Database, Gone, Unknown
-from xplain.people.server.http import Context, Server
-from xplain.people.server.security import Keys
-from xplain.people.server.site import Full
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import visit
+from xplain.people.http import Context, Keys, Server
+from xplain.people.site import Full
+from xplain.people.store import MAX_TAB_EVENTS, Clock, Database, Gone, Store, Unknown
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 
 class Time:

@@ -17,12 +17,12 @@ from tests.people.kinds import bot_of
 from tests.people.study.stand_in import ASK, CONFIG, english_words, street_plan
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.errors import InputError
+from xplain.people.bots import Page
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.site import CollectSite
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Page
+from xplain.people.store import Store
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 PLACES = ("bridge", "market", "school", "tunnel")
 

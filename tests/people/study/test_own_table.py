@@ -20,12 +20,12 @@ from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.labelers import FittedLabeler
 from xplain.learning.saved import LearnedTypes, SavedTable
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
+from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 
 def pixels(picture: bytes) -> bytes:

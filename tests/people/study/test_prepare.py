@@ -20,18 +20,17 @@ from xplain.experiment.config import composed
 from xplain.explanation.belief import Persistent
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import visit
+from xplain.people.bots import visit
+from xplain.people.material import named, phrases_of
+from xplain.people.store import Store
 from xplain.people.study import prepare
 from xplain.people.study.bot import StudyBot
-from xplain.people.study.content import needed
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import difference
-from xplain.people.study.prepare import study_plan
+from xplain.people.study.prepare import needed, study_plan
 from xplain.people.study.site import StudySite
 from xplain.people.study.task import OfDomain
-from xplain.people.wording import named, phrases_of
+from xplain.people.web import create_app
 
 
 def test_the_rescue_study_is_prepared_from_its_configuration() -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from tests.people.study.stand_in import CONFIG, street_plan, street_study
 from xplain.cli.main import main
-from xplain.people.server.store import Store
-from xplain.people.study.preregistration import document
+from xplain.people.store import Store
+from xplain.people.study.analysis import document
 from xplain.people.study.site import StudySite
 
 RULES = {"per_cell": 7, "max_attempts": 3, "timeout_minutes": 45, "recall": True, "min_width": 900}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from xplain.people import flow as core
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.stages import CANNOT_TELL
+from xplain.people.flow import CANNOT_TELL
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import stream
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from xplain.errors import Probability, Range, checks
 from xplain.explanation.message_sets import indices
+from xplain.people import bots
+from xplain.people.bots import Page
 from xplain.people.collect.asking import CollectState, shared
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import Fields
-from xplain.people.simulation import bots
-from xplain.people.simulation.browser import Page
 from xplain.randomness import stream
 
 

@@ -22,13 +22,15 @@ from xplain.people.collect.asking import (
     CollectState,
 )
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.flow import Flow, Form, Stage
-from xplain.people.stages import (
+from xplain.people.flow import (
     CANNOT_TELL,
     Consent,
+    Flow,
+    Form,
     LookingAhead,
     Practice,
     QuestionStage,
+    Stage,
     choices,
     small,
 )

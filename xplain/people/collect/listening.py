@@ -21,10 +21,10 @@ from xplain.errors import InputError
 from xplain.explanation.habits import Habits
 from xplain.explanation.knowledge import forget, say
 from xplain.explanation.message_sets import indices, subsets
-from xplain.people.analysis.stored import rows_of
 from xplain.people.collect.asking import ATTENTION, HEEDED, AskedClip, CollectState, prior
-from xplain.people.collect.labels import why_left_out
 from xplain.people.collect.plan import CollectPlan
+from xplain.people.collect.tables import why_left_out
+from xplain.people.export import rows_of
 
 FACT_SETS = 64
 """The likeliest of a person, by their answers to all questions; others are left out."""

@@ -23,9 +23,8 @@ from xplain.people.collect.plan import (
     CollectRules,
     Example,
 )
-from xplain.people.own_table import Source, own_table
+from xplain.people.material import Source, each, fixed, of_states, own_table, parts, way_of
 from xplain.people.plan import Fact, Told, lab_questions
-from xplain.people.wording import each, fixed, of_states, parts, way_of
 from xplain.questions.designs import Adaptive, Battery, battery
 from xplain.randomness import derived_seed, run_seed, stream
 

@@ -10,14 +10,13 @@ from typing import Any
 from markupsafe import Markup
 
 from xplain.errors import Refused
-from xplain.people.analysis.export import ParticipantRow
+from xplain.people import map_svg, site
 from xplain.people.collect.asking import FINISHED, CollectState, schedule, shared
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.labels import KnownSoFar, compared, found_types, why_left_out
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.collect.tables import export
-from xplain.people.server import map_svg, site
-from xplain.people.server.database import Do
+from xplain.people.collect.tables import KnownSoFar, compared, export, found_types, why_left_out
+from xplain.people.export import ParticipantRow
+from xplain.people.site import Do
 from xplain.randomness import stream
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from xplain.errors import Probability, Range, checks
 from xplain.explanation.message_sets import indices
+from xplain.people import bots
+from xplain.people.bots import Page
 from xplain.people.flow import Fields
-from xplain.people.simulation import bots
-from xplain.people.simulation.browser import Page
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
 from xplain.randomness import stream

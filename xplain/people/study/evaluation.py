@@ -25,8 +25,7 @@ from xplain.interaction.dialogue import (
     Labelled,
 )
 from xplain.people import flow as core
-from xplain.people.flow import Flow, Form, Stage
-from xplain.people.stages import CANNOT_TELL, OneLabel, choices, small
+from xplain.people.flow import CANNOT_TELL, Flow, Form, OneLabel, Stage, choices, small
 from xplain.people.study.plan import StudyPlan, StudyRole
 from xplain.solvers.base import Policy, messages_of
 

@@ -15,12 +15,13 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from xplain.errors import Refused
-from xplain.people.flow import Form, Stage
-from xplain.people.stages import (
+from xplain.people.flow import (
     Consent,
+    Form,
     LookingAhead,
     Practice,
     QuestionStage,
+    Stage,
     choice,
     choices,
     small,

@@ -3,35 +3,157 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from hydra.utils import instantiate
+from numpy.typing import NDArray
 from omegaconf import DictConfig
 
+from xplain.domains.base import Parameter
+from xplain.domains.users.setting import UserType
 from xplain.errors import InputError, one_of
 from xplain.experiment.explanations import Costs
 from xplain.explanation.asking import Limits, Pool, Questions
 from xplain.explanation.label_table import LabelTable
-from xplain.people.own_table import own_table
-from xplain.people.plan import lab_questions
-from xplain.people.study import content
-from xplain.people.study.known_types import Learned, fitting, learned_types
+from xplain.explanation.message_sets import indices
+from xplain.people.material import InWords, each, fixed, own_table, parts
+from xplain.people.plan import Fact, lab_questions
 from xplain.people.study.plan import (
     ASKING,
     PERSONALIZED,
     Clip,
     Known,
+    QuizQuestion,
+    Statement,
     StudyPlan,
+    StudyRole,
     StudyRules,
     Training,
 )
 from xplain.people.study.policies import difference
-from xplain.people.study.task import MayAsk, OfDomain, OfTable, ShownTask, StudyTask
-from xplain.people.wording import InWords, each, fixed, parts
+from xplain.people.study.task import (
+    Learned,
+    MayAsk,
+    OfDomain,
+    OfTable,
+    ShownTask,
+    StudyTask,
+    fitting,
+    learned_types,
+    needed,
+)
+
+NATURAL = "natural"
+"""Name of the role of people who are not briefed."""
+STATEMENTS = 2
+"""Of the quiz about what a type had to have corrected, and as many about something else."""
+
+
+def roles_of(
+    facts: Sequence[Fact],
+    parameters: Sequence[Parameter],
+    types: Sequence[UserType],
+    labels: NDArray[np.uint8],
+    wording: Mapping[str, Any],
+) -> tuple[StudyRole, ...]:
+    """What each type is told and asked.
+
+    Args:
+        facts: of the plan.
+        parameters: [n] of the domain.
+        types: N user types.
+        labels: [N, m, 2^n] their true labels of the trace.
+        wording: of the study. ``rewards``: for parameters that are the reward of an action, a
+            phrase for that action; the eligibility test then asks the paper's question (is the
+            reward ≥ 0?), and for the others which of two sentences the participant was told.
+            ``known``: what everybody is told. ``words``: of the questions.
+    """
+    known = tuple(Known(**one) for one in wording["known"])
+    roles = []
+    for t, user_type in enumerate(types):
+        wrong = tuple(j for j, fact in enumerate(facts) if fact.name in user_type.inaccurate)
+        roles.append(
+            StudyRole(
+                user_type.name,
+                wrong,
+                tuple(f.belief if j in wrong else f.message for j, f in enumerate(facts)),
+                _eligibility(parameters, facts, user_type, wording),
+                _quiz(facts, known, wrong, needed(labels[t]), t),
+            )
+        )
+    return tuple(roles)
+
+
+def natural_role(
+    facts: Sequence[Fact], known: Sequence[Known], labels: NDArray[np.uint8]
+) -> StudyRole:
+    """The one role of people as they are: no briefing, and a quiz about what simulated people need.
+
+    Args:
+        facts, known: of the plan.
+        labels: [M, m, 2^n] true labels of the trace, of the kinds of simulated people.
+    """
+    need = int(np.bitwise_or.reduce([needed(of_kind) for of_kind in labels]))
+    return StudyRole(NATURAL, (), (), (), _quiz(facts, known, (), need, 0))
+
+
+def _eligibility(
+    parameters: Sequence[Parameter],
+    facts: Sequence[Fact],
+    user_type: UserType,
+    wording: Mapping[str, Any],
+) -> tuple[QuizQuestion, ...]:
+    """A question a fact, with the answer of somebody who knows what this type was told."""
+    words, rewards, questions = wording["words"], wording["rewards"], []
+    for fact, parameter in zip(facts, parameters, strict=True):
+        value = user_type.inaccurate.get(parameter.name, parameter.accurate)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if parameter.name in rewards and number:
+            text = words["reward_question"].format(action=rewards[parameter.name])
+            options = (words["reward_good"], words["reward_bad"])
+            questions.append(QuizQuestion(text, options, 0 if value >= 0 else 1))
+        else:
+            # The two sentences in an order that does not give the answer away.
+            pair = sorted((fact.message, fact.belief))
+            told = fact.belief if parameter.name in user_type.inaccurate else fact.message
+            questions.append(QuizQuestion(words["which_told"], tuple(pair), pair.index(told)))
+    return tuple(questions)
+
+
+def _quiz(
+    facts: Sequence[Fact], known: Sequence[Known], wrong: tuple[int, ...], need: int, number: int
+) -> tuple[Statement, ...]:
+    """Two statements about facts that the type had to have corrected (then its other wrong ones,
+    then any), and two about something else: what everybody was told, or facts that it held right.
+
+    Of either two, one is true and one is not. What everybody was told sounds the other way round
+    (a true sentence is bad news there), so that going by how a sentence sounds is right as often
+    as not.
+
+    Args:
+        facts, known: of the plan.
+        wrong: facts that the type holds wrong.
+        need: bitmask of the facts that it had to have corrected.
+        number: of the type; odd ones get the other one of two for true.
+    """
+    order = list(dict.fromkeys([*indices(need), *wrong, *range(len(facts))]))
+    about = [(facts[j].name, facts[j].message, facts[j].belief) for j in order]
+    chosen, rest = about[:STATEMENTS], [about[i] for i, j in enumerate(order) if j not in wrong]
+    common = [(f"known_{i}", one.right, one.wrong) for i, one in enumerate(known)]
+    turned = common[number % len(common) :] + common[: number % len(common)] if common else []
+    every = dict.fromkeys([*turned, *rest, *about[::-1]])
+    others = [one for one in every if one not in chosen][:STATEMENTS]
+    statements = []
+    for group in (chosen, others):
+        for i, (name, right, false) in enumerate(group):
+            true = (i + number) % 2 == 0
+            statements.append(Statement(name, right if true else false, true))
+    return tuple(sorted(statements, key=lambda statement: not statement.true))
+
 
 LEAST_DIFFERENCE = 1.0
 """Messages by which the conditions differ, a participant, on average."""
@@ -155,7 +277,7 @@ def drafted(
     facts, known = own["facts"], tuple(Known(**one) for one in wording["known"])
     habits = instantiate(config["belief"]).habits(learned and learned.habits)
     before, asked = lab_questions(config["before"], config["questions"])
-    roles = content.roles_of(facts, seen.facts, types, seen.labels, wording)
+    roles = roles_of(facts, seen.facts, types, seen.labels, wording)
     problem = costs.problem(table, tuple(fact.name for fact in facts), names, shares)
     if may_ask:
         ask = config["ask"]
@@ -168,7 +290,7 @@ def drafted(
         rules=StudyRules(**config["rules"]),
         before=before,
         asked=asked,
-        roles=(content.natural_role(facts, known, seen.labels),) if natural else roles,
+        roles=(natural_role(facts, known, seen.labels),) if natural else roles,
         kinds=tuple(role.wrong for role in roles) if natural else (),
         trace=tuple(map(in_words, seen.trace)),
         path=seen.path,

@@ -13,10 +13,10 @@ import numpy as np
 from markupsafe import Markup
 
 from xplain.errors import Refused
-from xplain.people.analysis.export import ParticipantRow
+from xplain.people import map_svg, site
+from xplain.people.export import ParticipantRow
 from xplain.people.plan import Pictures
-from xplain.people.server import map_svg, site
-from xplain.people.server.database import Do
+from xplain.people.site import Do
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.people.study.policies import at_work, faultless

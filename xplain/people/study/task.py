@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from hydra.utils import instantiate
 from numpy.typing import NDArray
+from omegaconf import DictConfig
 
-from xplain.domains.base import changes_of, transition_features
+from xplain.domains.base import changes_of, transition_feature_names, transition_features
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError, whole_number
 from xplain.experiment.asking import Clips
+from xplain.experiment.pipeline import observe
 from xplain.explanation.asking import Pool, alike_first, nearest_first
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.learning.data.queries import sample_trace
-from xplain.learning.user_types import label_table
-from xplain.people.own_table import Source
+from xplain.learning.labelers import Labeler
+from xplain.learning.saved import LearnedTypes
+from xplain.learning.user_types import Perfect, label_table
+from xplain.people.material import Source, of_states, way_of
 from xplain.people.plan import Task, Told, Way
-from xplain.people.study import content
-from xplain.people.study.known_types import Learned
 from xplain.people.study.plan import Clip
-from xplain.people.wording import of_states, way_of
 from xplain.randomness import stream
 
 Rules = Mapping[str, Any]
@@ -223,8 +226,84 @@ def ranked(
         raise InputError("trace.min_steps", least, f"{longest} steps or fewer here")
 
     def worth(trace: NDArray[np.int64]) -> tuple[int, int]:
-        facts = sum(content.needed(of_type).bit_count() for of_type in labels(trace))
+        facts = sum(needed(of_type).bit_count() for of_type in labels(trace))
         return facts, -len(trace)
 
     distinct = {one.tobytes(): one for one in long}
     return sorted(distinct.values(), key=worth, reverse=True)
+
+
+def needed(labels: NDArray[np.uint8]) -> int:
+    """The smallest message set with which a type finds the whole trace explicable.
+
+    Args:
+        labels: [m, 2^n] the type's true labels.
+
+    Returns:
+        A bitmask; ties by message order. All messages together always do: then the type's model
+        is the robot's, and the trace is optimal in it.
+    """
+    explaining = np.flatnonzero(labels.all(axis=0))
+    return int(min(explaining, key=lambda mask: (int(mask).bit_count(), indices(int(mask)))))
+
+
+@dataclass(frozen=True)
+class Learned:
+    """Types as labels tell them.
+
+    Attributes:
+        names, labelers, shares: [N] of each type: its name, its labeler, its share of the people.
+        columns: positions of the features that the labelers know among the domain's.
+        habits: how people err, as far as their labels tell.
+    """
+
+    names: tuple[str, ...]
+    labelers: tuple[Labeler, ...]
+    shares: NDArray[np.float64]
+    columns: tuple[int, ...]
+    habits: Habits | None = None
+
+
+def learned_types(cfg: DictConfig) -> tuple[Setting, Learned]:
+    """The types that the policies know: those of a file (``types``), or learned from observers.
+
+    Raises:
+        InputError: the file's types know other features or messages than the domain has, or
+            participants shall be told what one type knows, and types are found: nothing says which
+            of them is whose.
+    """
+    domain, users, trainer = (instantiate(cfg[key]) for key in ("domain", "users", "labeler"))
+    finder = instantiate(cfg.clusterer, _partial_=True)(labeler=trainer)
+    if cfg.briefing == "assigned" and (cfg.types is not None or not isinstance(finder, Perfect)):
+        wanted = "none with types that were found, by types=FILE or another clusterer than perfect"
+        raise InputError("briefing", cfg.briefing, wanted)
+    names = transition_feature_names(domain)
+    if cfg.types is None:
+        observers, queries = instantiate(cfg.observers), instantiate(cfg.queries)
+        observed = observe(domain, users, observers, queries, cfg.seed)
+        assert observed.setting is not None
+        types = finder.find(observed, cfg.seed)
+        columns = tuple(range(len(names)))
+        habits = None if types.answers is None else types.answers.habits
+        learned = Learned(types.names, types.labelers, types.prior, columns, habits)
+        return observed.setting, learned
+    setting = Setting.build(domain, users.types(domain, stream(cfg.seed, "users")))
+    return setting, fitting(cfg.types, domain.name, setting.message_names, names)
+
+
+def fitting(path: str, name: str, messages: Sequence[str], features: Sequence[str]) -> Learned:
+    """The types of a file, for a task with these messages and features.
+
+    Raises:
+        InputError: they know others.
+    """
+    known = LearnedTypes.load(path)
+    for own, theirs, what in (
+        (tuple(messages), known.messages, "messages"),
+        (tuple(sorted(features)), tuple(sorted(known.feature_names)), "features"),
+    ):
+        if own != theirs:
+            wanted = f"types whose {what} are those of {name}: {', '.join(own)}"
+            raise InputError("types", f"{path}: {', '.join(theirs)}", wanted)
+    columns = tuple(features.index(one) for one in known.feature_names)
+    return Learned(known.names, known.labelers, known.prior, columns, known.habits)

@@ -9,12 +9,12 @@ import pytest
 
 from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import visit
+from xplain.people.bots import visit
+from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 
 @pytest.fixture(scope="package")

@@ -13,13 +13,12 @@ from tests.people.study.analysis.completed import completed
 from tests.people.study.stand_in import ASK, street_plan, street_study
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.cli.main import main
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import visit
-from xplain.people.study.analysis import MEASURES, analyses
+from xplain.people.bots import visit
+from xplain.people.store import Store
+from xplain.people.study.analysis import MEASURES, analyses, document
 from xplain.people.study.bot import Habits, StudyBot
-from xplain.people.study.preregistration import document
 from xplain.people.study.site import StudySite
+from xplain.people.web import create_app
 
 
 def test_costs_and_questions_are_those_of_the_log(

@@ -13,9 +13,9 @@ import pytest
 
 from tests.people.conftest import store as store
 from xplain.cli.main import main
-from xplain.people.server.store import Store
-from xplain.people.study.codebook import CODEBOOK
+from xplain.people.store import Store
 from xplain.people.study.flow import Study
+from xplain.people.study.tables import CODEBOOK
 
 
 def test_tables_say_what_their_codebook_says(

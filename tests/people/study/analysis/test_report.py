@@ -17,18 +17,20 @@ from scipy import stats
 from tests.people.study.analysis.completed import completed
 from xplain.cli.main import main
 from xplain.errors import InputError
-from xplain.people.analysis.export import described
+from xplain.people.export import described
 from xplain.people.study.analysis import (
     CONDITIONS,
     MEASURES,
+    TITLES,
     Analysis,
     analyse,
+    draw,
     exclusions,
     paper_table,
+    save,
+    show,
 )
-from xplain.people.study.codebook import CODEBOOK
-from xplain.people.study.report import TITLES, draw, save, show
-from xplain.people.study.tables import export
+from xplain.people.study.tables import CODEBOOK, export
 
 
 def test_streams_are_never_mixed(

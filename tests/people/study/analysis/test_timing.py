@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from xplain.people.analysis.export import ParticipantRow
+from xplain.people.export import ParticipantRow
 from xplain.people.study.flow import StudyState
 from xplain.people.study.tables import hidden, interaction, pages
 

@@ -140,7 +140,7 @@ def test_a_question_shows_what_was_said_and_wants_an_answer(asking: Study) -> No
 
 @pytest.mark.parametrize("noise", [0, 1])
 def test_bots_answer_questions_as_they_label(asking: Study, noise: int) -> None:
-    from xplain.people.simulation.browser import Page
+    from xplain.people.bots import Page
 
     plan = asking.plan
     for user_type, known, clip in product(range(3), range(16), range(4)):

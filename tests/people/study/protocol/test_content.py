@@ -9,11 +9,11 @@ from omegaconf import OmegaConf
 
 from tests.people.study.stand_in import TYPES
 from xplain.experiment.config import composed
+from xplain.people.material import worded
 from xplain.people.plan import facts_of
-from xplain.people.study import content
+from xplain.people.study import prepare as content
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
-from xplain.people.wording import worded
 
 
 def test_needed_messages_are_smallest(study: Study) -> None:

@@ -15,8 +15,8 @@ from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
+from xplain.people.flow import CANNOT_TELL
 from xplain.people.plan import LabQuestion, typed
-from xplain.people.stages import CANNOT_TELL
 from xplain.people.study.bot import take_part
 from xplain.people.study.flow import Study, StudyState
 from xplain.solvers.greedy import QMDP

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor, pages
-from xplain.people.server.app import create_app
-from xplain.people.server.store import Store
-from xplain.people.simulation.browser import Page
+from xplain.people.bots import Page
+from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import StudyState
+from xplain.people.web import create_app
 
 
 def test_a_message_that_was_missed_is_taken_in_when_it_is_said_again(

@@ -17,13 +17,13 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 from markupsafe import Markup
 
 from xplain.errors import Refused, XplainError
-from xplain.people.analysis.export import ParticipantRow
-from xplain.people.analysis.replay import Findings, replayed
+from xplain.people import map_svg
+from xplain.people.export import Findings, ParticipantRow, replayed
 from xplain.people.flow import Flow, State
 from xplain.people.plan import Pictures, StoredPlan
-from xplain.people.server import map_svg
-from xplain.people.server.database import Do
 
+Do = Callable[..., sqlite3.Cursor]
+"""Executes a statement within a transaction."""
 Query = Callable[[str], list[dict[str, Any]]]
 """Rows of a reading query."""
 F = TypeVar("F", bound=Flow[Any, Any])

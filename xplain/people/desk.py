@@ -26,20 +26,20 @@ from flask import (
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, Refused
-from xplain.people.analysis.export import write_identifiers
-from xplain.people.analysis.stored import STREAMS
-from xplain.people.server.http import (
+from xplain.people.export import STREAMS, write_identifiers
+from xplain.people.flow import small
+from xplain.people.http import (
+    COOKIE_PATH,
     LOOPBACK,
     PARTICIPANT,
     RESEARCHER,
+    SESSION,
     context,
     error_page,
     genuine,
     session,
     set_cookie,
 )
-from xplain.people.server.security import COOKIE_PATH, SESSION
-from xplain.people.stages import small
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
 MOST_INVITATIONS = 500

@@ -1,17 +1,20 @@
-"""The participants' pages. One address for all of them: it shows where the participant is, so
-reload, back button, a second tab or a restart of the server end up at the same place."""
+"""The application: the pages put together, and what every request passes through."""
 
 from __future__ import annotations
 
 import base64
+import logging
 import re
 import secrets
+import shutil
 from dataclasses import replace
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
+import jinja2
 from flask import (
     Blueprint,
+    Flask,
     Response,
     abort,
     make_response,
@@ -20,27 +23,39 @@ from flask import (
     request,
     url_for,
 )
+from jinja2 import ChoiceLoader, FileSystemLoader, pass_context
+from markupsafe import Markup
 from pydantic import BaseModel, Field, ValidationError
 from werkzeug.datastructures import MultiDict
+from werkzeug.exceptions import HTTPException
+from werkzeug.middleware.proxy_fix import ProxyFix
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import Refused
-from xplain.people.analysis.export import ParticipantRow
+from xplain.people.desk import pages as researcher_pages
+from xplain.people.export import ParticipantRow
 from xplain.people.flow import Conflict, Form
-from xplain.people.server.database import Gone, Unknown
-from xplain.people.server.http import (
+from xplain.people.http import (
     LOOPBACK,
+    MAX_BODY,
     PARTICIPANT,
+    BelowPath,
+    Context,
+    ReadToTheEnd,
+    Server,
     context,
     error_page,
     genuine,
+    headers,
     owner,
     read_cookie,
+    session,
     set_cookie,
 )
-from xplain.people.server.site import Full
+from xplain.people.site import Full
+from xplain.people.store import Gone, Store, Unknown
 
-pages = Blueprint("participant", __name__)
+participant_pages = Blueprint("participant", __name__)
 VISITOR = "visitor"
 """The cookie of somebody who has not entered yet; forms are bound to it."""
 TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
@@ -51,7 +66,7 @@ MOST_ANSWERS = 100_000
 # Entry -----------------------------------------------------------------------------------------
 
 
-@pages.get("/")
+@participant_pages.get("/")
 def entrance() -> AnyResponse:
     """Where invitations and recruiting platforms lead; changes nothing yet."""
     visitor = read_cookie(VISITOR)
@@ -73,7 +88,7 @@ def entrance() -> AnyResponse:
     return response
 
 
-@pages.post("/enter")
+@participant_pages.post("/enter")
 def enter() -> AnyResponse:
     """Admits, or leads back to where the participant was."""
     own = context()
@@ -118,7 +133,7 @@ def _current() -> ParticipantRow[Any]:
         abort(error_page(403, "no_invitation"))
 
 
-@pages.get("/study")
+@participant_pages.get("/study")
 def show() -> AnyResponse:
     """The page where the participant is."""
     return _page(_current())
@@ -152,7 +167,7 @@ def _page(
     return make_response(html, status)
 
 
-@pages.post("/study")
+@participant_pages.post("/study")
 def answer() -> AnyResponse:
     """Accepts an answer, once, and leads on. Says 303 (204 to scripts, which then go on by
     themselves) only when the answer is on the disk."""
@@ -189,7 +204,7 @@ def answer() -> AnyResponse:
     return redirect(url_for("participant.show"), 303)
 
 
-@pages.get("/consent.txt")
+@participant_pages.get("/consent.txt")
 def consent() -> AnyResponse:
     """A copy of the consent text to keep."""
     _current()
@@ -199,7 +214,7 @@ def consent() -> AnyResponse:
     return Response(f"{content}\n", mimetype="text/plain", headers=kept)
 
 
-@pages.get("/picture/<int:number>")
+@participant_pages.get("/picture/<int:number>")
 def picture(number: int) -> AnyResponse:
     """An image that belongs to the plan, of a transition."""
     _current()
@@ -210,7 +225,7 @@ def picture(number: int) -> AnyResponse:
     return Response(base64.b64decode(found.content), mimetype=found.media)
 
 
-@pages.post("/events")
+@participant_pages.post("/events")
 def events() -> AnyResponse:
     """A page's own events: seen, hidden, a label clicked. Changes no state."""
     found, own = _current(), context()
@@ -245,3 +260,103 @@ class Report(BaseModel, strict=True):
     token: str
     tab: str = Field(pattern=r"^[a-z0-9]{8,32}$")
     items: list[PageEvent] = Field(max_length=MAX_ITEMS)
+
+
+MARKED = ("participant.answer", "participant.events")
+"""Routes whose replies scripts take for an acknowledgement only with the server's mark: a proxy in
+between may answer anything."""
+RIGHT_TO_LEFT = ("ar", "arc", "ckb", "dv", "fa", "he", "ks", "ps", "sd", "ug", "ur", "yi")
+LEAST_FREE = 64 << 20
+"""Bytes on the disk below which the server calls itself not well."""
+log = logging.getLogger(__name__)
+FREE = ("static", "alive", "researcher.login")
+"""Routes that take nothing from anybody's limit; the login has one of its own, of wrong keys."""
+
+
+def create_app(store: Store, server: Server) -> Flask:
+    """The application for one open store."""
+    app = Flask(__name__)
+    # A character takes nine bytes on its way, at most: the page's own limit holds in any language.
+    longest = 9 * sum(question.max_length for question in store.site.plan.lab_questions)
+    app.config.update(
+        MAX_CONTENT_LENGTH=MAX_BODY + longest,
+        MAX_FORM_MEMORY_SIZE=MAX_BODY + longest,
+        MAX_FORM_PARTS=200,
+    )
+    own = app.extensions["study"] = Context(store, server)
+    templates = FileSystemLoader(store.site.TEMPLATES)
+    app.jinja_loader = ChoiceLoader([templates, app.jinja_loader])  # type: ignore[list-item]
+    app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
+    app.jinja_env.globals.update(
+        store.site.drawing()
+        | {"texts": store.site.plan.texts, "words": own.words, "mark": own.keys.mark}
+        | {"checked": checked, "direction": direction(own.words["language"])}
+    )
+    app.before_request(_limit)
+    app.after_request(_secure)
+    app.register_error_handler(HTTPException, _http_error)
+    app.register_error_handler(Exception, _failure)
+    app.add_url_rule("/alive", "alive", _alive)
+    app.register_blueprint(participant_pages)
+    app.register_blueprint(researcher_pages)
+    if server.proxies:
+        app.wsgi_app = ProxyFix(app.wsgi_app, server.proxies, server.proxies)  # type: ignore[method-assign]
+    if server.path:
+        app.wsgi_app = BelowPath(app.wsgi_app, server.path)  # type: ignore[method-assign]
+    app.wsgi_app = ReadToTheEnd(app.wsgi_app)  # type: ignore[method-assign]
+    return app
+
+
+def direction(language: str) -> str:
+    """In which direction a language is written: "rtl" or "ltr"."""
+    return "rtl" if language.lower().split("-")[0] in RIGHT_TO_LEFT else "ltr"
+
+
+@pass_context
+def checked(page: jinja2.runtime.Context, name: str, value: object) -> Markup:
+    """The attribute of a choice that was made in a refused form."""
+    return Markup(" checked" if str(value) in page["typed"].getlist(name) else "")
+
+
+def _alive() -> AnyResponse:
+    """Whether answers can be taken: the server runs, and its disk has room."""
+    free = shutil.disk_usage(context().store.path.parent).free
+    said, status = ("alive", 200) if free >= LEAST_FREE else (f"disk full: {free} bytes left", 503)
+    return Response(f"{said}\n", status, content_type="text/plain")
+
+
+def _limit() -> AnyResponse | None:
+    if request.endpoint in FREE:
+        return None
+    who, own = owner() or session(), context()
+    limit = own.participant_limit if who else own.visitor_limit
+    if limit.allows(who or request.remote_addr or "?"):
+        return None
+    response = error_page(429, "too_fast")
+    response.headers["Retry-After"] = "5"
+    return response
+
+
+def _secure(response: Response) -> Response:
+    """Adds the headers. Pages are never stored: back and reload ask the server again."""
+    kept = request.endpoint == "static" and response.status_code == 200
+    response.headers.update(headers(context().server.frames))
+    if request.endpoint in MARKED and response.status_code not in (429, 500):
+        response.headers["Study-Mark"] = context().keys.mark
+    response.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
+    if context().server.https:
+        response.headers["Strict-Transport-Security"] = "max-age=31536000"
+    return response
+
+
+def _http_error(error: HTTPException) -> AnyResponse:
+    if isinstance(error.code, int) and error.code >= 400:
+        texts = {404: "no_page", 405: "not_here", 413: "too_much"}
+        return error_page(error.code, texts.get(error.code, "not_understood"))
+    return error.get_response()
+
+
+def _failure(error: Exception) -> Response:
+    # Whatever went wrong, the participant gets a page; the log gets the traceback.
+    log.error("request failed", exc_info=error)
+    return error_page(500, "failed")

@@ -24,7 +24,7 @@ def _listed(cells: Iterable[Cell]) -> str:
 
 
 _ENVIRONMENT = Environment(
-    loader=PackageLoader("xplain.people.server"),
+    loader=PackageLoader("xplain.people"),
     autoescape=True,
     undefined=StrictUndefined,
     trim_blocks=True,
