@@ -186,21 +186,43 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
         which, decided = talks.begin(kind, person, request)
         return {"id": which, "next": decided}
 
-    @app.post("/sessions", status_code=201, response_model=Reply, tags=["explain"])
+    @app.post(
+        "/sessions",
+        status_code=201,
+        response_model=Reply,
+        response_model_exclude_unset=True,
+        tags=["explain"],
+    )
     def new_session(body: NewSession, given: Key) -> Any:
         check(given or body.key)
         return begin("session", body.person, body.model_dump(include={"trace", "expected_steps"}))
 
-    @app.post("/questionnaires", status_code=201, response_model=Reply, tags=["ask"])
+    @app.post(
+        "/questionnaires",
+        status_code=201,
+        response_model=Reply,
+        response_model_exclude_unset=True,
+        tags=["ask"],
+    )
     def new_questionnaire(body: NewQuestionnaire, given: Key) -> Any:
         check(given or body.key)
         return begin("questionnaire", body.person, {})
 
-    @app.post("/sessions/{which}/answers", response_model=Reply, tags=["explain"])
+    @app.post(
+        "/sessions/{which}/answers",
+        response_model=Reply,
+        response_model_exclude_unset=True,
+        tags=["explain"],
+    )
     def labels(which: str, body: Labels) -> Any:
         return receive("session", which, body)
 
-    @app.post("/questionnaires/{which}/answers", response_model=Reply, tags=["ask"])
+    @app.post(
+        "/questionnaires/{which}/answers",
+        response_model=Reply,
+        response_model_exclude_unset=True,
+        tags=["ask"],
+    )
     def answer(which: str, body: Labels) -> Any:
         return receive("questionnaire", which, body)
 
@@ -208,7 +230,12 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
         came = body.model_dump(include={"labels", "answer"}, exclude_none=True)
         return {"id": which, "next": talks.receive(kind, which, f"answer {body.number}", came)}
 
-    @app.post("/sessions/{which}/trace", response_model=Reply, tags=["explain"])
+    @app.post(
+        "/sessions/{which}/trace",
+        response_model=Reply,
+        response_model_exclude_unset=True,
+        tags=["explain"],
+    )
     def more(which: str, body: More) -> Any:
         came = body.model_dump(include={"transitions"})
         return {"id": which, "next": talks.receive("session", which, f"trace {body.after}", came)}

@@ -235,22 +235,34 @@ class Talks:
             Conflict: that person's talk began otherwise.
             InputError: it cannot begin so.
         """
+        who = person or f"p{secrets.token_hex(8)}"
+        seeded = {**request, "seed": derived_seed(self.task.seed, kind, who)}
+        if (known := self._begun(kind, who, seeded)) is not None:
+            return known
+        talk, which = KINDS[kind](self.task, seeded), f"{kind[0]}{secrets.token_hex(12)}"
+        decided = talk.reply("begin", seeded)  # outside the lock: planning takes a while
         with self._transaction():
-            who = person or f"p{secrets.token_hex(8)}"
-            found = self._sql.execute(
-                "SELECT id FROM talk WHERE kind = ? AND person = ?", (kind, who)
-            ).fetchone()
-            seeded = {**request, "seed": derived_seed(self.task.seed, kind, who)}
-            if found is not None:
-                first = self._rows(found[0], kind)[0]
-                if first.came != seeded:
-                    raise Conflict(f"person {who} began with other values")
-                return found[0], first.decided
-            talk, which = KINDS[kind](self.task, seeded), f"{kind[0]}{secrets.token_hex(12)}"
-            decided = talk.reply("begin", seeded)
+            if (known := self._begun(kind, who, seeded)) is not None:
+                return known
             self._sql.execute("INSERT INTO talk VALUES (?, ?, ?)", (which, kind, who))
             self._write(which, talk, Row("begin", seeded, decided), 0)
             return which, decided
+
+    def _begun(self, kind: str, person: str, request: Json) -> tuple[str, Json] | None:
+        """The id and the first decision of the talk that this person has, if any.
+
+        Raises:
+            Conflict: that talk began otherwise.
+        """
+        query = "SELECT id FROM talk WHERE kind = ? AND person = ?"
+        with self._lock:
+            found = self._sql.execute(query, (kind, person)).fetchone()
+            if found is None:
+                return None
+            first = self._rows(found[0], kind)[0]
+        if first.came != request:
+            raise Conflict(f"person {person} began with other values")
+        return found[0], first.decided
 
     def receive(self, kind: str, which: str, key: str, came: Json) -> Json:
         """Takes an answer (key "answer NUMBER") or more of a trace ("trace TRANSITIONS BEFORE"),

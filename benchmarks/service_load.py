@@ -1,0 +1,221 @@
+"""Load on `python -m xplain serve`: many open sessions, answers at a steady rate, and kill -9.
+
+    python benchmarks/service_load.py            1,000 open sessions, 20 answers a second; 10,000 sessions
+    python benchmarks/service_load.py --quick    30 open sessions, 3 s; 100 sessions
+
+For each task the script prints percentiles of the time from an answer's due time to the last byte
+of its reply. Answers come at random times (a Poisson process), whether or not earlier ones have
+been replied to; a session that is over is replaced by a new one, which is timed apart. Then it
+creates sessions, kills the service while it does so, starts it again, and compares: every
+acknowledged session must be there, with the reply that was given. It exits with 1 on any error.
+The clients run on the same machine and take their share of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import json
+import random
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from study_load import percentiles
+
+Json = dict[str, Any]
+CLIENTS = 16
+"""Connections that are used at the same time."""
+LABEL_1 = 0.85
+"""Probability that a label is 1. Nobody of any type answers so: the belief goes on moving."""
+
+
+class Service:
+    """The service as a process of its own, which can be killed and started again."""
+
+    def __init__(self, domain: str, folder: Path) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = int(free.getsockname()[1])
+        self.database = folder / f"{domain}.sqlite"
+        self.command = [sys.executable, "-m", "xplain", "serve", f"domain={domain}"]
+        self.command += [f"port={self.port}", f"database={self.database}"]
+        self.local = threading.local()
+        self.start()
+
+    def start(self) -> None:
+        """Starts it, and waits until it replies."""
+        self.process = subprocess.Popen(self.command, stderr=subprocess.DEVNULL)
+        while self.process.poll() is None:
+            try:
+                self.call("GET", "/task")
+                return
+            except OSError:
+                time.sleep(0.2)
+        sys.exit(f"{' '.join(self.command)} ended with {self.process.returncode}")
+
+    def kill(self) -> None:
+        """Kills it as a power cut would."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+    def call(self, method: str, path: str, content: Json | None = None) -> Json:
+        """One request on this thread's connection.
+
+        Raises:
+            OSError: there was no reply.
+            RuntimeError: the reply was a refusal.
+        """
+        known = getattr(self.local, "connection", None)
+        connection = known or http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        self.local.connection = None
+        try:
+            body = None if content is None else json.dumps(content)
+            connection.request(method, path, body)
+            reply = connection.getresponse()
+            text = reply.read()
+        except http.client.HTTPException as error:
+            raise OSError(str(error)) from error
+        self.local.connection = connection
+        if reply.status >= 400:
+            raise RuntimeError(f"{reply.status} {text[:200]!r}")
+        found: Json = json.loads(text)
+        return found
+
+
+class Crowd:
+    """People whose sessions are open, one session each."""
+
+    def __init__(self, service: Service, seed: int) -> None:
+        self.service, self.rng, self.lock = service, random.Random(seed), threading.Lock()
+        self.traces: list[list[int]] = service.call("GET", "/task")["traces"]
+        self.free: list[Json] = []
+        self.begun: list[float] = []
+        self.answered: list[float] = []
+        self.number = 0
+
+    def begin(self) -> None:
+        """Opens a session with somebody new."""
+        with self.lock:
+            self.number += 1
+            content = {"person": f"p{self.number}", "trace": self.rng.choice(self.traces)}
+        start = time.perf_counter()
+        talk = self.service.call("POST", "/sessions", content)
+        with self.lock:
+            self.begun.append(time.perf_counter() - start)
+            self.free.append(talk)
+
+    def answer(self, due: float) -> None:
+        """Answers what is open with somebody; where the trace is explained, somebody new comes."""
+        with self.lock:
+            talk = self.free.pop(self.rng.randrange(len(self.free)))
+            now = talk["next"]
+            labels = [int(self.rng.random() < LABEL_1) for _ in range(now.get("step") or 0)]
+        content = {"number": now["number"], "labels": labels}
+        talk = self.service.call("POST", f"/sessions/{talk['id']}/answers", content)
+        with self.lock:
+            self.answered.append(time.perf_counter() - due)
+        if talk["next"]["kind"] == "wait":
+            self.begin()
+        else:
+            with self.lock:
+                self.free.append(talk)
+
+
+def load(service: Service, people: int, rate: float, seconds: float) -> int:
+    """Answers at a steady rate; returns the number of errors."""
+    crowd = Crowd(service, seed=0)
+    with ThreadPoolExecutor(CLIENTS) as pool:
+        list(pool.map(lambda _: crowd.begin(), range(people)))
+        print(f"  {people} sessions opened:  {percentiles(crowd.begun)}")
+        crowd.begun.clear()
+        sent, due, end = [], time.perf_counter(), time.perf_counter() + seconds
+        while (due := due + crowd.rng.expovariate(rate)) < end:
+            time.sleep(max(0.0, due - time.perf_counter()))
+            sent.append(pool.submit(crowd.answer, due))
+    errors = [str(one.exception()) for one in sent if one.exception()]
+    print(f"  {len(crowd.answered)} answers:  {percentiles(crowd.answered)}")
+    if crowd.begun:
+        print(f"  {len(crowd.begun)} opened meanwhile:  {percentiles(crowd.begun)}")
+    print(f"  {len(errors)} errors  {'; '.join(sorted(set(errors))[:5])}")
+    return len(errors)
+
+
+def killed(service: Service, sessions: int) -> int:
+    """Creates sessions under kill -9; returns how many acknowledged ones are not as they were."""
+    traces = service.call("GET", "/task")["traces"]
+    acknowledged: dict[str, Json] = {}
+    back = threading.Event()
+    back.set()
+
+    def create(number: int) -> None:
+        content = {"person": f"k{number}", "trace": traces[number % len(traces)]}
+        while True:
+            try:
+                talk = service.call("POST", "/sessions", content)
+                acknowledged[talk["id"]] = talk["next"]
+                return
+            except OSError:
+                time.sleep(0.1)
+                back.wait()
+
+    start = time.perf_counter()
+    with ThreadPoolExecutor(CLIENTS) as pool:
+        pending = [pool.submit(create, number) for number in range(sessions)]
+        for part in (1, 2, 3):
+            while len(acknowledged) < sessions * part // 4:
+                time.sleep(0.05)
+            back.clear()
+            service.kill()
+            service.start()
+            back.set()
+        for one in pending:
+            one.result()
+    took = time.perf_counter() - start
+    service.kill()
+    with sqlite3.connect(service.database) as stored:
+        rows = stored.execute("SELECT talk, decided FROM event WHERE key = 'begin'").fetchall()
+        persons = stored.execute("SELECT person FROM talk").fetchall()
+    kept = {which: json.loads(decided) for which, decided in rows}
+    wrong = sum(kept.get(which) != decided for which, decided in acknowledged.items())
+    wrong += len(persons) - len(set(persons))
+    service.start()
+    again = random.Random(0).sample(sorted(acknowledged), min(200, len(acknowledged)))
+    for which in again:  # the service decides the same from the events
+        wrong += service.call("GET", f"/sessions/{which}")["next"] != acknowledged[which]
+    print(f"  {len(acknowledged)} sessions created under 3 kill -9 in {took:.0f} s, {wrong} wrong")
+    return wrong + sessions - len(acknowledged)
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--domain", choices=["rescue", "four_rooms"])
+    given = parser.parse_args()
+    people, seconds, sessions = (30, 3.0, 100) if given.quick else (1000, 60.0, 10_000)
+    errors = 0
+    for domain in [given.domain] if given.domain else ["rescue", "four_rooms"]:
+        print(f"{domain}: 20 answers a second")
+        with tempfile.TemporaryDirectory() as folder:
+            service = Service(domain, Path(folder))
+            try:
+                errors += load(service, people, 20.0, seconds)
+                errors += killed(service, sessions)
+            finally:
+                service.kill()
+    sys.exit(errors > 0)
+
+
+if __name__ == "__main__":
+    main()
