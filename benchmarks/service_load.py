@@ -1,6 +1,6 @@
 """Load on `python -m xplain serve`: many open sessions, answers at a steady rate, and kill -9.
 
-    python benchmarks/service_load.py            1,000 open sessions, 20 answers a second; 10,000 sessions
+    python benchmarks/service_load.py            1,000 open sessions, 60 s; 10,000 sessions
     python benchmarks/service_load.py --quick    30 open sessions, 3 s; 100 sessions
 
 For each task the script prints percentiles of the time from an answer's due time to the last byte
