@@ -81,9 +81,8 @@ class Service:
             RuntimeError: the reply was a refusal.
         """
         body = None if content is None else json.dumps(content)
-        known = getattr(self.local, "connection", None)
-        self.local.connection = None
-        for connection in [known] * (known is not None) + [self.connect()]:
+        kept: list[http.client.HTTPConnection] = self.local.__dict__.pop("kept", [])
+        for connection in [*kept, self.connect()]:
             try:
                 connection.request(method, path, body)
                 reply = connection.getresponse()
@@ -93,7 +92,7 @@ class Service:
                 lost = error  # the kept connection was idle for too long, or the service is gone
         else:
             raise OSError(str(lost)) from lost
-        self.local.connection = connection
+        self.local.kept = [connection]
         if reply.status >= 400:
             raise RuntimeError(f"{reply.status} {text[:200]!r}")
         found: Json = json.loads(text)
