@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import yaml
+
 ROOT = Path(__file__).resolve().parent.parent
 CONF, PAGE = ROOT / "conf", ROOT / "docs" / "config.md"
 
@@ -30,7 +32,7 @@ GROUPS = {
 }
 COMMANDS = ("discover", "observe", "questions", "plan", "export", "collect", "serve")
 """Commands with keys of their own."""
-UNTOLD = ("defaults", "hydra", "_convert_")
+UNTOLD = ("defaults", "hydra", "_convert_", "_target_")
 """Sections that are no settings of an experiment."""
 SENTENCES = ("message", "belief")
 """Fields of a domain's parameter that are words for people, as all below ``words`` are, not
@@ -97,11 +99,23 @@ def section(file: Path, prefix: str) -> str:
     while lines and lines[0].startswith("#"):
         about.append(lines.pop(0).removeprefix("#").removeprefix(" "))
     rows = list(keys(lines, "" if whole else prefix))
+    made = re.search(r"^(?:  )?_target_: (xplain\S+)", "\n".join(lines), re.MULTILINE)
+    if made:
+        about.append(f"Class: `{made[1]}`.")
+    if parent := parent_of(file):
+        about.append(f"All else is as with `{prefix[:-1]}={parent}`.")
+        rows = [row for row in rows if row.meaning]
     table = "\n".join(
         ["| key | default | meaning |", "|---|---|---|"]
         + [f"| `{row.path}` | {code(row.default)} | {cell(row.meaning)} |" for row in rows]
     )
     return "\n".join([paragraph(about), table if rows else "No settings.", ""])
+
+
+def parent_of(file: Path) -> str | None:
+    """The choice of the same group that this one changes, if it does."""
+    defaults = yaml.safe_load(file.read_text(encoding="utf-8")).get("defaults", [])
+    return next((one for one in defaults if isinstance(one, str) and one != "_self_"), None)
 
 
 def keys(lines: list[str], prefix: str) -> Iterator[Key]:
@@ -136,8 +150,6 @@ def keys(lines: list[str], prefix: str) -> Iterator[Key]:
         if value == "|":
             block, value = depth, "(several lines)"
         if value or told:
-            if found["key"] == "_target_":
-                told = told or "the class that is made"
             yield Key(prefix + ".".join(name for _, name in path), value, told)
 
 

@@ -78,9 +78,16 @@ def loaded(choice: str) -> DictConfig:
     """A file of conf/, among the keys it refers to: those of the base domain."""
     group, _ = choice.split("/")
     root = OmegaConf.load(CONF / "domain" / "rescue.yaml")
-    own = OmegaConf.load(CONF / f"{choice}.yaml")
-    root[group] = own[group] if group == "domain" else own
+    root[group] = with_parent(choice)[group] if group == "domain" else with_parent(choice)
     return root[group]
+
+
+def with_parent(choice: str) -> DictConfig:
+    """A file merged into that of the same group that it changes, if it does."""
+    own = OmegaConf.load(CONF / f"{choice}.yaml")
+    parents = [one for one in own.pop("defaults", ()) if isinstance(one, str) and one != "_self_"]
+    above = [with_parent(f"{choice.split('/')[0]}/{one}") for one in parents]
+    return OmegaConf.merge(*above, own)
 
 
 @pytest.mark.parametrize("choice", sorted(set(CHOICES) - VARIANTS))

@@ -72,12 +72,17 @@ they are, and are fitted to all labels."""
 
 @pytest.mark.parametrize(("group", "choice"), choices())
 def test_a_choice_lists_every_option_and_the_component_takes_it(group, choice):
-    if choice in ("taxi", "cliff_walking", "frozen_lake"):
+    if choice in ("gym", "taxi", "cliff_walking", "frozen_lake"):
         pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")
     tasks = "pkg://xplain/domains/pddl/tasks/blocks"
     filled = {
         "file": [f"observers.path={__file__}"],
         "explicit": ["users.groups={A: [fire]}"],
+        "gym": [
+            *("domain.name=lake", "domain.id=FrozenLake-v1", "domain.states={row: 4, column: 4}"),
+            "domain.actions=[left, down, right, up]",
+            "domain.parameters={ice: {inaccurate: [{add: -1.0}], message: no ice}}",
+        ],
         "pddl": [
             f"domain.file={tasks}/domain.pddl",
             f"domain.problem={tasks}/problem.pddl",

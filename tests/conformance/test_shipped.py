@@ -49,7 +49,7 @@ def shipped(group: str, *others: str, **keys: str) -> list[Any]:
 
 
 class TestDomains(DomainConformance):
-    @pytest.fixture(params=shipped("domain", "pddl"))  # which has no task of its own
+    @pytest.fixture(params=shipped("domain", "pddl", "gym"))  # which have no task of their own
     def component(self, request: pytest.FixtureRequest) -> Any:
         return request.param.component
 

@@ -307,11 +307,18 @@ def _inside(group: str) -> dict[str, list[str]]:
     """``{key: choices of the group that have it}``."""
     found: dict[str, list[str]] = {}
     for path in sorted((CONF / group).glob("*.yaml")):
-        content = _yaml(path)
-        for name in content.get(group, content):
-            if not name.startswith("_"):
-                found.setdefault(name, []).append(path.stem)
+        for name in _names(path, group):
+            found.setdefault(name, []).append(path.stem)
     return found
+
+
+def _names(path: Path, group: str) -> set[str]:
+    """The keys of a choice, with those of the choice of the same group that it changes."""
+    content = _yaml(path)
+    parents = [one for one in content.pop("defaults", ()) if isinstance(one, str)]
+    names = {name for name in content.get(group, content) if not name.startswith("_")}
+    above = [_names(path.with_stem(one), group) for one in parents if one != "_self_"]
+    return names.union(*above)
 
 
 def _yaml(path: Path) -> dict[str, Any]:
