@@ -13,7 +13,6 @@ import pytest
 
 from tests.domains.configs import domain_of, given, setting_of
 from xplain.domains.pddl.domain import PDDL
-from xplain.domains.pddl.grounding import explore
 from xplain.domains.pddl.task import Source
 from xplain.errors import TooLargeError
 
@@ -95,7 +94,8 @@ def test_the_robots_model_is_what_the_simulator_does(problem: Any, name: str) ->
         if f.type.is_bool_type()
         for objects in product(*(list(problem.objects(p.type)) for p in f.signature))
     }
-    atoms = {" ".join(atom) for atom in made._beliefs.atoms}
+    states = range(len(made.state_features))
+    atoms = {x.strip("()") for s in states for x in made.state(s)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # lengths are given for roads alone
         simulator = UPSequentialSimulator(problem, error_on_failed_checks=False)
@@ -151,7 +151,8 @@ def test_features_are_the_atoms_and_the_counts_asked_for() -> None:
     assert np.array_equal(column["stacked"], on)
     assert set(np.unique(column["free"])) <= set(range(5))
     holding = sum(column[name] for name in made.feature_names if name.startswith("holding "))
-    robots = slice(0, made._beliefs.n_robot)  # others may believe in two hands
+    robot = made.model({p.name: p.accurate for p in made.parameters})
+    robots = np.isfinite(robot.steps_from(0))  # others may believe in two hands
     assert np.array_equal(column["handempty"][robots], 1 - holding[robots])
 
 
@@ -299,27 +300,39 @@ def test_a_subtype_s_subtype_is_of_the_type(tmp_path: Path) -> None:
     assert set(made.actions) == expected | {f"touch {x}" for x in "vcbts"}
 
 
-@pytest.mark.parametrize("switches", [3, 10, 12])
-def test_every_state_is_found_once_however_many_there_are(switches: int) -> None:
+SWITCHES = """(define (domain switches) (:types switch) (:predicates (on ?x - switch))
+  (:action turn-on :parameters (?x - switch) :precondition (not (on ?x)) :effect (on ?x))
+  (:action turn-off :parameters (?x - switch) :precondition (on ?x) :effect (not (on ?x))))"""
+
+
+@pytest.mark.parametrize("switches", [3, 10])
+def test_every_state_is_found_once_however_many_there_are(switches: int, tmp_path: Path) -> None:
     """Switches that turn one by one: each of the 2^k sets of them is reached, and has an edge to
-    each set that differs in one."""
-    turned = [
-        variant
-        for bit in (1 << 7 * i for i in range(switches))
-        for variant in ((0, bit, ((0, 0, bit, 0),)), (bit, 0, ((0, 0, 0, bit),)))
-    ]
+    each set that differs in one, but for the goal, where nobody goes on."""
+    names = [f"s{i}" for i in range(switches)]
+    (tmp_path / "d.pddl").write_text(SWITCHES)
+    (tmp_path / "p.pddl").write_text(
+        f"(define (problem p) (:domain switches) (:objects {' '.join(names)} - switch) (:init)"
+        f" (:goal (and {' '.join(f'(on {name})' for name in names)})))"
+    )
+    arguments: dict[str, Any] = {
+        "file": str(tmp_path / "d.pddl"),
+        "problem": str(tmp_path / "p.pddl"),
+        "facts": {"dear": {"change": {"action": "turn-on", "cost": 2}}},
+    }
     count = 1 << switches
-    states, (degrees, _, after) = explore([0], range(len(turned)), None, turned, count)
-    assert len(states) == len({*states}) == count
-    assert [*degrees] == [switches] * count
-    pairs = [(i // switches, int(s)) for i, s in enumerate(after)]
-    assert len({*pairs}) == count * switches
-    assert all((states[a] ^ states[b]).bit_count() == 1 for a, b in pairs)
+    made = PDDL(**arguments, max_states=count)
+    robot = made.model({"dear": []})
+    assert len({made.state(s) for s in range(count)}) == robot.n_states == count
+    source, action = np.nonzero(robot.probability[:, :, 0])
+    pairs = np.stack([source, robot.successor[source, action, 0]])
+    assert len(np.unique(pairs, axis=1).T) == (count - 1) * switches
+    assert all(len({*made.state(a)} ^ {*made.state(b)}) == 1 for a, b in pairs.T)
     with pytest.raises(TooLargeError, match=f"max_states={count - 1}"):
-        explore([0], range(len(turned)), None, turned, count - 1)
+        PDDL(**arguments, max_states=count - 1)
 
 
-@pytest.mark.parametrize("facts", [2, 6, 7])
+@pytest.mark.parametrize("facts", [2, 8])
 def test_any_number_of_goals_may_be_held_wrong(facts: int, tmp_path: Path) -> None:
     """Lamps, of which the goal needs one, and of each further somebody believes that it needs it:
     a plan turns on as many as are believed in, and no other."""

@@ -218,14 +218,18 @@ def test_a_bad_value_is_one_line(changes: dict[str, Any], text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_an_action_without_a_cost_is_named(tmp_path: Path) -> None:
+def test_an_action_without_a_cost_does_not_exist(tmp_path: Path) -> None:
+    """As Fast Downward has it; whoever believes in a length believes in the road."""
     own = given("logistics")
     path = tmp_path / "problem.pddl"
     text = Source.read("", own["problem"]).text
     path.write_text(text.replace("(= (length office north) 5)", ""), encoding="utf-8")
-    named = r"problem='drive truck1 office north': a value of its cost \(length \?from \?to\)"
-    with pytest.raises(XplainError, match=named):
-        PDDL(**own | {"problem": str(path)})
+    made = PDDL(**own | {"problem": str(path)})
+    drive = made.actions.index("drive truck1 office north")
+    accurate = {p.name: p.accurate for p in made.parameters}
+    wrong = {p.name: p.inaccurate for p in made.parameters if p.name == "new_road"}
+    assert not made.model(accurate).probability[:, drive].any()
+    assert made.model(accurate | wrong).probability[:, drive].any()
 
 
 BLOCKS = "pkg://xplain/domains/pddl/tasks/blocks"

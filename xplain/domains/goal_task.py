@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from xplain.domains.mdp import CLEAR, TIE
@@ -36,43 +36,40 @@ class StateSpace:
 
     Attributes:
         n_states, n_actions: S and A.
-        action: [V] int32, the action that each variant is one of.
-        first: [S + 1] int64, the edges of state s are first[s] to first[s + 1].
-        variant: [E] int32, rising within a state.
-        successor: [E] int32.
+        action: [V] the action that each variant is one of.
+        source: [E] the state that each edge leaves, rising.
+        variant: [E].
+        successor: [E] the state that each edge leads to.
     """
 
     n_states: int
     n_actions: int
-    action: NDArray[np.int32]
-    first: NDArray[np.int64]
-    variant: NDArray[np.int32]
-    successor: NDArray[np.int32]
+    action: NDArray[np.integer]
+    source: NDArray[np.integer]
+    variant: NDArray[np.integer]
+    successor: NDArray[np.integer]
 
     @cached_property
-    def source(self) -> NDArray[np.int32]:
-        """[E] the state that each edge leaves."""
-        return np.repeat(np.arange(self.n_states, dtype=np.int32), np.diff(self.first))
+    def backwards(self) -> NDArray[np.int64]:
+        """[E] the edges by the state they lead to."""
+        return np.argsort(self.successor, kind="stable")
 
-    @cached_property
-    def backwards(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """The edges by the state they reach: [S + 1] first of each state, [E] their numbers."""
-        order = np.argsort(self.successor, kind="stable")
-        count = np.bincount(self.successor, minlength=self.n_states)
-        return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), order
+    def shortest(
+        self, length: NDArray[np.float64], ends: NDArray[np.int64], backwards: bool = False
+    ) -> NDArray[np.float64]:
+        """[S] the length of the shortest path from any of these states, or to any of them.
 
-    def edges(self, states: NDArray[np.int64], variants: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The edge of each (state [T], variant [T]); −1 where there is none, as of the state −1 and
-        of the variant −1."""
-        keys = self._keys
-        wanted = states.astype(np.int64) * len(self.action) + variants
-        at = np.minimum(np.searchsorted(keys, wanted), max(len(keys) - 1, 0))
-        found = (keys[at] == wanted) if len(keys) else np.zeros(len(wanted), dtype=bool)
-        return np.where(found & (variants >= 0), at, -1)  # no edge leaves the state −1
-
-    @cached_property
-    def _keys(self) -> NDArray[np.int64]:
-        return self.source.astype(np.int64) * len(self.action) + self.variant
+        Args:
+            length: [E] of each edge; ∞ if it cannot be used.
+            ends: some states.
+            backwards: whether paths lead to these states.
+        """
+        order = self.backwards if backwards else slice(None)
+        ways = (self.successor, self.source) if backwards else (self.source, self.successor)
+        before, after = (way[order] for way in ways)
+        first = np.searchsorted(before, np.arange(self.n_states + 1))
+        graph = csr_array((length[order], after, first), shape=(self.n_states, self.n_states))
+        return np.asarray(dijkstra(graph, indices=ends, min_only=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +78,7 @@ class GoalTask:
 
     Attributes:
         space: shared by all beliefs about the task.
-        chosen: [A] the variant of each action; −1 where the action is never available.
-        cost: [A] ≥ 0, of each action.
+        cost: [V] ≥ 0, of each variant; ∞ if this belief does not have it.
         terminal: [S] bool, where the goal holds; nothing happens there.
         dead_end_cost: of a state without a plan. A plan that costs as much does not count.
         start: where the task starts; it must have a plan.
@@ -91,7 +87,6 @@ class GoalTask:
     """
 
     space: StateSpace
-    chosen: NDArray[np.int64]
     cost: NDArray[np.float64]
     terminal: NDArray[np.bool_]
     dead_end_cost: float
@@ -110,98 +105,78 @@ class GoalTask:
         """A, the number of actions, whether available in a state or not."""
         return self.space.n_actions
 
-    @cached_property
-    def _variant_cost(self) -> NDArray[np.float64]:
-        """[V] the cost of each variant; ∞ if this belief does not have it."""
-        result = np.full(len(self.space.action), np.inf)
-        own = self.chosen >= 0
-        result[self.chosen[own]] = self.cost[own]
-        return result
+    @property
+    def _edge_cost(self) -> NDArray[np.float64]:
+        """[E] the cost of each edge; ∞ if this belief does not have it."""
+        there = ~self.terminal[self.space.source]
+        return np.where(there, self.cost[self.space.variant], np.inf)
 
     @cached_property
     def to_go(self) -> NDArray[np.float64]:
         """[S] the cost of the cheapest plan, exact up to rounding; ∞ in dead ends."""
-        first, order = self.space.backwards
-        cost, before = self._variant_cost[self.space.variant[order]], self.space.source[order]
-        graph = csr_array((cost, before, first), shape=(self.n_states, self.n_states))
-        found = dijkstra(graph, indices=np.flatnonzero(self.terminal), min_only=True)
+        found = self.space.shortest(self._edge_cost, np.flatnonzero(self.terminal), True)
         return np.where(found < self.dead_end_cost, found, np.inf)
 
+    def _gap(self) -> NDArray[np.float64]:
+        """[E] the extra cost of each edge and a best plan after it over a best plan from its
+        source, relative to the most expensive best plan. ∞ if this belief does not have the edge,
+        it leads to a dead end, or it costs nothing and brings the goal no nearer."""
+        cost, source, after = self._edge_cost, self.space.source, self.space.successor
+        behind = cost + self.to_go[after]
+        behind[~np.isfinite(self.to_go[source])] = np.inf
+        more = behind - np.where(np.isfinite(behind), self.to_go[source], 0.0)
+        longest = self.to_go[np.isfinite(self.to_go)].max(initial=0.0)
+        gap = more / max(longest, 1e-12)
+        free = cost == 0
+        if free.any():
+            length = np.where(gap <= TIE, free.astype(np.float64), np.inf)
+            needed = self.space.shortest(length, np.flatnonzero(self.terminal), True)
+            gap[free & (needed[after] >= needed[source])] = np.inf
+        return np.asarray(gap)
+
     @cached_property
-    def free_to_go(self) -> NDArray[np.float64]:
-        """[S] the fewest actions that cost nothing on a cheapest plan; ∞ in dead ends."""
-        if not (self.cost == 0).any():
-            return np.where(np.isfinite(self.to_go), 0.0, np.inf)
-        best = self._extra(np.arange(len(self.space.variant))) <= TIE
-        free = (self._variant_cost[self.space.variant[best]] == 0).astype(float)
-        ends = self.space.successor[best], self.space.source[best]
-        order = np.lexsort((free, *ends))
-        kept = order[np.r_[True, (np.diff(ends[0][order]) != 0) | (np.diff(ends[1][order]) != 0)]]
-        graph = csr_array(
-            coo_array((free[kept], (ends[0][kept], ends[1][kept])), shape=(self.n_states,) * 2)
-        )
-        return dijkstra(graph, indices=np.flatnonzero(self.terminal), min_only=True)
+    def _best(self) -> NDArray[np.int64]:
+        """The edges on cheapest plans."""
+        return np.flatnonzero(self._gap() <= TIE)
 
-    def gap(self, edges: NDArray[np.int64]) -> NDArray[np.float64]:
-        """The extra cost of each edge [T] and a best plan after it over a best plan from its start,
-        relative to the most expensive best plan. ∞ if this belief does not have the edge, it leads
-        to a dead end, leaves a terminal state, or costs nothing and brings the goal no nearer."""
-        before, after = self.space.source[edges], self.space.successor[edges]
-        idle = self._variant_cost[self.space.variant[edges]] == 0
-        idle &= self.free_to_go[after] >= self.free_to_go[before]
-        return np.where(idle, np.inf, self._extra(edges))
+    def on_policy(self, starts: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+        """[T, 3] every transition on a cheapest plan from one of the states; None: from any."""
+        space, best = self.space, self._best
+        if starts is not None:
+            length = np.full(len(space.source), np.inf)
+            length[best] = 1
+            best = best[np.isfinite(space.shortest(length, starts))[space.source[best]]]
+        action = space.action[space.variant[best]]
+        keys = self._keys(space.source[best], action, space.successor[best])
+        shape = self.n_states, self.n_actions, self.n_states
+        return np.stack(np.unravel_index(np.unique(keys), shape), axis=1)
 
-    def _extra(self, edges: NDArray[np.int64]) -> NDArray[np.float64]:
-        """As :meth:`gap`, for all edges that this belief has."""
-        before, variant = self.space.source[edges], self.space.variant[edges]
-        behind = self._variant_cost[variant] + self.to_go[self.space.successor[edges]]
-        none = ~np.isfinite(behind) | ~np.isfinite(self.to_go[before]) | self.terminal[before]
-        more = np.where(none, np.inf, behind) - np.where(none, 0.0, self.to_go[before])
-        dearest = self.to_go[np.isfinite(self.to_go)].max(initial=0.0)
-        return np.asarray(more / max(dearest, 1e-12))
+    def _keys(self, *transitions: NDArray[np.integer]) -> NDArray[np.int64]:
+        """[T] a number for each (state [T], action [T], next state [T])."""
+        shape = self.n_states, self.n_actions, self.n_states
+        return np.asarray(np.ravel_multi_index(transitions, shape))
 
     def explicable(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether each transition [T, 3] is on a cheapest plan and has the believed result: [T]."""
-        edge = self._edges(transitions)
-        result = edge >= 0
-        result[result] = self.gap(edge[result]) <= TIE
-        return result
-
-    def _edges(self, transitions: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The edge of each transition as the user sees it; −1 if there is none."""
         s, a, after = transitions.T
         if self.imagined is not None:
             s, after = self.imagined[s], self.imagined[after]
-        edge = self.space.edges(s, self.chosen[a])
-        there = edge >= 0
-        there[there] = self.space.successor[edge[there]] == after[there]
-        return np.where(there, edge, -1)
+        result = (s >= 0) & (after >= 0)
+        seen = self._keys(s[result], a[result], after[result])
+        result[result] = np.isin(seen, self._keys(*self.on_policy().T))
+        return result
 
     def steps_from(self, state: int) -> NDArray[np.float64]:
         """[S] the number of actions on the shortest path from a state; ∞ if there is none."""
-        own = np.isfinite(self._variant_cost)[self.space.variant]
-        return self._steps(np.array([state]), own & ~self.terminal[self.space.source])
-
-    def on_policy(self, starts: NDArray[np.int64]) -> NDArray[np.int64]:
-        """[T, 3] every transition on a cheapest plan from one of the states."""
-        best = self.gap(np.arange(len(self.space.variant))) <= TIE
-        best &= np.isfinite(self._steps(starts, best))[self.space.source]
-        source, after = self.space.source[best], self.space.successor[best]
-        action = self.space.action[self.space.variant[best]]
-        return np.stack([source, action, after], axis=1).astype(np.int64)
-
-    def _steps(self, starts: NDArray[np.int64], edges: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """[S] the number of these edges on the shortest path from any of the starts."""
-        ends = self.space.source[edges], self.space.successor[edges]
-        ways = coo_array((np.ones(len(ends[0])), ends), shape=(self.n_states, self.n_states))
-        return np.asarray(dijkstra(ways, indices=starts, unweighted=True, min_only=True))
+        length = np.where(np.isfinite(self._edge_cost), 1.0, np.inf)
+        return self.space.shortest(length, np.array([state]))
 
     @cached_property
     def optimal(self) -> NDArray[np.bool_]:
         """[S, A] the actions on a cheapest plan from each state as it is."""
         result = np.zeros((self.n_states, self.n_actions), dtype=bool)
-        best = self.gap(np.arange(len(self.space.variant))) <= TIE
-        result[self.space.source[best], self.space.action[self.space.variant[best]]] = True
+        s, a, _ = self.on_policy().T
+        result[s, a] = True
         return result
 
     @cached_property
@@ -217,13 +192,12 @@ class GoalTask:
     @property
     def reward(self) -> NDArray[np.float64]:
         """[S, A, 1] the costs, negative; as in :class:`~xplain.domains.mdp.MDP`."""
-        return -self._table(self._variant_cost[self.space.variant], np.float64)
+        return -self._table(self._edge_cost, np.float64)
 
     def _table(self, of_edges: NDArray[Any], kind: type) -> NDArray[Any]:
         """[S, A, 1] a value of each edge of this belief, 0 elsewhere."""
         result: NDArray[Any] = np.zeros((self.n_states, self.n_actions, 1), dtype=kind)
-        own = np.isfinite(self._variant_cost)[self.space.variant]
-        own &= ~self.terminal[self.space.source]
+        own = np.isfinite(self._edge_cost)
         action = self.space.action[self.space.variant[own]]
         result[self.space.source[own], action, 0] = of_edges[own]
         return result
@@ -243,14 +217,14 @@ class GoalTask:
                 f"domain: unsolvable: {who} has no plan that reaches the goal for less than "
                 f"domain.dead_end_cost={self.dead_end_cost:g}"
             )
-        gap = self.gap(np.arange(len(self.space.variant)))
+        gap = self._gap()
         unclear = np.flatnonzero((gap > TIE) & (gap < CLEAR))
         if len(unclear):
             edge = unclear[0]
             raise DomainError(
                 f"domain: ambiguous tie in {who}, state {self.space.source[edge]}, action "
-                f"{self.space.action[self.space.variant[edge]]}: it costs {gap[edge]:.1e} of "
-                f"the dearest plan more; change a cost so that gaps are 0 or above {CLEAR:g}"
+                f"{self.space.action[self.space.variant[edge]]}: it costs {gap[edge]:.1e} of the "
+                f"most expensive plan more; change a cost so that gaps are 0 or above {CLEAR:g}"
             )
 
     @staticmethod

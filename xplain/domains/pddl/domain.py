@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import chain, combinations, islice, product
+from itertools import chain, combinations, islice
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from xplain.domains.base import Parameter
 from xplain.domains.goal_task import GoalTask
 from xplain.domains.pddl.facts import Words, describe, find_differences, read_changes
-from xplain.domains.pddl.grounding import BelievedTask, Wrong
-from xplain.domains.pddl.task import Item, Items, Source, Task, read_task, read_text, substitute
+from xplain.domains.pddl.grounding import BelievedTask, Condition, Wrong
+from xplain.domains.pddl.task import Items, Source, read_task, read_text
 from xplain.errors import (
     Count,
     DomainError,
@@ -28,45 +28,6 @@ from xplain.errors import (
     one_of,
     sentence,
 )
-
-
-def count(
-    key: str,
-    patterns: str | Sequence[str],
-    task: Task,
-    atoms: Sequence[str],
-    table: NDArray[np.bool_],
-) -> NDArray[np.int64]:
-    """[S] the number of ways to replace the variables so that all patterns hold.
-
-    Args:
-        key: of the feature in the configuration, for errors.
-        patterns: atoms such as (on ?x b).
-        task: the robot's.
-        atoms: those that can change.
-        table: [S, atoms] whether each holds.
-
-    Raises:
-        InputError: a pattern is not an atom of the task.
-    """
-    listed = [patterns] if isinstance(patterns, str) else patterns
-    if not isinstance(listed, Sequence) or not listed:
-        raise InputError(key, patterns, "an atom such as (on ?x b), or a list of them")
-    variables = sorted(set(re.findall(r"\?[^\s()?]+", str(listed).lower())))
-    wanted = []
-    for pattern in listed:
-        source = Source(key, pattern, str(pattern).lower())
-        wanted.append(read_text(task, [(name, "object") for name in variables], source))
-    column = {atom: i for i, atom in enumerate(atoms)}
-    result = np.zeros(len(table), dtype=np.int64)
-    for objects in product(task.objects, repeat=len(variables)):
-        binding = dict(zip(variables, objects, strict=True))
-        held = [substitute(text, binding) for text in wanted]
-        if all(atom in column or Item("initial", "", atom) in task.items for atom in held):
-            # Atoms that never change are here only if they hold in all states.
-            result += table[:, [column[atom] for atom in held if atom in column]].all(axis=1)
-    return result
-
 
 log = logging.getLogger(__name__)
 
@@ -136,9 +97,18 @@ class PDDL:
             raise InputError("domain.facts", dict(given), "at least one fact, here or by believed")
         self.parameters = tuple(parameter for parameter, _ in read)
         changes = [change for _, change in read]
-        self._beliefs = BelievedTask(self.task, changes, self.dead_end_cost, max_states)
+        given = _mapping("features", features, "{name: pattern, or a list of them}")
+        counts = {str(name): self._read_patterns(name, given[name]) for name in given}
+        self._beliefs = BelievedTask(self.task, changes, dead_end_cost, max_states, counts)
         self._model = cache(self._beliefs.model)
-        self._name_states(_mapping("features", features, "{name: pattern, or a list of them}"))
+        self.actions = tuple(" ".join(action) for action in self._beliefs.actions)
+        table = self._beliefs.table
+        varying = np.flatnonzero(table.any(axis=0) & ~table.all(axis=0))
+        counted = [self._beliefs.count(name, frozenset()) for name in counts]
+        self.feature_names = (*(" ".join(self._beliefs.atoms[i]) for i in varying), *counts)
+        if len(set(self.feature_names)) < len(self.feature_names):
+            raise InputError("domain.features", list(given), "names that no atom has")
+        self.state_features = np.column_stack([table[:, varying], *counted]).astype(float)
         robot = self._model(frozenset())
         robot.solved("the robot's model")
         self.starts = self._starts(starts, robot)
@@ -207,27 +177,15 @@ class PDDL:
                 raise InputError(key, value, "the change in the configuration, or none")
         return self._model(frozenset(wrong))
 
-    def _name_states(self, given: Mapping[str, str | Sequence[str]]) -> None:
-        """Names actions and features; features are the atoms that differ between states."""
-        self._table = self._beliefs.table()
-        atoms = [" ".join(atom) for atom in self._beliefs.atoms]
-        self.actions = tuple(" ".join(action) for action in self._beliefs.actions)
-        varying = np.flatnonzero(self._table.any(axis=0) & ~self._table.all(axis=0))
-        names = [atoms[i] for i in varying]
-        counted = [
-            count(
-                f"domain.features.{name}",
-                patterns,
-                self.task,
-                [f"({x})" for x in atoms],
-                self._table,
-            )
-            for name, patterns in given.items()
-        ]
-        self.feature_names = (*names, *map(str, given))
-        if len(set(self.feature_names)) < len(self.feature_names):
-            raise InputError("domain.features", list(given), "names that no atom has")
-        self.state_features = np.column_stack([self._table[:, varying], *counted]).astype(float)
+    def _read_patterns(self, name: object, given: Any) -> Condition:
+        """The variables and the literals of a feature."""
+        key, patterns = f"domain.features.{name}", [given] if isinstance(given, str) else given
+        if not isinstance(patterns, Sequence) or not patterns:
+            raise InputError(key, given, "an atom such as (on ?x b), or a list of them")
+        variables = sorted(set(re.findall(r"\?[^\s()?]+", str(patterns).lower())))
+        typed = tuple((variable, "object") for variable in variables)
+        sources = [Source(key, pattern, str(pattern).lower()) for pattern in patterns]
+        return typed, [read_text(self.task, typed, source) for source in sources]
 
     def _starts(self, starts: object, robot: GoalTask) -> NDArray[np.int64]:
         """See the class."""
@@ -295,7 +253,7 @@ class PDDL:
         return tuple(f"({' '.join(atom)})" for atom in self._atoms(number))
 
     def _atoms(self, state: int) -> list[tuple[str, ...]]:
-        return [self._beliefs.atoms[i] for i in np.flatnonzero(self._table[state])]
+        return [self._beliefs.atoms[i] for i in np.flatnonzero(self._beliefs.table[state])]
 
     def position(self, state: int) -> None:
         """None: there is no map."""
