@@ -22,6 +22,8 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.interaction.moves import Show
 from xplain.solvers.greedy import QMDP, Conformant, KnownType
+from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.simple import QHR
 
 SOLVERS = [QMDP(), QHR(), Conformant()]
@@ -43,6 +45,18 @@ def explainer_of(problem, solver, belief_update):
         problem.discount_per,
         belief_update,
     )
+
+
+@pytest.mark.parametrize("solver", [*SOLVERS, POMCP(), Lookahead()], ids=lambda s: type(s).__name__)
+def test_without_messages_there_is_nothing_to_say(solver):
+    """Labels update the belief all the same: 0 is three times likelier for the second type."""
+    types = GivenTypes(np.array([[[0.9]] * 3, [[0.7]] * 3]), (), ("a", "b"))
+    session = Explainer(types, solver).session([0, 1, 2])
+    while not session.finished:
+        assert session.messages() == ()
+        session.observe([0] * session.shown)
+    assert session.belief["b"] == pytest.approx(3**6 / (1 + 3**6))
+    assert session.cost == 6
 
 
 @st.composite

@@ -19,7 +19,7 @@ from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
-from xplain.explanation.problem import DiscountPer, Problem
+from xplain.explanation.problem import DiscountPer, Problem, each_cost
 from xplain.solvers.base import Policy, Solver
 from xplain.solvers.greedy import QMDP
 
@@ -127,7 +127,7 @@ class Planner:
         transition that each is equal to."""
         problem = Problem(
             table,
-            message_cost=np.asarray(self.message_cost),
+            message_cost=each_cost(self.message_cost, len(self.types.messages)),
             inexplicability_cost=self.inexplicability_cost,
             trade_off=self.trade_off,
             discount=self.discount,
