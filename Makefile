@@ -42,13 +42,11 @@ browser-test: $(READY)
 	$(BIN)/python -m pytest -q -m browser $(SPREAD) $(shell expr $(CORES) \* 2) $$(grep -rl --include='*.py' 'mark\.browser' tests)
 
 # Interrupted, it goes on where it was; another SEED is another sample.
-SAMPLE ?= 60
+EACH ?= 8
 SEED ?= 1
-JOBS ?= 2
-mutants: $(READY)
+mutants: tests
 	$(PIP) --constraint constraints.txt --editable ".[mutants]"
-	$(BIN)/python -m pytest -q tests/mutants
-	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
+	$(BIN)/python -m tests.mutants --each $(EACH) --seed $(SEED)
 
 lint: style types
 

@@ -1,61 +1,166 @@
-"""``python -m tests.mutants --sample 60 --seed 1``: a sample of mutants, and who survived."""
+"""Plants mistakes at random, one at a time, and reports those that no test noticed.
+
+    python -m tests.mutants --each 8 --seed 1                  as many of each folder of xplain/
+    python -m tests.mutants --each 8 --seed 1 --areas solvers  of these folders alone
+
+A mistake is one of cosmic-ray's, or a statement that is left out (:mod:`tests.mutants.operators`).
+It meets first the tests that import its module, then all tests of the folder's mirror in tests/.
+Outcomes are in outputs/mutants-SEED.jsonl: an interrupted campaign goes on from there. The tests
+must pass without a mistake (`make mutants` runs them before).
+"""
 
 from __future__ import annotations
 
 import argparse
-import signal
+import difflib
+import json
+import os
+import random
+import shutil
+import subprocess
 import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
-from tests.mutants.areas import Areas
-from tests.mutants.campaign import Campaign, Interrupted, Session
-from tests.mutants.report import equivalents, report
-from tests.mutants.scratch import SURVIVED
+from tests.mutants import operators
 
 ROOT = Path(__file__).parents[2]
+SECONDS = 1800.0
+"""That a mutant's tests may take: a mistake can make a loop endless."""
+LEFT_OUT = (".*", "outputs", "build", "dist", "__pycache__")
 
 
-def main(arguments: list[str]) -> int:
-    """Runs or goes on with a campaign; 130 where it was interrupted."""
+class Mutant(NamedTuple):
+    """A mistake: the file, the operator, which of its occurrences there, and the lines changed."""
+
+    area: str
+    path: str
+    operator: str
+    occurrence: int
+    change: str
+
+
+def areas() -> dict[str, list[Path]]:
+    """The modules of each folder of the package; single modules are one area."""
+    found = defaultdict(list)
+    for path in sorted((ROOT / "xplain").rglob("*.py")):
+        inside = path.relative_to(ROOT / "xplain").parts
+        if path.stem not in ("__init__", "__main__"):
+            found[inside[0] if len(inside) > 1 else "modules"].append(path)
+    return dict(found)
+
+
+def draw(area: str, paths: list[Path], seed: int) -> Iterator[Mutant]:
+    """All mutants of an area in random order: a place in the source, then one mistake there."""
+    places = defaultdict(list)
+    for path in paths:
+        for operator, occurrence, span in operators.places(path.read_text("utf-8")):
+            places[path, span].append((operator, occurrence))
+    rng = random.Random(f"{seed} {area}")
+    for path, span in rng.sample(sorted(places), len(places)):
+        operator, occurrence = rng.choice(places[path, span])
+        source = path.read_text("utf-8")
+        mutated = operators.mutate(source, operator, occurrence)
+        if mutated is not None:
+            lines = difflib.unified_diff(
+                source.splitlines(), mutated.splitlines(), n=0, lineterm=""
+            )
+            change = "\n".join(list(lines)[2:])
+            yield Mutant(area, str(path.relative_to(ROOT)), operator, occurrence, change)
+
+
+def stages(mutant: Mutant) -> list[list[str]]:
+    """The test files that a mutant meets: those that import its module, then the mirror's."""
+    module = mutant.path.removesuffix(".py").replace("/", ".")
+    package, _, name = module.rpartition(".")
+    near, mirror = [], []
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        text, test = path.read_text("utf-8"), str(path.relative_to(ROOT))
+        if f"{module} import" in text or f"from {package} import {name}" in text:
+            near.append(test)
+        elif path.relative_to(ROOT / "tests").parts[0] == mutant.area:
+            mirror.append(test)
+    return [tests for tests in (near, mirror) if tests]
+
+
+def noticed(mutant: Mutant, copy: Path, scratch: Path) -> str:
+    """The first test that fails with the mistake; "" if none does, "time" where they never end."""
+    path = copy / mutant.path
+    source = path.read_text("utf-8")
+    mutated = operators.mutate(source, mutant.operator, mutant.occurrence)
+    assert mutated is not None
+    kernels = scratch / "kernels"
+    if "njit" in source:  # numba does not see edits of what a compiled function calls
+        kernels = Path(tempfile.mkdtemp(dir=scratch))
+    environment = os.environ | {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(kernels)}
+    command = [sys.executable, "-B", "-m", "pytest", "-qx", "-m", "not slow and not browser"]
+    path.write_text(mutated, "utf-8")
+    try:
+        for tests in stages(mutant):
+            done = subprocess.run(
+                [*command, "-p", "no:cacheprovider", *tests],
+                cwd=copy,
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=SECONDS,
+                check=False,
+            )
+            if done.returncode not in (0, 5):  # 5: all tests of these files are slow
+                failed = [line for line in done.stdout.splitlines() if line.startswith("FAILED")]
+                return failed[0].split()[1] if failed else f"pytest ends with {done.returncode}"
+    except subprocess.TimeoutExpired:
+        return "time"
+    finally:
+        path.write_text(source, "utf-8")
+    return ""
+
+
+def report(outcomes: dict[Mutant, str]) -> str:
+    """The share noticed by area, and every survivor as a difference."""
+    lines = []
+    for area in [*dict.fromkeys(mutant.area for mutant in outcomes), ""]:
+        own = [killer for mutant, killer in outcomes.items() if area in ("", mutant.area)]
+        share = sum(map(bool, own)) / max(1, len(own))
+        lines.append(f"{area or 'all':14}{sum(map(bool, own)):4} of {len(own):4}{share:7.0%}")
+    for mutant, killer in outcomes.items():
+        if not killer:
+            lines.append(f"\n{mutant.path}  ({mutant.operator})\n{mutant.change}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """The command."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
-    parser.add_argument("--sample", type=int, default=60, help="mutants in all (60)")
+    parser.add_argument("--each", type=int, default=8, help="mutants of an area (8)")
     parser.add_argument("--seed", type=int, default=1, help="of the draw (1)")
-    parser.add_argument("--jobs", type=int, default=1, help="tried at a time (1)")
-    parser.add_argument("--areas", nargs="+", default=[], help="only these of areas.toml")
-    parser.add_argument("--session", type=Path, help="file (outputs/mutants/seed-SEED.jsonl)")
-    parser.add_argument("--again", action="store_true", help="survivors are tried once more")
-    parser.add_argument("--report", action="store_true", help="tells what is known, runs nothing")
-    given = parser.parse_args(arguments)
-    for number in (signal.SIGTERM, signal.SIGINT):  # a shell's background job ignores the latter
-        signal.signal(number, signal.default_int_handler)
-
-    areas = Areas.load(ROOT)
-    session = Session(given.session or ROOT / f"outputs/mutants/seed-{given.seed}.jsonl")
-    campaign = Campaign(areas, session, say=lambda line: print(line, flush=True))
-    drawn = areas.draw(given.sample, given.seed, given.areas)
-    explained = equivalents(Path(__file__).with_name("equivalent.toml"))
-    known = session.outcomes()
-    pending = [mutant for mutant in drawn if mutant.key not in known]
-    if given.again:
-        pending += [
-            mutant
-            for mutant in drawn
-            if mutant.key in known
-            and known[mutant.key].outcome == SURVIVED
-            and not any(one.is_(mutant, ROOT) for one in explained)
-        ]
-    interrupted = False
-    if not given.report:
-        print(f"{len(drawn)} mutants, {len(pending)} to be tried; {session.path}", flush=True)
-        try:
-            campaign.run(pending, given.jobs)
-        except (KeyboardInterrupt, Interrupted):
-            interrupted = True
-    known = session.outcomes()
-    found = [known[mutant.key] for mutant in drawn if mutant.key in known]
-    print(report(found, explained, ROOT))
-    return 130 if interrupted else 0
+    parser.add_argument("--areas", nargs="+", default=[], help="folders of xplain/ (all)")
+    given = parser.parse_args()
+    file = ROOT / f"outputs/mutants-{given.seed}.jsonl"
+    known: dict[Mutant, str] = {}
+    for line in file.read_text("utf-8").splitlines() if file.exists() else ():
+        *mutant, killer = json.loads(line)
+        known[Mutant(*mutant)] = killer
+    drawn: list[Mutant] = []
+    for area, paths in areas().items():
+        if not given.areas or area in given.areas:
+            drawn += islice(draw(area, paths, given.seed), given.each)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder, "copy")
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(*LEFT_OUT), symlinks=True)
+        (copy / "outputs").mkdir()
+        for mutant in drawn:
+            if mutant not in known:
+                known[mutant] = noticed(mutant, copy, Path(folder))
+                with file.open("a", encoding="utf-8") as outcomes:
+                    outcomes.write(json.dumps([*mutant, known[mutant]]) + "\n")
+                print(f"{known[mutant] or 'SURVIVED'}: {mutant.path} {mutant.operator}", flush=True)
+    print(report({mutant: known[mutant] for mutant in drawn}))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()
