@@ -1,4 +1,4 @@
-"""One explanation: what the robot says, what the person answers, and the belief about their type."""
+"""One explanation: what the robot says, what the person answers, and the belief."""
 
 import xplain
 

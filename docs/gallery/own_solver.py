@@ -16,8 +16,11 @@ class Likeliest:
 
     def plan(self, problem, seed=0):
         qmdp = QMDP().plan(problem, seed)
-        sure = lambda belief: np.eye(len(belief))[belief.argmax()]
-        return SimpleNamespace(decide=lambda visible, belief: qmdp.decide(visible, sure(belief)))
+
+        def decide(visible, belief):
+            return qmdp.decide(visible, np.eye(len(belief))[belief.argmax()])
+
+        return SimpleNamespace(decide=decide)
 
 
 run = xplain.run("domain=rescue", "traces=10", "tracking=none", solver=Likeliest())
