@@ -41,7 +41,8 @@ def unusual() -> Problem:
     texts = "goes left", "goes right", "waits"
     problem = replace(problem, questions=Questions(asked, limits, shows, texts))
     habits = Habits(*np.array([[0.1, 0.3], [1.0, 0.8], [0.0, 0.1], [0.4, 0.6]]))
-    return problem.with_habits(habits)
+    as_found = np.array([True, False, True, False])
+    return replace(problem.with_habits(habits), as_found=as_found)
 
 
 def test_every_field_comes_back_from_a_file(tmp_path: Path) -> None:
@@ -171,7 +172,7 @@ def test_other_types_keep_the_costs_and_are_equally_likely() -> None:
     problem = unusual()
     table = LabelTable.dense(np.full((4, 3, 4), 0.25))
     other = problem.with_types(table, ("a", "b", "c", "d"))
-    changed = {"table", "relevant", "answers", "prior", "type_names", "habits"}
+    changed = {"table", "relevant", "answers", "prior", "type_names", "habits", "whose", "as_found"}
     changed |= {"questions", "asked", "asked_answers"}  # there are none of other types
     assert {k: v for k, v in plain(other).items() if k.split(".")[0] not in changed} == {
         k: v for k, v in plain(problem).items() if k.split(".")[0] not in changed

@@ -37,6 +37,7 @@ class CaseQuestions:
         labels: the true labels of each of M true types.
         shows: [Q, m] whether a clip is of this transition of the trace.
         texts, right: as :class:`~xplain.explanation.asking.Questions` has them.
+        everything: P(label is 1) of one type, who believes every fact incorrectly, where known.
     """
 
     transitions: NDArray[np.int64]
@@ -46,6 +47,7 @@ class CaseQuestions:
     shows: NDArray[np.bool_]
     texts: tuple[str, ...]
     right: NDArray[np.int64]
+    everything: LabelTable | None = None
 
     def take(self, order: NDArray[np.int64]) -> CaseQuestions:
         """Some of them, in this order."""
@@ -57,6 +59,7 @@ class CaseQuestions:
             self.shows[order],
             tuple(self.texts[q] for q in order),
             self.right[order],
+            self.everything and self.everything.of_steps(order.tolist()),
         )
 
     def of_users(self, setting: Setting, types: Sequence[int]) -> CaseQuestions:
@@ -81,7 +84,7 @@ class Clips:
         pool: how many to keep for a trace.
         setting: of the true types.
         features: [T, F] of ``setting.reachable``.
-        learned, labels: as :class:`CaseQuestions` has them, of all T.
+        learned, labels, everything: as :class:`CaseQuestions` has them, of all T.
     """
 
     pool: Pool
@@ -89,15 +92,15 @@ class Clips:
     features: NDArray[np.float64]
     learned: LabelTable
     labels: LabelTable
+    everything: LabelTable | None = None
 
     @classmethod
     def of(cls, setting: Setting, tables: TablesOf, pool: Pool) -> Clips:
         """Asks the labelers about each transition once."""
         every = setting.reachable
         features = transition_features(setting.domain, every)
-        return cls(
-            pool, setting, features, tables(features, every).learned, setting.true_labels(every)
-        )
+        asked, labels = tables(features, every), setting.true_labels(every)
+        return cls(pool, setting, features, asked.learned, labels, asked.everything)
 
     def near(self, features: NDArray[np.float64], transitions: NDArray[np.int64]) -> CaseQuestions:
         """Those to choose from while a trace [m, 3] with these features [m, F] is explained."""
@@ -113,6 +116,7 @@ class Clips:
             shows=(chosen[:, None] == transitions).all(axis=-1),
             texts=tuple(domain.describe(transition) for transition in chosen),
             right=np.full(len(chosen), -1),
+            everything=self.everything and self.everything.of_steps(order.tolist()),
         )
 
 
@@ -150,6 +154,7 @@ def belief_questions(
         shows=np.zeros((len(facts), 0), np.bool_),
         texts=tuple(texts),
         right=right,
+        everything=_right(np.ones((1, setting.n_messages)), facts),
     )
 
 
@@ -183,5 +188,6 @@ def merged(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:
             np.concatenate([whole.shows, part.shows]),
             whole.texts + part.texts,
             np.concatenate([whole.right, part.right]),
+            whole.everything and part.everything and joined([whole.everything, part.everything]),
         )
     return whole.take(alike_first(whole.learned, most))

@@ -17,7 +17,7 @@ from xplain.experiment.pipeline import Case, Prepared
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.asking import Limits
-from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.belief import BeliefUpdate, Facts, fact_sets
 from xplain.explanation.habits import PAPER
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.problem import DiscountPer, Problem
@@ -115,7 +115,11 @@ def problem_of_types(
     if case.questions is not None:
         questions = case.questions.asked(case.questions.learned, costs.asking)
         problem = replace(problem, questions=questions)
-    return problem.with_habits(belief_update.habits(prepared.habits))
+    facts = None
+    if prepared.wrong is not None and case.everything is not None:
+        asked = None if case.questions is None else case.questions.everything
+        facts = Facts(case.everything, fact_sets(prepared.wrong), asked)
+    return belief_update.people(problem, prepared.habits, facts)
 
 
 def problem_for(
@@ -189,7 +193,8 @@ def evaluate(
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
                     problem = problem_for(prepared, case, costs, solver, belief_update, user)
-                    problem = problem.with_habits(habits)
+                    if not habits.take_all_in:
+                        problem = problem.with_habits(habits)
                     planned = solver.plan(problem, trace_seed(seed, index))
                     if index == 0:  # kernels load at the first decision: no decision's time
                         planned.decide(VisibleState(), problem.start)
@@ -200,7 +205,10 @@ def evaluate(
                 episode = explain(problem, policy, person, belief_update, solver.knows == "labels")
                 right = np.ones(problem.n_user_types, dtype=bool)
                 if solver.knows == "types":
-                    right = prepared.matched_true_type == prepared.distinct[user]
+                    right[:] = False  # nobody is of none of the types for sure
+                    right[: len(prepared.learned_types)] = (
+                        prepared.matched_true_type == prepared.distinct[user]
+                    )
                 records.append(Record(name, index, user, right, episode))
     return records
 
@@ -208,9 +216,13 @@ def evaluate(
 def with_true_labels(prepared: Prepared) -> Prepared:
     """The same traces and users, to a solver that knows the true types and their labels: what
     better labelers and clusters could win. Types are equally likely, as the users are."""
-    count = len(prepared.types)
+    count, wrong = len(prepared.types), np.zeros((len(prepared.types), len(prepared.messages)))
+    for case in prepared.cases:
+        for own, facts in zip(wrong, case.labels.effective(), strict=True):
+            own[list(facts)] = 1
     return replace(
         prepared,
+        wrong=wrong,
         learned_types=prepared.types,
         matched_true_type=prepared.distinct,
         type_shares=np.full(count, 1 / count),

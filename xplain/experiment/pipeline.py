@@ -73,6 +73,7 @@ class Case:
         perfect: of M labelers under perfect clustering; None where the true types of the observers
             are unknown, or a type has no observer.
         labels: the true labels of each of M true types.
+        everything: of one type, who believes every fact incorrectly; None where that is unknown.
         changes: what each transition changes, as short phrases; empty where the domain tells none.
         questions: that may be asked meanwhile, if any.
     """
@@ -84,6 +85,7 @@ class Case:
     everyone: LabelTable | None
     perfect: LabelTable | None
     labels: LabelTable
+    everything: LabelTable | None = None
     changes: tuple[tuple[str, ...], ...] = ()
     questions: CaseQuestions | None = None
 
@@ -104,6 +106,7 @@ class Prepared:
         scene: the map, if there is one.
         cases: one a trace.
         habits: of people, as far as the observers' answers tell.
+        wrong: [N, n] P(a user of a learned type holds a fact wrong); None where that is unknown.
     """
 
     domain: str
@@ -120,6 +123,7 @@ class Prepared:
     scene: Scene | None
     cases: tuple[Case, ...]
     habits: Habits | None = None
+    wrong: NDArray[np.float64] | None = None
 
 
 def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
@@ -153,6 +157,7 @@ def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
         rule=known.rule,
         scene=domain.scene,
         habits=known.habits,
+        wrong=known.wrong,
         cases=tuple(
             build_case(
                 setting,

@@ -7,7 +7,7 @@ shown and answered; which labels count as evidence is the choice made here.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,33 @@ from xplain.explanation.problem import Problem
 
 Evidence = slice | NDArray[np.bool_]
 """Which labels of an answer are evidence: [k + 1] by place."""
+
+
+OPEN = 0.1
+"""Share of people whose set of facts is none that was found, where nobody counted."""
+
+
+class Facts(NamedTuple):
+    """What is known of sets of facts that people may believe incorrectly.
+
+    Attributes:
+        everything: P(label is 1) of a trace's transitions, of one type: who believes every fact
+            incorrectly. Told all but W, they are as somebody who believes W incorrectly.
+        asked: the same of the questions; None where there are none.
+        wrong: the facts that each user type believes incorrectly, bitmasks.
+        new: P(the next person is of no user type found).
+    """
+
+    everything: LabelTable
+    wrong: tuple[int, ...]
+    asked: LabelTable | None = None
+    new: float = OPEN
+
+
+def fact_sets(wrong: NDArray[np.float64]) -> tuple[int, ...]:
+    """The facts that each type more likely believes incorrectly than not, as bitmasks, of
+    probabilities [N, n]."""
+    return tuple(sum(1 << j for j in np.flatnonzero(own >= 0.5).tolist()) for own in wrong)
 
 
 class BeliefUpdate(Protocol):
@@ -38,6 +65,16 @@ class BeliefUpdate(Protocol):
 
         Args:
             learned: what observers' answers tell of it, if anything.
+        """
+        ...
+
+    def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
+        """The problem of user types who listen and answer so.
+
+        Args:
+            problem: of the user types that were found.
+            learned: as :meth:`habits` has it.
+            facts: that people may believe incorrectly, where they are known.
         """
         ...
 
@@ -64,6 +101,10 @@ class Assuming:
     def habits(self, learned: Habits | None = None) -> Habits:
         """As :class:`BeliefUpdate` has it."""
         return habits_of(self.error, self.accept, self.forget, learned)
+
+    def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
+        """As :class:`BeliefUpdate` has it."""
+        return problem.with_habits(self.habits(learned))
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,9 @@ class Problem:
         habits: the F habits, side by side within a user type. The table's answers have their
             errors already.
         questions: that may be asked, of the same hidden types; none in the paper.
+        whose: [N] the user type of each hidden type; by default F in a row are of one.
+        as_found: [N] whether a hidden type is a user type that was found, listening and answering
+            as assumed; by default all are.
         copies: [m] for each transition the first one equal to it: people who repeat themselves
             say and err alike about copies. By default no two are equal.
     """
@@ -64,6 +67,8 @@ class Problem:
     habits: Habits = PAPER
     questions: Questions = field(default_factory=Questions)
     copies: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    whose: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    as_found: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
 
     def __post_init__(self) -> None:
         """Checks every field: one clear line each."""
@@ -88,6 +93,13 @@ class Problem:
         if left:
             wanted = f"a divisor of {types}, the columns of the table"
             raise InputError("habits", len(self.habits), wanted)
+        whose, as_found = np.asarray(self.whose), np.asarray(self.as_found)
+        if not len(whose):
+            whose = np.repeat(np.arange(known), len(self.habits))
+        if not len(as_found):
+            as_found = np.ones(types, np.bool_)
+        if whose.shape != (types,) or as_found.shape != (types,):
+            raise InputError("whose", whose.shape, f"a user type of each of {types} hidden types")
         one_of("discount_per", self.discount_per, get_args(DiscountPer))
         checked: dict[str, Any] = {
             "table": table,
@@ -97,9 +109,11 @@ class Problem:
             "trade_off": one_number("lambda", self.trade_off),
             "discount": one_number("discount", self.discount),
             "message_names": named("message_names", self.message_names, n, "message"),
-            "type_names": named("type_names", self.type_names, known, "type"),
+            "type_names": named("type_names", self.type_names, int(whose.max()) + 1, "type"),
             "questions": asking,
             "copies": copies,
+            "whose": whose,
+            "as_found": as_found,
         }
         for key, value in checked.items():
             object.__setattr__(self, key, value)
@@ -154,7 +168,7 @@ class Problem:
             belief = belief.reshape(-1, self.n_types).sum(axis=0)
         if self.n_user_types == self.n_types:
             return belief
-        user_types: NDArray[np.float64] = belief.reshape(self.n_user_types, -1).sum(axis=1)
+        user_types: NDArray[np.float64] = np.bincount(self.whose, belief, self.n_user_types)
         return user_types
 
     @property
@@ -186,12 +200,12 @@ class Problem:
     @property
     def accept(self) -> NDArray[np.float64]:
         """[N] α of each hidden type."""
-        return np.tile(self.habits.accept, self.n_user_types)
+        return np.tile(self.habits.accept, self.n_types // len(self.habits))
 
     @property
     def forget(self) -> NDArray[np.float64]:
         """[N] φ of each hidden type."""
-        return np.tile(self.habits.forget, self.n_user_types)
+        return np.tile(self.habits.forget, self.n_types // len(self.habits))
 
     @property
     def start(self) -> NDArray[np.float64]:
@@ -227,7 +241,15 @@ class Problem:
             rows = range(self.n_steps, self.n_steps + len(asking))
             asking = replace(asking, table=whole.of_steps(rows))
         prior = np.outer(self.prior, habits.prior).ravel()
-        return replace(self, table=table, prior=prior, habits=habits, questions=asking)
+        return replace(
+            self,
+            table=table,
+            prior=prior,
+            habits=habits,
+            questions=asking,
+            whose=self.whose.repeat(len(habits)),
+            as_found=self.as_found.repeat(len(habits)),
+        )
 
     def dense(self) -> Problem:
         """The same problem with one dense table.
@@ -254,11 +276,13 @@ class Problem:
             prior=prior,
             habits=PAPER,
             questions=Questions(),
+            whose=np.arange(count),
+            as_found=np.ones(count, np.bool_),
         )
 
     def only_types(self, types: Sequence[int]) -> Problem:
         """The same trace and costs with some of the hidden types, equally likely a priori."""
-        names = tuple(self.type_names[t // len(self.habits)] for t in types)
+        names = tuple(self.type_names[self.whose[t]] for t in types)
         return self.with_types(self.table.of_types(types), names)
 
     def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:

@@ -49,6 +49,8 @@ def save(problem: Problem, path: str | Path) -> None:
         message_names=np.array(problem.message_names, dtype=np.str_),
         type_names=np.array(problem.type_names, dtype=np.str_),
         copies=problem.copies,
+        whose=problem.whose,
+        as_found=problem.as_found,
         **(problem.questions.arrays() if problem.questions else {}),
     )
 

@@ -6,13 +6,17 @@ Observed ── find_types ── KnownTypes (tables of any trace)
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, XplainError
+from xplain.domains.users.setting import Setting
+from xplain.domains.users.types import user_type
+from xplain.errors import DomainError, InputError, XplainError
+from xplain.explanation.label_table import DENSE
 from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.prediction import fresh_accuracy
@@ -60,7 +64,7 @@ def find_types(
     types = finder.find(observed, seed)
     references = learn_references(observed, trainer, seed, everyone, types.by_observers)
     _require_tested(types.labelers)
-    oracle = references.oracle
+    oracle, everything = references.oracle, trainer.everything()
     once = AskedOnce()
 
     def tables(features: NDArray[np.float64], transitions: NDArray[np.int64]) -> TraceTables:
@@ -70,6 +74,7 @@ def find_types(
                 lambda: once.label_table([references.everyone], features, transitions)
             ),
             perfect=None if oracle is None else once.label_table(oracle, features, transitions),
+            everything=None if everything is None else everything.table(features, transitions),
         )
 
     clustering, wrong = types.clustering, [labeler.wrong for labeler in types.labelers]
@@ -179,6 +184,17 @@ def _require_tested(labelers: Iterable[Any]) -> None:
             )
 
 
+def _everything(setting: Setting) -> Setting | None:
+    """The setting of one type, who believes every fact incorrectly; None where such a task has no
+    way to its goal, or facts are too many."""
+    if setting.n_messages > DENSE:
+        return None
+    names = setting.message_names
+    with suppress(DomainError):
+        return Setting.build(setting.domain, (user_type(setting.domain, "everything", names),))
+    return None
+
+
 class TrueLabels(LabelerTrainer):
     """Stands where a labeler is chosen, and says that there is none.
 
@@ -204,13 +220,16 @@ class TrueLabels(LabelerTrainer):
             InputError: nobody knows the observers' types, as of real people.
         """
         setting, truth = observed.setting, observed.truth
+        everything = _everything(setting) if setting else None
         if setting is None or truth is None:
             raise InputError("labeler", "truth", "needs simulated observers, whose type is known")
         shares = np.bincount(truth, minlength=len(setting.types)) / len(truth)
 
         def tables(_: NDArray[np.float64], transitions: NDArray[np.int64]) -> TraceTables:
             labels = setting.true_labels(transitions)
-            return TraceTables(labels, unless_too_large(lambda: labels.mixed(shares)), labels)
+            everybody = unless_too_large(lambda: labels.mixed(shares))
+            wrong = None if everything is None else everything.true_labels(transitions)
+            return TraceTables(labels, everybody, labels, wrong)
 
         count = float(len(np.unique(setting.distinct)))
         return KnownTypes(

@@ -267,6 +267,11 @@ class LabelerTrainer:
         """The answers that hypotheses of what people hold wrong know about; None: it has none."""
         return None
 
+    def everything(self) -> Labeler | None:
+        """The labeler of somebody who believes every fact incorrectly; None where facts are
+        unknown, or too many."""
+        return None
+
     def with_errors(
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:

@@ -86,11 +86,13 @@ class TraceTables(NamedTuple):
         learned: of N types that solvers plan with.
         everyone: of one labeler for everybody; None where it looks at too many messages.
         perfect: of M true types, what the oracle knows of each; None where there is no oracle.
+        everything: of one type, who believes every fact incorrectly; None where facts are unknown.
     """
 
     learned: LabelTable
     everyone: LabelTable | None
     perfect: LabelTable | None
+    everything: LabelTable | None = None
 
 
 def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:

@@ -157,9 +157,10 @@ class Conformant:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         # M types' costs are M times the cost of the mean labeler.
+        count = len(np.unique(problem.whose[problem.as_found]))
         summed = replace(
-            problem.mixture(np.full(problem.n_types, 1 / problem.n_types)),
-            inexplicability_cost=problem.inexplicability_cost * problem.n_user_types,
+            problem.mixture(problem.as_found / problem.as_found.sum()),
+            inexplicability_cost=problem.inexplicability_cost * count,
         )
         return FixedBelief(greedy_policy(summed, "conformant", self.memory_gib), one_type)
 

@@ -29,6 +29,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import DOUBTED, Evidence, foretold
 from xplain.learning.labelers import (
     FittedLabeler,
+    Labeler,
     LabelerTrainer,
     OfTruth,
     cheap,
@@ -354,6 +355,35 @@ class HypothesisLabeler(FittedLabeler):
 
 
 @dataclass(frozen=True)
+class EverythingWrong(Labeler):
+    """Of somebody who believes every fact incorrectly, by the hypotheses alone.
+
+    Attributes:
+        known: hypotheses of all sets of at most DENSE facts.
+    """
+
+    known: KnownTransitions
+
+    @property
+    def n_messages(self) -> int:  # type: ignore[override]
+        """As :attr:`Labeler.n_messages`."""
+        return self.known.hypotheses.n_messages
+
+    def table(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
+    ) -> LabelTable:
+        """As :meth:`Labeler.table`; ½ where hypotheses do not know a transition."""
+        hypotheses, sets = self.known.hypotheses, np.arange(1 << self.n_messages)
+        rows = hypotheses.row(sets[-1] & ~sets)
+        place = self.known.find(features)
+        one = np.where(place >= 0, self.known.share[0][rows][:, place], 0.5).T
+        if transitions is not None:
+            exact = self.known.find_exactly(features, transitions[:, [0, 2]])
+            one[exact >= 0] = hypotheses.labels[rows][:, exact[exact >= 0]].T
+        return LabelTable.dense(np.clip(one, EDGE, 1 - EDGE)[None])
+
+
+@dataclass(frozen=True)
 class HypothesisTrainer(LabelerTrainer):
     """Fits labelers that know what people might hold wrong.
 
@@ -440,6 +470,11 @@ class HypothesisTrainer(LabelerTrainer):
             answers,
             evidence,
         )
+
+    def everything(self) -> Labeler | None:
+        """As :meth:`LabelerTrainer.everything`."""
+        n, sets = self.known.hypotheses.n_messages, len(self.known.hypotheses.facts)
+        return EverythingWrong(self.known) if n <= DENSE and sets == 1 << n else None
 
     def known_answers(self, dataset: Dataset) -> KnownAnswers | None:
         """The answers that hypotheses know about; None where they know nothing of the dataset."""

@@ -1,0 +1,190 @@
+"""Explaining to people nobody assumed (docs/people-who-err.md).
+
+    python benchmarks/anybody.py true       every kind of people, with true types and labels
+    python benchmarks/anybody.py learned    the same, with types learned from 20 labels, 5 % wrong
+    python benchmarks/anybody.py --quick    a smoke run
+
+Maps are drawn by the generators of benchmarks/questions.py, a new one a seed; the default discount,
+costs by what people truly think. A ratio compares ``belief=open`` with the best of ``belief=
+independent``, conformant and say all for that kind of people; its standard error is over maps.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from explainees import World, worlds
+from numpy.typing import NDArray
+from questions import domain_of
+
+from xplain.errors import InputError
+from xplain.experiment.config import composed
+from xplain.experiment.explanations import problem_of_types, what_is_thought
+from xplain.experiment.from_config import components_of
+from xplain.experiment.pipeline import Prepared
+from xplain.experiment.strangers import with_others
+from xplain.explanation.anybody import Open
+from xplain.explanation.belief import BeliefUpdate, Independent
+from xplain.interaction.episode import Episode, explain
+from xplain.interaction.explainees import (
+    AllWrong,
+    Backlash,
+    Between,
+    Exact,
+    Expert,
+    Explainee,
+    Heedless,
+    LearnsUntold,
+    Misreads,
+    Slips,
+    Sticky,
+    Union,
+    Unseen,
+)
+from xplain.randomness import derived_seed
+from xplain.solvers.base import CachedPolicy, Solver
+from xplain.solvers.greedy import QMDP, Conformant
+from xplain.solvers.simple import SayAll
+
+MAPS = ("random rescue", "random rooms")
+SEEDS = range(9700, 9708)
+TRACES = 3
+TRADE_OFFS = (0.5, 1.0, 2.0)
+KINDS: dict[str, Explainee] = {
+    "exact": Exact(),
+    "expert": Expert(),
+    "all wrong": AllWrong(),
+    "union": Union(),
+    "unseen": Unseen(),
+    "between": Between(),
+    "learns untold": LearnsUntold(),
+    "misreads": Misreads(),
+    "all messages mixed up": Misreads(5),
+    "sticky": Sticky(),
+    "tiring": Slips(0.0, repeats=False, tires=0.03),
+    "polite": Slips(0.0, repeats=False, polite=0.5),
+    "polite, repeated": Slips(0.0, repeats=True, polite=0.5),
+    "coin": Slips(0.5, repeats=False),
+    "slips": Slips(),
+    "misses 3 in 10": Heedless(0.7),
+    "backlash": Backlash(),
+}
+TRUE = ("labeler=truth", "clusterer=perfect")
+LEARNED = ("labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05")
+POLICIES: dict[str, tuple[BeliefUpdate, Solver]] = {
+    "open": (Open(), QMDP()),
+    "today": (Independent(), QMDP()),
+    "conformant": (Independent(), Conformant()),
+    "say all": (Independent(), SayAll()),
+}
+
+
+class Told(NamedTuple):
+    """One episode: of which world, λ, kind, policy, trace and user it is."""
+
+    seed: int
+    trade_off: float
+    kind: str
+    policy: str
+    trace: int
+    user: int
+    episode: Episode
+
+
+def of_kinds(world: World, name: str, people: dict[str, Explainee]) -> dict[str, Prepared]:
+    """The world with users of each kind, where its task has any."""
+    domain = f"domain={'rescue' if 'rescue' in name else 'four_rooms'}"
+    made = components_of(composed("config", [domain, f"seed={world.seed}"]))
+    components, found = replace(made, domain=domain_of(name, world.seed)), {}
+    for kind, explainee in people.items():
+        if explainee.as_observed:
+            found[kind] = world.prepared
+            continue
+        try:
+            found[kind] = with_others(world.prepared, components, explainee)
+        except InputError:
+            continue
+    return found
+
+
+def episodes(name: str, seeds: Iterable[int], trade_offs: Iterable[float], *overrides: str,
+             traces: int = TRACES) -> Iterator[Told]:  # fmt: skip
+    """Every explainer explains every trace to everybody."""
+    people = KINDS
+    for world in worlds(name, seeds, traces, *overrides, "discount=0.95"):
+        users = of_kinds(world, name, people)
+        for index, case in enumerate(world.prepared.cases):
+            for trade_off in trade_offs:
+                costs = replace(world.costs, trade_off=trade_off)
+                for policy, (update, solver) in POLICIES.items():
+                    problem = problem_of_types(world.prepared, case, costs, update)
+                    planned = CachedPolicy(solver.plan(problem))
+                    for kind, prepared in users.items():
+                        truth, same = what_is_thought(prepared.cases[index])
+                        for user in range(len(prepared.types)):
+                            seed = derived_seed(world.seed, "explainee", index, user)
+                            person = people[kind].meet(truth.of_types([user]), same, seed)
+                            talk = explain(problem, planned, person, update)
+                            yield Told(world.seed, trade_off, kind, policy, index, user, talk)
+
+
+def ratio(over: NDArray[np.float64], under: NDArray[np.float64]) -> tuple[float, float]:
+    """Of the sums of two costs by world, and its standard error."""
+    found = over.sum() / under.sum()
+    rest = over - found * under
+    return float(found), float(np.sqrt((rest**2).sum()) / under.sum())
+
+
+def table(
+    seeds: Iterable[int], trade_offs: tuple[float, ...], *overrides: str, traces: int
+) -> None:
+    """Prints the ratios of every kind."""
+    for name in MAPS:
+        costs: dict[tuple[str, float, str], dict[int, list[float]]] = defaultdict(
+            lambda: defaultdict(list)
+        )
+        for told in episodes(name, seeds, trade_offs, *overrides, traces=traces):
+            costs[told.kind, told.trade_off, told.policy][told.seed].append(told.episode.cost)
+        print(f"| {name} | " + " | ".join(f"λ = {one:g}" for one in trade_offs) + " | best |")
+        print("|---" * (len(trade_offs) + 2) + "|")
+        logs: dict[float, list[float]] = defaultdict(list)
+        for kind in dict.fromkeys(kind for kind, _, _ in costs):
+            cells, best = [], []
+            for trade_off in trade_offs:
+                own = {
+                    policy: np.array([np.mean(c) for c in costs[kind, trade_off, policy].values()])
+                    for policy in POLICIES
+                }
+                reference = min(list(POLICIES)[1:], key=lambda policy: own[policy].sum())
+                found, error = ratio(own["open"], own[reference])
+                if kind != "backlash":
+                    logs[trade_off].append(np.log(found))
+                cells.append(f"{found:.2f} ± {error:.2f}")
+                best.append(f"{reference} {own[reference].mean():.2f}")
+            print(f"| {kind} | " + " | ".join([*cells, ", ".join(best)]) + " |")
+        means = [f"{np.exp(np.mean(logs[one])):.2f}" for one in trade_offs]
+        print(f"| geometric mean, without backlash | {' | '.join(means)} | |\n", flush=True)
+
+
+def main() -> None:
+    """Prints the table asked for, as Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", nargs="?", choices=("true", "learned"))
+    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--seeds", type=int, nargs=2, default=(SEEDS.start, SEEDS.stop))
+    parser.add_argument("--lambdas", type=float, nargs="*", default=TRADE_OFFS)
+    options = parser.parse_args()
+    for what, overrides in (("true", TRUE), ("learned", LEARNED)):
+        if options.quick:
+            table(SEEDS[:1], (1.0,), *overrides, traces=1)
+        elif options.what == what:
+            table(range(*options.seeds), tuple(options.lambdas), *overrides, traces=TRACES)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""People nobody assumed: further hidden types beside the user types that were found.
+
+A hidden type is a set W of facts believed incorrectly, with a way of listening and answering. The
+types that were found have most of the prior. The rest has
+
+- other sets of facts: none, all, each single fact, and what either of two types believes
+  incorrectly. Each size of a set has the same share, so that the many large sets do not outweigh
+  the few small ones;
+- people who answer 1 where they think 0, and people who err in both directions;
+- people for whom one fact stays wrong until all messages were given;
+- people whose answers tell nothing. They are one hidden type: labels are as of the mean of all
+  others, and each answer is as likely 0 as 1, so that a policy plans for them without listening.
+
+Nothing else changes: the problem has more hidden types, and is the same POMDP.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.belief import Facts, Independent
+from xplain.explanation.habits import Habits
+from xplain.explanation.label_table import DENSE, LabelTable, joined
+from xplain.explanation.problem import Problem
+
+STUCK = 0.01
+"""Share of people for whom one fact stays wrong, of each set."""
+LISTENING, ERRING, POLITE, COIN = 12 / 15, 1 / 15, 1 / 15, 1 / 15
+"""Shares of people who answer what they think, err in both directions, answer 1 for 0, and answer
+at random."""
+ERROR, GUESS = 0.1, 0.4
+"""P(the opposite answer) of those who err, and P(answer 1) of the polite who think 0."""
+NUMBERS = 1 << 24
+"""Of a label table, at most: hidden types beyond it are left out, the least likely first."""
+NONE_OF_THESE = "none of these"
+
+
+class _People(NamedTuple):
+    """Hidden types, side by side: labels and answers [rows, 2^n, K], prior [K], user type [K],
+    whether they are as assumed [K]."""
+
+    p: NDArray[np.float64]
+    answered: NDArray[np.float64]
+    prior: NDArray[np.float64]
+    whose: NDArray[np.int64]
+    as_found: NDArray[np.bool_]
+
+    def take(self, which: NDArray[np.int64]) -> _People:
+        """Some of them."""
+        p, answered, prior, whose, as_found = self
+        return _People(
+            p[..., which], answered[..., which], prior[which], whose[which], as_found[which]
+        )
+
+
+@dataclass(frozen=True)
+class Open(Independent):
+    """People may be of no type found, answer otherwise than they think, or miss messages.
+
+    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`.
+    """
+
+    def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
+        """As :class:`~xplain.explanation.belief.BeliefUpdate` has it."""
+        habits = self.habits(learned)
+        if problem.n_messages > DENSE:
+            return problem.with_habits(habits)
+        opened = with_anybody(problem, facts, habits.take_all_in)
+        return opened.with_habits(habits)
+
+
+def with_anybody(problem: Problem, facts: Facts | None, messages_land: bool = True) -> Problem:
+    """The problem where people may be as nobody assumed; one more user type stands for all who are
+    of none.
+
+    Args:
+        problem: of M user types, with at most DENSE messages.
+        facts: that people may believe incorrectly; None where nobody knows.
+        messages_land: whether nothing else says that a message may be without effect.
+    """
+    n, count = problem.n_messages, problem.n_types
+    every, sets = (1 << n) - 1, np.arange(1 << n)
+    dense = [range(n)] * count
+    table = joined([problem.table, problem.questions.table]).over(dense).p
+    wrong = tuple(sum(1 << j for j in row) for row in problem.table.effective())
+    share, whose = problem.prior, np.arange(count)
+    if facts is not None:
+        wrong, share = facts.wrong, (1 - facts.new) * share
+        parts = [facts.everything] if facts.asked is None else [facts.everything, facts.asked]
+        everything = joined(parts).over([range(n)]).p[..., 0]
+        others = _other_sets(facts.wrong, n)
+        own = [everything[:, sets | every & ~one] for one in others]
+        table = np.concatenate([table, np.stack(own, axis=-1)], axis=-1)
+        sizes = np.array([one.bit_count() for one in others])
+        alike = (sizes[:, None] == sizes).sum(axis=1)
+        share = np.append(share, facts.new / len(np.unique(sizes)) / alike)
+        wrong, whose = (*wrong, *others), np.append(whose, np.full(len(others), count))
+    stuck = STUCK if messages_land else 0.0
+    plain = _People(table, table, share * LISTENING * (1 - stuck), whose, whose < count)
+    parts_ = [
+        plain,
+        plain._replace(answered=table * (1 - ERROR) + (1 - table) * ERROR, prior=share * ERRING),
+        _never(plain._replace(answered=table + (1 - table) * GUESS, prior=share * POLITE)),
+    ]
+    if stuck:
+        parts_ += [_stuck(plain, share * LISTENING * stuck, wrong, every)]
+    people = _joined(parts_)
+    most = max(NUMBERS // table[..., 0].size, count)
+    people = people.take(np.sort(np.argsort(-people.prior, kind="stable")[:most]))
+    weight = people.prior / people.prior.sum()
+    coin = (people.p @ weight)[..., None].clip(0, 1)
+    half = np.full_like(coin, 0.5)
+    one, no = np.full(1, count), np.zeros(1, np.bool_)
+    people = _joined([people, _People(coin, half, np.full(1, COIN), one, no)])
+    relevant = np.tile(np.arange(n), (len(people.prior), 1))
+    whole = LabelTable(relevant, people.p, people.answered)
+    steps = range(problem.n_steps)
+    asked = range(problem.n_steps, len(table))
+    return replace(
+        problem,
+        table=whole.of_steps(steps),
+        questions=replace(problem.questions, table=whole.of_steps(asked)),
+        prior=people.prior / people.prior.sum(),
+        type_names=(*problem.type_names, NONE_OF_THESE),
+        whose=people.whose,
+        as_found=people.as_found,
+    )
+
+
+def _other_sets(found: tuple[int, ...], n: int) -> list[int]:
+    """None, all, each fact, and each union of two types, without those that were found."""
+    unions = [one | other for one, other in combinations(found, 2)]
+    return sorted({0, (1 << n) - 1, *(1 << j for j in range(n)), *unions} - {*found})
+
+
+def _joined(parts: list[_People]) -> _People:
+    """All of them, side by side."""
+    p, answered, prior, whose, as_found = zip(*parts, strict=True)
+    return _People(
+        np.concatenate(p, axis=-1),
+        np.concatenate(answered, axis=-1),
+        np.concatenate(prior),
+        np.concatenate(whose),
+        np.concatenate(as_found),
+    )
+
+
+def _never(people: _People) -> _People:
+    """The same, as nobody assumed them."""
+    return people._replace(as_found=np.zeros_like(people.as_found))
+
+
+def _stuck(
+    people: _People, share: NDArray[np.float64], wrong: tuple[int, ...], every: int
+) -> _People:
+    """For each of these people, and each fact that they believe incorrectly: whoever believes it
+    until all messages were given."""
+    which = [
+        (k, j) for k, own in enumerate(wrong) for j in range(every.bit_length()) if own >> j & 1
+    ]
+    sets = np.arange(every + 1)
+    p = np.stack(
+        [people.p[:, np.where(sets == every, every, sets & ~(1 << j)), k] for k, j in which],
+        axis=-1,
+    )
+    who = np.array([k for k, _ in which])
+    prior = share[who] / np.bincount(who)[who]
+    return _People(p, p, prior, people.whose[who], np.zeros(len(who), np.bool_))
