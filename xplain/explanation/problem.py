@@ -168,8 +168,7 @@ class Problem:
             belief = belief.reshape(-1, self.n_types).sum(axis=0)
         if self.n_user_types == self.n_types:
             return belief
-        user_types: NDArray[np.float64] = np.bincount(self.whose, belief, self.n_user_types)
-        return user_types
+        return np.asarray(np.bincount(self.whose, belief, self.n_user_types), np.float64)
 
     @property
     def messages_land(self) -> bool:
