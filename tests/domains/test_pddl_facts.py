@@ -33,10 +33,8 @@ def pair(tmp_path: Path, name: str, domain: list[Edit], problem: list[Edit]) -> 
             text = text.replace(old, new)
         paths.append(tmp_path / f"{key}.pddl")
         paths[-1].write_text(text, encoding="utf-8")
-    return (
-        read_task(own["file"], own["problem"], KEYS),
-        read_task(str(paths[0]), str(paths[1]), KEYS),
-    )
+    robot = read_task(own["file"], own["problem"], KEYS)
+    return robot, read_task(str(paths[0]), str(paths[1]), KEYS, robot.items)
 
 
 PAIRS: list[tuple[str, list[Edit], list[Edit], dict[str, Any]]] = [

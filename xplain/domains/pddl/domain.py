@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Parameter
 from xplain.domains.goal_task import GoalTask
 from xplain.domains.pddl.facts import Words, describe, find_differences, read_changes
-from xplain.domains.pddl.grounding import BelievedTask, Condition, Wrong
+from xplain.domains.pddl.grounding import BelievedTask, Condition
 from xplain.domains.pddl.task import Items, Source, read_task, read_text
 from xplain.errors import (
     Count,
@@ -127,7 +127,7 @@ class PDDL:
         keys = ("domain.believed.file", "domain.believed.problem")
         robot, other = (
             self.task,
-            read_task(both.get("file", file), both.get("problem", problem), keys),
+            read_task(both.get("file", file), both.get("problem", problem), keys, self.task.items),
         )
         self.task = replace(
             robot,
@@ -158,7 +158,12 @@ class PDDL:
             for field, text in zip(("message", "belief"), texts, strict=True):
                 sentence(f"{key}.{field}", text)
             # Plain values: models of a type are distinguished by them.
-            plain = [f"{' '.join(item).strip()}: {value}" for item, value in change.items()]
+            plain = [
+                f"{' '.join(item).strip()}: {value}"
+                if value is None or isinstance(value, float | str)
+                else f"{' '.join(item).strip()}: True"
+                for item, value in change.items()
+            ]
             yield Parameter(str(fact), [], plain, *texts), change
 
     def model(self, values: Mapping[str, Any]) -> GoalTask:
@@ -167,15 +172,13 @@ class PDDL:
         Raises:
             InputError: a value is neither the robot's nor the inaccurate one.
         """
-        wrong = set()
-        for j, parameter in enumerate(self.parameters):
-            value = values[parameter.name]
-            if value == parameter.inaccurate:
-                wrong.add(j)
-            elif value != parameter.accurate:
+        for parameter in self.parameters:
+            if values[parameter.name] not in (parameter.accurate, parameter.inaccurate):
                 key = f"domain.facts.{parameter.name}"
-                raise InputError(key, value, "the change in the configuration, or none")
-        return self._model(frozenset(wrong))
+                allowed = "the change in the configuration, or none"
+                raise InputError(key, values[parameter.name], allowed)
+        wrong = (values[parameter.name] == parameter.inaccurate for parameter in self.parameters)
+        return self._model(frozenset(np.flatnonzero([*wrong]).tolist()))
 
     def _read_patterns(self, name: object, given: Any) -> Condition:
         """The variables and the literals of a feature."""
@@ -189,18 +192,13 @@ class PDDL:
 
     def _starts(self, starts: object, robot: GoalTask) -> NDArray[np.int64]:
         """See the class."""
-        solvable = np.isfinite(robot.to_go) & ~robot.terminal
-        if starts == "initial":
-            steps: float = 0
-        elif starts == "reachable":
-            steps = np.inf
-        else:
-            allowed = "initial, reachable, or a number of actions"
-            if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
-                raise InputError("domain.starts", starts, allowed)
-            steps = starts
-        away = robot.steps_from(0)
-        found = np.flatnonzero(np.isfinite(away) & (away <= steps) & solvable)
+        steps = (
+            {"initial": 0, "reachable": np.inf}.get(starts) if isinstance(starts, str) else starts
+        )
+        if isinstance(steps, bool) or not isinstance(steps, (int, float)) or steps < 0:
+            raise InputError("domain.starts", starts, "initial, reachable, or a number of actions")
+        near = robot.steps_from(0) <= min(steps, robot.n_states)
+        found = np.flatnonzero(near & np.isfinite(robot.to_go) & ~robot.terminal)
         if not len(found):
             raise InputError("domain.starts", starts, "a state where the goal does not hold yet")
         return found
@@ -211,24 +209,18 @@ class PDDL:
         Raises:
             InputError: people who hold one fact wrong have no plan.
         """
-        n = len(self.parameters)
         for j, parameter in enumerate(self.parameters):
             try:
                 self._model(frozenset({j})).solved(f"whoever believes {parameter.name}")
             except DomainError as error:
-                changes = parameter.inaccurate
-                raise InputError(f"domain.facts.{parameter.name}", changes, str(error)) from None
-        transitions = robot.on_policy(self.starts)
-
-        @cache
-        def labels(wrong: Wrong) -> bytes:
-            found = self._beliefs.model(wrong).explicable(transitions)
-            return np.packbits(found).tobytes()
-
-        everything = frozenset(range(n))
-        sets = islice(_subsets(n), COMBINATIONS)
-        silent = everything
-        for wrong in chain([frozenset(), everything], sets):
+                key = f"domain.facts.{parameter.name}"
+                raise InputError(key, parameter.inaccurate, str(error)) from None
+        transitions, n = robot.on_policy(self.starts), len(self.parameters)
+        # Labels of sets that are tried repeatedly; models are large, so that none is kept.
+        labels = cache(lambda wrong: self._beliefs.model(wrong).explicable(transitions).tobytes())
+        silent = everything = frozenset(range(n))
+        small = chain.from_iterable(combinations(range(n), size) for size in range(n + 1))
+        for wrong in map(frozenset, chain([(), everything], islice(small, COMBINATIONS))):
             silent -= {j for j in silent if labels(wrong) != labels(wrong ^ {j})}
             if not silent:
                 break
@@ -262,12 +254,6 @@ class PDDL:
     def scene(self) -> None:
         """None: there is no map."""
         return None
-
-
-def _subsets(n: int) -> Iterator[Wrong]:
-    """The sets of n facts, small ones first."""
-    for size in range(n + 1):
-        yield from map(frozenset, combinations(range(n), size))
 
 
 def _mapping(field: str, given: Any, allowed: str) -> Mapping[str, Any]:

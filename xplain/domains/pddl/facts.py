@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from xplain.domains.pddl.task import Item, Items, Source, Task, changed, read_text, substitute, tidy
+from xplain.domains.pddl.task import Item, Items, Source, Task, changed, read_text, write
 from xplain.errors import InputError, Range, number, one_of
 
 Atom = tuple[str, ...]
@@ -34,7 +34,7 @@ class Words:
 
     def __init__(self, task: Task, given: Mapping[str, str]) -> None:
         """Checks the templates."""
-        self._task = task
+        self._task, self._objects = task, dict(task.objects)
         self._given = {str(name).lower(): template for name, template in given.items()}
         self._names = {
             **{name: [str(i + 1) for i in range(len(x))] for name, x in task.functions.items()},
@@ -67,15 +67,19 @@ class Words:
     def literal(self, text: str, action: str = "") -> str:
         """As :meth:`atom`, with "not" before it if it must not hold; the last literal of an effect,
         with its conditions after it."""
-        *conditions, last = re.findall(r"(\(not )?\(([^()]+)\)", text)
-        atom = last[1].split()
-        if atom[0] == "=":
-            left, right = (self._argument(argument, action) for argument in atom[1:])
-            words = f"{left} {'is not' if last[0] else 'is'} {right}"
-        else:
-            words = ("not " if last[0] else "") + self.atom(tuple(atom), action)
-        asked = " and ".join(self.literal(f"{x}({y})", action) for x, y in conditions)
-        return words + (f" (if {asked})" if asked else "")
+        words = []
+        for negation, atom in re.findall(r"(\(not )?\(([^?()][^()]*)\)", text):
+            name, *arguments = atom.split()
+            if name == "=":
+                left, right = (self._argument(argument, action) for argument in arguments)
+                words.append(f"{left} is {'not ' if negation else ''}{right}")
+            else:
+                said = self.atom((name, *arguments), action)
+                words.append(f"not {said}" if negation else said)
+        if text.startswith(("(or", "(exists")):
+            return (" or " if "(or" in text else " and ").join(words)
+        *asked, last = words
+        return last + (f" (if {' and '.join(asked)})" if asked else "")
 
     def describe(self, item: Item, robots: Any, believed: Any) -> tuple[str, str]:
         """What the robot knows of an item, and what people believe, as two sentences."""
@@ -125,7 +129,7 @@ class Words:
 
     def _typed(self, name: str) -> str:
         """ "block a"; a name that says its type, such as truck1, stands alone."""
-        kind = self._task.objects[name]
+        kind = self._objects[name]
         return plain(name) if kind == "object" or kind in name else f"{plain(kind)} {plain(name)}"
 
 
@@ -210,7 +214,8 @@ def _read_change(key: str, kind: str, change: Change, task: Task, other: Items) 
     if kind == "cost" and not isinstance(change[kind], str):
         return {Item(kind, owner): number(source.key, change[kind], Range(0))}
     of_values = kind in ("cost", "function")
-    text = read_text(functions if of_values else task, signature, source, what == "effect")
+    found = read_text(functions if of_values else task, signature, source, what == "effect")
+    text = write(found)
     if kind == "cost":
         return {Item(kind, owner): text}
     if kind == "function":
@@ -223,7 +228,7 @@ def _read_change(key: str, kind: str, change: Change, task: Task, other: Items) 
         known = sorted(x.text for x in task.items if x[:2] == item[:2])
         absent = f"does not exist; known: {', '.join(known) or 'none'}"
         raise InputError(source.key, item.text, "exists already" if does == "add" else absent)
-    return {item: True if does == "add" else None}
+    return {item: found if does == "add" else None}
 
 
 def _actions(items: Items) -> list[str]:
@@ -241,10 +246,15 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
     Raises:
         InputError: they differ in objects, types, or the parameters of an action.
     """
-    for ours, theirs in ((robot.objects, believed.objects), (robot.parents, believed.parents)):
-        if other := sorted(name for name, _ in ours.items() ^ theirs.items()):
+    kinds = ({(x.name, x.basetype_name) for x in y.found.types} for y in (robot, believed))
+    for ours, theirs in (({*robot.objects}, {*believed.objects}), kinds):
+        if other := sorted(name for name, _ in ours ^ theirs):
             raise InputError(key, other[0], "objects and types must be the same")
-    items = _rename(robot, believed, key)
+    items = believed.items
+    for item in (x for x in robot.items if x.kind == "action" and x in items):
+        own, other = ([kind for _, kind in x.items[item]] for x in (robot, believed))
+        if own != other:
+            raise InputError(f"{key}.{item.owner}", other, f"parameters of the types {own}")
     unknown = {*robot.predicates} ^ {*believed.predicates}
     both = {*_actions(robot.items)} & {*_actions(items)} | {""}
     found: dict[str, dict[Item, Any]] = {}
@@ -253,7 +263,8 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
     every = sorted({*robot.items, *items}, key=lambda x: (not x.owner, x[1], order.index(x[0]), x))
     for item in every:
         old, new = robot.items.get(item), items.get(item)
-        if old == new or (item.owner not in both and item.kind != "action"):
+        same = old == new if item.kind in ("cost", "function") else (old is None) == (new is None)
+        if same or (item.owner not in both and item.kind != "action"):
             continue
         more = {x: v for x, v in items.items() if old is None and x.owner == item.owner}
         made = {item: new} | (more if item.kind == "action" else {})
@@ -265,23 +276,6 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
         names |= dict.fromkeys(keys if item.kind == "initial" else keys[:-1], name)
         found.setdefault(name, {}).update(made)
     return found
-
-
-def _rename(robot: Task, believed: Task, key: str) -> dict[Item, Any]:
-    """The believed items with the robot's names of the parameters of actions."""
-    result: dict[Item, Any] = {}
-    for item, value in believed.items.items():
-        signature = believed.items.get(Item("action", item.owner), ())
-        own = robot.items.get(Item("action", item.owner), signature)
-        if [kind for _, kind in own] != [kind for _, kind in signature]:
-            raise InputError(f"{key}.{item.owner}", signature, f"parameters as {own}")
-        names = dict(zip(dict(signature), dict(own), strict=True))
-        if item.kind == "action":
-            value = own
-        elif isinstance(value, str):
-            value = tidy(substitute(value, names))
-        result[item._replace(text=tidy(substitute(item.text, names)))] = value
-    return result
 
 
 def _name(item: Item, taken: Mapping[str, Any]) -> str:

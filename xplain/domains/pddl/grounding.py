@@ -13,7 +13,7 @@ import logging
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from copy import copy
 from functools import cache
 from itertools import chain, product
 from time import monotonic
@@ -26,7 +26,7 @@ from xplain.domains.goal_task import GoalTask, StateSpace
 from xplain.domains.pddl.task import (
     Item,
     Items,
-    Source,
+    Signature,
     Task,
     changed,
     instantiate,
@@ -34,14 +34,13 @@ from xplain.domains.pddl.task import (
     reach,
     substitute,
     texts,
-    translate,
 )
 from xplain.errors import TooLargeError
 
 Wrong = frozenset[int]
 """The facts that somebody believes incorrectly."""
-Condition = tuple[tuple[tuple[str, str], ...], Sequence[str]]
-"""(name, type) of variables, and literals."""
+Condition = tuple[Signature, Sequence[Any]]
+"""Variables, and what must hold, as the translator has it."""
 Effects = tuple[tuple[int, int, int], ...]
 """(condition, adds, deletes) of each condition."""
 MOST_FACTS = 12
@@ -51,8 +50,8 @@ EVERY = 5.0
 log = logging.getLogger(__name__)
 
 
-def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -> Task:
-    """All beliefs as one task.
+def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -> Any:
+    """All beliefs as one task of the translator's.
 
     Args:
         task: the robot's.
@@ -62,39 +61,57 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
     Raises:
         TooLargeError: more than MOST_FACTS facts affect what one action asks for and does.
     """
-    flags = [f"(fact@{j})" for j in range(len(facts))]
-    items: dict[Item, Any] = {Item("initial", "", flag): True for flag in flags}
-    about: dict[str, set[int]] = defaultdict(set)
-    for item in dict.fromkeys(chain(task.items, *facts)):
-        kind, name, text = item
-        there = item in task.items
-        changes = [j for j, fact in enumerate(facts) if item in fact]
-        other = " ".join(flags[j] for j in changes if there == (facts[j][item] is None))
-        guard = f"(not (or {other}))" if there else f"(or {other})"
-        if kind == "action":
-            items[item] = next(x[item] for x in (task.items, *facts) if x.get(item) is not None)
-            items[Item("precondition", name, guard)] = True
-        elif kind == "cost":
-            items[item] = 0.0 if changes else task.items[item]
-        elif kind in ("precondition", "effect"):
-            if Item("action", name) in task.items:  # all of another action has the same guard
-                about[name].update(changes)
-                text = f"({'imply' if kind == 'precondition' else 'when'} {guard} {text})"
-            items[Item(kind, name, text)] = True
-        elif kind != "goal":
-            items[item] = True
-    for name, own in about.items():
-        if len(own) > MOST_FACTS:
+    flags = [lifted.Atom(f"fact@{j}", []) for j in range(len(facts))]
+    robots = dict(task.items)
+    for i, (variables, parts) in enumerate(conditions):
+        name, effect = f"holds@{i}", lifted.Effect([], lifted.Truth(), flags[0])
+        robots |= {Item("action", name): variables, Item("effect", name): effect}
+        robots |= {Item("precondition", name, str(k)): part for k, part in enumerate(parts)}
+    every = dict(robots)
+    for item, value in chain(*(fact.items() for fact in facts)):
+        if value is not None:
+            every.setdefault(item, value)
+
+    def guard(item: Item) -> Any:
+        """Whether somebody believes in an item."""
+        own = [(flag, fact[item]) for flag, fact in zip(flags, facts, strict=True) if item in fact]
+        if item in robots:
+            return lifted.Conjunction([flag.negate() for flag, value in own if value is None])
+        return lifted.Disjunction([flag for flag, _ in own])
+
+    def function(text: str) -> Any:
+        name, *arguments = text.strip("()").split()
+        return lifted.PrimitiveNumericExpression(name, arguments)
+
+    actions = []
+    for name, signature in ((x.owner, every[x]) for x in every if x.kind == "action"):
+        about = [x for x in facts if any(y.owner == name and y.kind != "cost" for y in x)]
+        if len(about) > MOST_FACTS:
             raise TooLargeError(
-                f"domain: {len(own)} facts affect the action {name}; at most {MOST_FACTS} can be "
+                f"domain: {len(about)} facts affect the action {name}; at most {MOST_FACTS} can be "
                 "combined: join some of them into one fact"
             )
-    for i, (variables, literals) in enumerate(conditions):
-        name = f"holds@{i}"
-        items |= {Item("action", name): variables, Item("effect", name, "(fact@0)"): True}
-        items |= {Item("precondition", name, text): True for text in literals}
-    names = {flag.strip("()"): () for flag in flags}
-    return replace(task, predicates={**task.predicates, **names}, items=items)
+        asked, effects = [guard(Item("action", name))], []
+        for item, value in ((x, every[x]) for x in every if x.owner == name):
+            # All of an action that the robot lacks has the guard of the action.
+            there = guard(item) if Item("action", name) in robots else lifted.Truth()
+            if item.kind == "precondition":
+                asked.append(lifted.Disjunction([there.negate(), value]))
+            elif item.kind == "effect":
+                when = lifted.Conjunction([there, value.condition]).simplified()
+                effects.append(lifted.Effect(value.parameters, when, value.literal))
+        cost = Item("cost", name)
+        same = isinstance(every.get(cost), str) and not any(cost in fact for fact in facts)
+        value = lifted.Increase(None, function(every[cost])) if same else None
+        typed = [lifted.TypedObject(*variable) for variable in signature]
+        condition = lifted.Conjunction(asked).simplified()
+        actions.append(lifted.Action(name, typed, len(typed), condition, effects, value))
+    found, initial = copy(task.found), [every[x] for x in every if x.kind == "initial"]
+    equal = [x for x in found.init if getattr(x, "predicate", "") == "="]
+    values = [lifted.Assign(function(x.text), None) for x in every if x.kind == "function"]
+    found.init, found.goal = [*initial, *flags, *equal, *values], lifted.Truth()
+    found.actions = actions
+    return found
 
 
 class Grounding:
@@ -126,12 +143,12 @@ class Grounding:
         self, task: Task, facts: Sequence[Items], conditions: Mapping[str, Condition]
     ) -> None:
         """Grounds the task."""
-        merged = merge(task, facts, [*conditions.values()])
-        found = translate(merged, merged.items, Source("domain.facts", "", ""))
+        found = merge(task, facts, conditions.values())
         order = [x.name for x in found.actions]
         changing = {y.literal.predicate for x in found.actions for y in x.effects} - {"fact@0"}
         flags = [lifted.Atom(f"fact@{j}", []) for j in range(len(facts))]
-        differing = [[_atom(x.text) for x in fact if x.kind == "initial"] for fact in facts]
+        starts = [{x: y for x, y in fact.items() if x.kind == "initial"} for fact in facts]
+        differing = [[y or task.items[x] for x, y in own.items()] for own in starts]
         model = reach(found)
         atoms = sorted({x for x in model if x.predicate in changing})
         fixed = sorted({x for x in chain(flags, *differing) if x.predicate not in changing})
@@ -141,10 +158,11 @@ class Grounding:
         self._bits = {literal: 1 << i for i, literal in enumerate(both)}
         self._every = (1 << len(positive)) - 1
         self.beliefs = self._mask([*fixed, *(x.negate() for x in fixed)])
-        self.start = sum(self._bits.get(_atom(x), 0) for x in texts(task.items, "initial"))
+        own = (y for x, y in task.items.items() if x.kind == "initial")
+        self.start = sum(self._bits.get(x, 0) for x in own)
         self.starts = [
-            (self._mask([flag, *own]), self._mask([flag, *map(_atom, texts(fact, "initial"))]))
-            for flag, own, fact in zip(flags, differing, facts, strict=True)
+            (self._mask([flag, *atoms]), self._mask([flag, *filter(None, own.values())]))
+            for flag, atoms, own in zip(flags, differing, starts, strict=True)
         ]
         forms = sorted(self._instantiate(found, model), key=lambda x: (order.index(x[0][0]), x))
         self.instances = {
@@ -259,8 +277,13 @@ class BelievedTask:
     ) -> None:
         """Grounds the task and explores its states."""
         self._task, self._facts, self._dead_end_cost = task, facts, dead_end_cost
-        goals = [text for items in (task.items, *facts) for text in texts(items, "goal")]
-        conditions = {text: ((), [text]) for text in goals} | dict(counts)
+        goals = {
+            item.text: ((), [value])
+            for items in (task.items, *facts)
+            for item, value in items.items()
+            if item.kind == "goal" and value is not None
+        }
+        conditions: dict[str, Condition] = {**goals, **counts}
         self._ground = ground = Grounding(task, facts, conditions)
         self.atoms, self._max_states = ground.atoms, max_states
         self._imagined = cache(self._imagine_all)
@@ -381,10 +404,8 @@ class BelievedTask:
         if not wrong:
             return None
         number = {state: s for s, state in enumerate(self.states)}
-        seen = (self._ground.imagine(state, wrong) for state in self.states[: self._n_robot])
-        result = np.arange(len(self.states))
-        result[: self._n_robot] = [number.get(state, -1) for state in seen]
-        return result
+        seen = [number[self._ground.imagine(x, wrong)] for x in self.states[: self._n_robot]]
+        return np.array([*seen, *range(self._n_robot, len(self.states))])
 
     def model(self, wrong: Wrong) -> GoalTask:
         """The task of somebody who believes these facts incorrectly."""
@@ -397,11 +418,6 @@ class BelievedTask:
             start=0,
             imagined=self._imagined(wrong & self._elsewhere),
         )
-
-
-def _atom(text: str) -> Any:
-    name, *arguments = text.strip("()").split()
-    return lifted.Atom(name, arguments)
 
 
 def split(literals: int) -> list[int]:

@@ -1,5 +1,5 @@
-"""A planning task as items of text, which can be compared and changed. PDDL is read and grounded by
-Fast Downward's translator (the extra ``pddl``), as that planner reads it.
+"""A planning task as items, which can be compared and changed. PDDL is read and grounded by Fast
+Downward's translator (the extra ``pddl``), as that planner reads it.
 """
 
 from __future__ import annotations
@@ -15,17 +15,32 @@ from typing import Any, NamedTuple
 
 from xplain.errors import InputError, XplainError
 
+try:
+    from fast_downward.translate import build_model, instantiate, normalize, options, pddl_to_prolog
+    from fast_downward.translate import pddl as lifted
+    from fast_downward.translate.pddl_parser import ParseError, lisp_parser, parsing_functions
+except ImportError:
+    lifted = None
+
+__all__ = ["instantiate", "lifted"]
+PACKAGED = "pkg://"
+MALFORMED = (ValueError, TypeError, LookupError, AssertionError, AttributeError, SystemExit)
+"""What the translator raises, besides its ParseError, for a file that it does not expect."""
+Signature = tuple[tuple[str, Any], ...]
+"""(name, type) of each variable or object."""
+
 
 class Item(NamedTuple):
     """One thing that a task says.
 
     Attributes:
-        kind: ``action`` (its value: (name, type) of each parameter), ``precondition`` and
-            ``effect`` (of an action; True), ``cost`` (of an action; a number, or the text of a
-            function), ``initial`` and ``goal`` (True), ``function`` (a number).
+        kind: ``action`` (its value: the signature of its parameters), ``precondition`` and
+            ``effect`` (of an action), ``initial`` and ``goal`` (the value of these four is what the
+            translator makes of them), ``cost`` (of an action; a number, or the text of a function),
+            ``function`` (a number).
         owner: the action's name; empty for items of the problem.
-        text: the literal, the effect or the function as :func:`write` has it; empty for ``action``
-            and ``cost``.
+        text: the condition, the effect or the function as :func:`write` has it; empty for
+            ``action`` and ``cost``.
     """
 
     kind: str
@@ -42,23 +57,17 @@ class Task:
     """A domain and a problem.
 
     Attributes:
-        types: the domain's section of types.
-        parents: the supertypes of each type.
-        objects: each object's type, constants included.
-        predicates, functions: the parameters of each, (name, type).
-        items: all else.
+        found: the task as the translator has it.
+        objects: constants included.
+        predicates, functions: the parameters of each.
+        items: what it says, but for types and objects.
     """
 
-    types: str
-    parents: Mapping[str, tuple[str, ...]]
-    objects: Mapping[str, str]
-    predicates: Mapping[str, tuple[tuple[str, Any], ...]]
-    functions: Mapping[str, tuple[tuple[str, Any], ...]]
+    found: Any
+    objects: Signature
+    predicates: Mapping[str, Signature]
+    functions: Mapping[str, Signature]
     items: Items
-
-    def is_a(self, kind: str, wanted: str) -> bool:
-        """Whether a type is another, or a subtype of it."""
-        return wanted in (kind, "object", *self.parents[kind])
 
 
 def changed(items: Items, *changes: Items) -> dict[Item, Any]:
@@ -76,42 +85,37 @@ def texts(items: Items, kind: str, owner: str = "") -> Iterator[str]:
             yield item.text
 
 
-def write(node: Any) -> str:
-    """Nested lists as PDDL, such as (not (on ?x b)); conjuncts and sides of "=" are sorted."""
-    if isinstance(node, str):
-        return node
-    parts = [write(part) for part in node]
-    if parts and parts[0] in ("and", "="):
-        parts[1:] = sorted(parts[1:])
-    return f"({' '.join(parts)})"
+def sign(typed: Any) -> Signature:
+    """The signature of the translator's typed objects."""
+    return tuple((x.name, x.type_name) for x in typed)
+
+
+def declare(signature: Signature) -> str:
+    """As PDDL has it, such as ?x - block."""
+    kinds = ((x, f"(either {' '.join(y)})" if isinstance(y, list) else y) for x, y in signature)
+    return " ".join(f"{name} - {kind}" for name, kind in kinds)
+
+
+def write(part: Any) -> str:
+    """A condition or an effect as PDDL, such as (not (on ?x b)); conjuncts and the sides of "=" are
+    sorted."""
+    if isinstance(part, lifted.Effect):
+        asked, text = write(part.condition), write(part.literal)
+        text = text if asked == "(and)" else f"(when {asked} {text})"
+        return f"(forall ({declare(sign(part.parameters))}) {text})" if part.parameters else text
+    if isinstance(part, lifted.Literal):
+        arguments = sorted(part.args) if part.predicate == "=" else part.args
+        text = f"({' '.join([part.predicate.removeprefix('type@'), *arguments])})"
+        return f"(not {text})" if part.negated else text
+    inside = sorted(map(write, part.parts))
+    if isinstance(part, lifted.ExistentialCondition):
+        return f"(exists ({declare(sign(part.parameters))}) {inside[0]})"
+    return f"({' '.join(['or' if isinstance(part, lifted.Disjunction) else 'and', *inside])})"
 
 
 def substitute(text: str, binding: Mapping[str, str]) -> str:
     """The text with its variables replaced."""
     return re.sub(r"\?[^\s()]+", lambda found: binding.get(found[0], found[0]), text)
-
-
-try:
-    from fast_downward.translate import build_model, instantiate, normalize, options, pddl_to_prolog
-    from fast_downward.translate import pddl as lifted
-    from fast_downward.translate.pddl_parser import ParseError, lisp_parser, parsing_functions
-except ImportError:
-    lifted = instantiate = None
-
-__all__ = [
-    "Source",
-    "instantiate",
-    "lifted",
-    "reach",
-    "read_task",
-    "read_text",
-    "tidy",
-    "translate",
-]
-
-PACKAGED = "pkg://"
-MALFORMED = (ValueError, TypeError, LookupError, AssertionError, AttributeError, SystemExit)
-"""What the translator raises, besides its ParseError, for a file that it does not expect."""
 
 
 @dataclass(frozen=True)
@@ -208,12 +212,15 @@ class Source:
             ) from None
 
 
-def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
+def read_task(
+    file: object, problem: object, keys: tuple[str, str], like: Items | None = None
+) -> Task:
     """The task of a domain and a problem file.
 
     Args:
         file, problem: their paths.
         keys: of the two in the configuration, for errors.
+        like: items of another task: actions of the same names take over names of parameters.
 
     Raises:
         XplainError: the translator is not installed.
@@ -221,176 +228,124 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
             the line.
     """
     domain, own = Source.read(keys[0], file), Source.read(keys[1], problem)
-    lists = [_drop_requirements(source.nested()) for source in (domain, own)]
+    numbers: dict[int, float] = {}
+    parts, inside = ([x for x in y.nested() if x[:1] != [":requirements"]] for y in (domain, own))
     with domain.translated(problem=own):
-        lists[1] = [[":domain", *lists[0][1][1:]] if x[0] == ":domain" else x for x in lists[1]]
-        found = parsing_functions.parse_task(*map(_round_numbers, lists))
+        inside = [[":domain", *parts[1][1:]] if x[0] == ":domain" else x for x in inside]
+        parts = [_rename(x, like) for x in parts] if like else parts
+        found = parsing_functions.parse_task(_number(parts, numbers), _number(inside, numbers))
     if found.axioms:
         raise domain.refusal("derived predicates are not supported", domain.find("(:derived"))
     bases = {x.basetype_name for x in found.types} - {x.name for x in found.types} - {None}
-    parents = {x.name: tuple(x.supertype_names) for x in found.types} | dict.fromkeys(bases, ())
-    typed = [x for of in found.predicates for x in of.arguments]
-    typed += [x for of in found.actions for x in of.parameters]
-    for source, x in [*((domain, x) for x in typed), *((own, x) for x in found.objects)]:
-        if isinstance(x.type_name, str) and x.type_name not in parents:
+    for kind in map(lifted.Type, sorted(bases)):
+        kind.supertype_names = []
+        found.types.append(kind)
+    items: dict[Item, Any] = {}
+    conditions = [(own, "", found.goal)]
+    typed = [(domain, y) for x in found.predicates for y in x.arguments]
+    for action in found.actions:
+        name, cost = action.name, action.cost and action.cost.expression
+        items[Item("action", name)] = sign(action.parameters)
+        items[Item("cost", name)] = _value(cost, numbers) if found.use_min_cost_metric else 1.0
+        items |= {Item("precondition", name, write(x)): x for x in conjuncts(action.precondition)}
+        items |= {Item("effect", name, write(x)): x for x in action.effects}
+        conditions += [(domain, name, x.condition) for x in action.effects]
+        conditions.append((domain, name, action.precondition))
+        typed += [(domain, x) for x in action.parameters]
+    for source, name, condition in conditions:
+        _refuse_universal(condition, source, name)
+    for source, x in [*typed, *((own, x) for x in found.objects)]:
+        if isinstance(x.type_name, str) and x.type_name not in {y.name for y in found.types}:
             at = source.find(f"- {x.type_name}")
             raise source.refusal(f"unknown type {x.type_name} of {x.name}", at)
-    items: dict[Item, Any] = {}
-    parts = {x[0]: x for x in lists[1]}
-    for node in parts[":init"][1:]:
-        if node[0] != "=":
-            items |= {Item("initial", "", write(node)): True} if node[0] != "not" else {}
-        elif "total-cost" not in node[1]:
-            items[Item("function", "", write(node[1]))] = float(node[2])
-    for literal in _literals(parts[":goal"][1], own):
-        items[Item("goal", "", literal)] = True
-    actions = {
-        x[1]: dict(zip(x[2::2], x[3::2], strict=True)) for x in lists[0] if x[0] == ":action"
-    }
-    if len(actions) < sum(x[0] == ":action" for x in lists[0]):
-        raise domain.refusal("two actions have one name", 0)
-    for action in found.actions:
-        name, fields = action.name, actions[action.name]
-        items[Item("action", name)] = _signature(action.parameters)
-        items[Item("cost", name)] = 0.0 if found.use_min_cost_metric else 1.0
-        for literal in _literals(fields.get(":precondition", []), domain, name):
-            items[Item("precondition", name, literal)] = True
-        for effect in _effects(fields[":effect"], domain, name):
-            if effect[0] != "increase":
-                items[Item("effect", name, write(effect))] = True
-            elif found.use_min_cost_metric:
-                cost = write(effect[2])
-                items[Item("cost", name)] = cost if cost.startswith("(") else float(cost)
-    types = next((x for x in lists[0] if x[0] == ":types"), [":types"])
+    for x in found.init:
+        if isinstance(x, lifted.Atom):
+            items |= {Item("initial", "", write(x)): x} if x.predicate != "=" else {}
+        elif x.fluent.symbol != "total-cost":
+            items[Item("function", "", str(_value(x.fluent, {})))] = _value(x.expression, numbers)
+    items |= {Item("goal", "", write(x)): x for x in conjuncts(found.goal)}
     return Task(
-        types=write([*types, *sorted(bases)]),
-        parents=parents,
-        objects={x.name: x.type_name for x in found.objects},
-        predicates={x.name: _signature(x.arguments) for x in found.predicates if x.name != "="},
-        functions={x.name: _signature(x.arguments) for x in found.functions},
-        items=items,
+        found,
+        sign(found.objects),
+        {x.name: sign(x.arguments) for x in found.predicates if x.name != "="},
+        {x.name: sign(x.arguments) for x in found.functions},
+        items,
     )
 
 
-def _drop_requirements(lists: Any) -> Any:
-    """Requirements say nothing of what is used."""
-    return [part for part in lists if part[:1] != [":requirements"]]
+def conjuncts(condition: Any) -> list[Any]:
+    """The parts of a condition that must all hold, sorted."""
+    whole = condition.simplified()
+    parts = whole.parts if isinstance(whole, lifted.Conjunction | lifted.Truth) else [whole]
+    return sorted(parts, key=write)
 
 
-def _round_numbers(node: Any) -> Any:
-    """The translator reads whole numbers alone; what they are does not matter to it."""
+def _refuse_universal(condition: Any, source: Source, action: str = "") -> None:
+    if condition.has_universal_part():
+        reason = "a condition with forall, or with exists after not, is not supported"
+        raise source.refusal(reason, source.find("(forall", action))
+
+
+def _rename(node: Any, like: Items) -> Any:
+    """A part of a domain; an action gets the names that another task gives its parameters."""
+    own = like.get(Item("action", node[1]), ()) if node[0] == ":action" else ()
+    theirs = [x for x in node[3] if isinstance(x, str) and x[0] == "?"] if own else []
+    binding = {x: y for x, (y, _) in zip(theirs, own, strict=False)}
+
+    def rename(part: Any) -> Any:
+        return binding.get(part, part) if isinstance(part, str) else [*map(rename, part)]
+
+    return rename(node)
+
+
+def _number(node: Any, numbers: dict[int, float]) -> Any:
+    """Decimals as whole numbers that stand for them, as the translator reads no others."""
     if isinstance(node, str):
         return node
     if len(node) == 3 and isinstance(node[1], list) and re.fullmatch(r"\d+\.\d*", str(node[2])):
-        return [*node[:2], "0"]
-    return [_round_numbers(part) for part in node]
+        key = 10**12 + len(numbers)
+        numbers[key] = float(node[2])
+        return [*node[:2], str(key)]
+    return [_number(part, numbers) for part in node]
 
 
-def _signature(typed: Any) -> tuple[tuple[str, Any], ...]:
-    return tuple((x.name, x.type_name) for x in typed)
+def _value(expression: Any, numbers: Mapping[int, float]) -> float | str:
+    """A number, or the text of a function; what is not there is 0."""
+    if isinstance(expression, lifted.PrimitiveNumericExpression):
+        return f"({' '.join([expression.symbol, *expression.args])})"
+    return float(numbers.get(expression.value, expression.value)) if expression else 0.0
 
 
-def _literals(node: Any, source: Source, action: str = "") -> list[str]:
-    """The literals of a condition, sorted.
-
-    Raises:
-        InputError: it is no conjunction of literals.
-    """
-    head = node[0] if node else "and"
-    if head == "and":
-        return sorted(text for part in node[1:] for text in _literals(part, source, action))
-    inner = node[1][0] if head == "not" else head
-    if inner in ("and", "or", "not", "imply", "forall", "exists"):
-        reason = f"a condition with {inner} is not supported; use literals joined by and"
-        raise source.refusal(reason, source.find(f"({inner}", action))
-    return [write(node)]
-
-
-def _effects(node: Any, source: Source, action: str) -> Iterator[Any]:
-    """The effects of a conjunction, each with its conditions."""
-    if node[0] == "and":
-        for part in node[1:]:
-            yield from _effects(part, source, action)
-    elif node[0] == "forall":
-        yield from (["forall", node[1], part] for part in _effects(node[2], source, action))
-    elif node[0] == "when":
-        asked = _literals(node[1], source, action)
-        for part in _effects(node[2], source, action):
-            yield ["when", asked[0] if len(asked) == 1 else f"(and {' '.join(asked)})", part]
-    else:
-        yield node
-
-
-def read_text(task: Task, signature: Any, source: Source, effect: bool = False) -> str:
-    """A literal, or an effect, that somebody writes in the configuration, as :func:`write` has it.
+def read_text(task: Task, signature: Signature, source: Source, effect: bool = False) -> Any:
+    """A literal, or an effect, that somebody writes in the configuration.
 
     Args:
         task: whose predicates and objects it names.
-        signature: (name, type) of each variable that it may name.
+        signature: of the variables that it may name.
         source: the text.
         effect: whether conditions and variables of its own may stand before the literal.
 
     Raises:
-        InputError: it is none, or an argument is of a type that the predicate does not take.
+        InputError: it is none.
     """
+    types = " ".join(f"{x.name} - {x.basetype_name}" for x in task.found.types if x.basetype_name)
+    declared = " ".join(f"({name} {declare(x)})" for name, x in task.predicates.items())
+    texts = (
+        f"(define (domain d) (:types {types}) (:constants {declare(task.objects)})"
+        f"(:predicates (done@) {declared}) (:functions (total-cost)))",
+        "(define (problem p) (:domain d) (:init) (:goal (and)))",
+        f"(:action a :parameters ({declare(signature)}))",
+    )
     nested = source.nested()
-    checked = {Item("action", "a"): signature, Item("effect", "a", source.text): True}
-    translate(task, checked, source)
-    found = (
-        [write(x) for x in _effects(nested, source, "")] if effect else _literals(nested, source)
-    )
-    if len(found) != 1 or found[0].startswith("(increase"):
+    with source.translated(f"; known: {', '.join([*task.predicates, *dict(task.objects)])}"):
+        domain, problem, action = (lisp_parser.parse_nested_list([text]) for text in texts)
+        asked = [":effect", nested] if effect else [":precondition", nested, ":effect", ["done@"]]
+        actions = parsing_functions.parse_task([*domain, [*action, *asked]], problem).actions
+    found = [x for y in actions for x in (y.effects if effect else conjuncts(y.precondition))]
+    if len(found) != 1:
         raise InputError(source.key, source.value, "one literal such as (on ?x b)")
-    kinds = {**task.objects, **dict(signature)}
-    for name, *arguments in map(str.split, re.findall(r"\(([^()]+)\)", found[0])):
-        for argument, (_, wanted) in zip(arguments, task.predicates.get(name, ()), strict=False):
-            kind = kinds.get(argument, wanted)
-            if isinstance(wanted, str) and not (task.is_a(kind, wanted) or task.is_a(wanted, kind)):
-                reason = f"{argument} is a {kind}, {name} takes a {wanted}"
-                raise InputError(source.key, source.value, reason)
+    _refuse_universal(found[0].condition if effect else found[0], source)
     return found[0]
-
-
-def tidy(text: str) -> str:
-    """An expression as :func:`write` has it."""
-    return write(lisp_parser.parse_nested_list([text])) if text else ""
-
-
-def translate(task: Task, items: Items, source: Source) -> Any:
-    """A task with these items as the translator has it.
-
-    Args:
-        task: whose types, objects, predicates and functions they have.
-        items: the values of functions do not matter, nor do costs that are numbers.
-        source: the text that is the reason of an error.
-
-    Raises:
-        InputError: the translator refuses it.
-    """
-
-    def declare(typed: Any) -> str:
-        return " ".join(f"{name} - {write(kind)}" for name, kind in typed)
-
-    lines = [f"(define (domain d) {task.types} (:constants {declare(task.objects.items())})"]
-    for section in ("predicates", "functions"):
-        declared = getattr(task, section).items()
-        lines.append(f"(:{section} {' '.join(f'({x} {declare(own)})' for x, own in declared)})")
-    for name in (item.owner for item in items if item.kind == "action"):
-        cost = items.get(Item("cost", name))
-        increase = f"(increase (total-cost) {cost})" if isinstance(cost, str) else ""
-        lines.append(
-            f"(:action {name} :parameters ({declare(items[Item('action', name)])}) "
-            f":precondition (and {' '.join(texts(items, 'precondition', name))}) "
-            f":effect (and {' '.join(texts(items, 'effect', name))} {increase}))"
-        )
-    values = " ".join(f"(= {text} 0)" for text in texts(items, "function"))
-    problem = (
-        f"(define (problem p) (:domain d) (:init {' '.join(texts(items, 'initial'))} {values}) "
-        f"(:goal (and {' '.join(texts(items, 'goal'))})) (:metric minimize (total-cost)))"
-    )
-    with source.translated(f"; known: {', '.join([*task.predicates, *task.objects])}"):
-        lists = (lisp_parser.parse_nested_list(text) for text in ([*lines, ")"], [problem]))
-        return parsing_functions.parse_task(*lists)
 
 
 def reach(found: Any) -> Any:
