@@ -64,7 +64,7 @@ def serve(name: str, words: list[str]) -> None:
     made = kind.of(running(name, cfg, path, kind))
     outside = server.address and urlsplit(server.address).hostname not in LOOPBACK
     if made.plan.unedited and outside and not server.demo:
-        wanted = "demo for a pilot; else fill in [EDIT: …] in the consent text, wording.consent"
+        wanted = "demo for a pilot; else fill in [EDIT: …] in wording.consent, wording.introduction"
         raise InputError("consent", cfg.consent, wanted)
     print(made.announcement(), end="", file=sys.stderr)
     run_server(made, name, server, path, cfg)
@@ -210,7 +210,7 @@ def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: Dict
     ignore_unknown_options=True,
 )
 @click.option("--url", default="http://127.0.0.1:8080")
-@click.option("--key", required=True)
+@click.option("--key", envvar="XPLAIN_KEY", required=True)
 @click.option("--count", type=click.IntRange(1, 10_000), default=40)
 @click.option("--at-once", type=click.IntRange(1, 10_000), default=8)
 @click.option("--pace", default=0.0)
@@ -234,7 +234,8 @@ def bots(
         xplain NAME bots --key KEY [--url http://127.0.0.1:8080] [--count 40] [--at-once 8]
             [--pace 0] [--leaving 0] [--seed 0] [--save FILE]
 
-    ``--key``: the researcher's key, which the server prints; ``--pace``: 1 is real time;
+    ``--key``: the researcher's key, which the server prints, better as the variable XPLAIN_KEY: any
+    user of the machine can see a command line; ``--pace``: 1 is real time;
     ``--leaving``: chance to leave, a page; ``--save``: where the export (ZIP) goes afterwards.
     Every habit is a flag: of ``xplain.people.study.bot.Habits`` such as ``--label-noise 0.1``, of
     ``xplain.people.collect.bot.Habits`` such as ``--error 0.05`` (share of wrong answers) and

@@ -96,8 +96,8 @@ class Page:
 
 
 def _text(element: Any) -> str:
-    """What it says, without the tags that mark something as new."""
-    said = element.xpath(".//text()[not(parent::span[@class='tag'])]")
+    """Its words, without tags that mark something as new, and without letters in a picture."""
+    said = element.xpath(".//text()[not(parent::span[@class='tag'] or ancestor::svg)]")
     return " ".join("".join(said).split())
 
 

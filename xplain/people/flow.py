@@ -218,6 +218,8 @@ class Flow(Generic[P, S]):
 
 CANNOT_TELL = 2
 """The answer of somebody who cannot tell whether a step makes sense: no evidence of anything."""
+FACTS_AT_ONCE = 3
+"""Facts on one screen of a briefing."""
 
 
 class Consent(Stage[F, S]):
@@ -237,27 +239,51 @@ class Consent(Stage[F, S]):
         return flow.after(state, **flow.admitted(payload))
 
 
-@dataclass(frozen=True)
+class Briefing(Stage[F, S]):
+    """Screens to read: the task, a few facts a screen, what participants are asked to do."""
+
+    def facts(self, flow: F, state: S) -> Mapping[str, Sequence[str]]:
+        """Key of a heading in the words: sentences below it."""
+        return {}
+
+    def screens(self, flow: F, state: S) -> list[tuple[str, tuple[str, ...]]]:
+        """Key of the heading, and the sentences, of each screen."""
+        facts = [
+            (heading, tuple(sentences[first : first + FACTS_AT_ONCE]))
+            for heading, sentences in self.facts(flow, state).items()
+            for first in range(0, len(sentences), FACTS_AT_ONCE)
+        ]
+        return [("introduction", ()), *facts, ("asked_for", ())]
+
+    def view(self, flow: F, state: S) -> dict[str, Any]:
+        """The screen that is open."""
+        screens = self.screens(flow, state)
+        heading, sentences = screens[state.part]
+        briefing = sentences if heading == "told_to_you" else ()
+        number = {"screen_number": state.part + 1, "screen_count": len(screens)}
+        return {"screen": heading, "sentences": sentences, "briefing": briefing} | number
+
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
+        """To the next screen, or to the next stage."""
+        if state.part + 1 < len(self.screens(flow, state)):
+            return state.to(part=state.part + 1)
+        return flow.after(state, part=0, wrong=False)
+
+
 class OneLabel(Stage[F, S]):
-    """A page with one step to label.
-
-    Attributes:
-        missing: key of the words for no answer.
-    """
-
-    missing: str
+    """A page with one step to label."""
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """The label."""
         return {"label": small(form.get("label"))}
 
-    def label(self, flow: F, payload: Mapping[str, Any], count: int = 2) -> int:
-        """What was chosen, of so many answers.
+    def label(self, flow: F, payload: Mapping[str, Any]) -> int:
+        """1, 0 or CANNOT_TELL.
 
         Raises:
-            Refused: nothing.
+            Refused: nothing was chosen.
         """
-        return choice(payload.get("label"), count, flow.words[self.missing])
+        return choice(payload.get("label"), CANNOT_TELL + 1, flow.words["label_missing"])
 
 
 class Practice(OneLabel[F, S]):
@@ -272,20 +298,21 @@ class Practice(OneLabel[F, S]):
 
 
 class LookingAhead(OneLabel[F, S]):
-    """A step that looks odd and is right because of what comes later, which who errs is shown."""
+    """A step that looks odd and is right because of later steps; these are shown after any other
+    answer than 1."""
 
     def wanted(self, plan: Any) -> bool:
         """Where the task has such a step."""
         return plan.ahead is not None
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
-        """The step; what comes later once somebody erred."""
+        """The step; the later steps after a wrong answer."""
         steps = flow.plan.ahead.steps
         return {"action": steps[0], "later": steps[1:] if state.wrong else ()}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """On once it makes sense to them."""
-        if self.label(flow, payload):
+        if self.label(flow, payload) == 1:
             return flow.after(state, wrong=False)
         return state.to(wrong=True)
 

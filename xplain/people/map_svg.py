@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -65,6 +66,22 @@ def legend(plan: Any, way: bool = False) -> list[tuple[str, Markup]]:
     if way:
         drawn.append((words["way"], _DRAWN.way_key()))
     return [(name, _DRAWN.key(svg)) for name, svg in drawn]
+
+
+def about(plan: Any, sentence: str) -> Markup:
+    """The picture of what a sentence is about: of the item or icon whose name is the first in it;
+    "" where it names none."""
+    shown = _looks(plan) if plan.scene else []
+    names = {look[0].name for look in shown}
+    shown += [
+        (Item(name, "", ()), plan.icons[name], "#3B4252") for name in plan.icons.keys() - names
+    ]
+    found = {
+        at.start(): look
+        for look in sorted(shown, key=lambda look: len(look[0].name))
+        if (at := re.search(rf"\b{re.escape(look[0].name)}\b", sentence, re.IGNORECASE))
+    }
+    return Markup(_DRAWN.key(_DRAWN.tile(*found[min(found)]))) if found else Markup()
 
 
 def _looks(plan: Any) -> list[tuple[Item, str | None, str]]:

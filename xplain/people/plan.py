@@ -302,8 +302,8 @@ class StoredPlan:
 
     @property
     def unedited(self) -> bool:
-        """Whether the consent text still has places that a lab has to fill in."""
-        return any(EDIT in paragraph for paragraph in self.texts.consent)
+        """Whether the consent or the introduction still has places that a lab has to fill in."""
+        return any(EDIT in text for text in (*self.texts.consent, *self.texts.introduction))
 
     @property
     def lab_questions(self) -> tuple[LabQuestion, ...]:

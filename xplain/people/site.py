@@ -10,7 +10,7 @@ from __future__ import annotations
 import sqlite3
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
@@ -114,12 +114,13 @@ class Site(ABC, Generic[F]):
 
     def drawing(self) -> dict[str, Any]:
         """What every template may use: ``map``, ``ahead`` (that of the practice), ``legend``,
-        ``changes``, ``pictures``, ``titles``."""
+        ``about`` (the picture of a fact), ``changes``, ``pictures``, ``titles``."""
         words = self.plan.texts.words
         return {
             "map": lru_cache(4096)(self.picture),
             "ahead": lambda steps: map_svg.picture(self.plan, self.plan.ahead.way, steps),
             "legend": map_svg.legend(self.plan),
+            "about": partial(map_svg.about, self.plan),
             "changes": self.plan.changes,
             "pictures": self.plan.pictures,
             "titles": {stage: words[stage] for stage in self.flow.stages[:-1]},

@@ -60,12 +60,13 @@ class Observer(bots.Bot[CollectPlan, Habits]):
         super().__init__(plan, habits, rng)
         self.held = held
         self.known = 0
+        self._told: set[str] = set()
 
     def at_task(self, page: Page) -> None:
-        """Takes over what a briefing says."""
+        """Takes over what the screens of a briefing say, if anything."""
+        self._told |= {*page.facts}
         if page.facts:
-            told = [role.briefing for role in self.plan.roles]
-            self.held = self.plan.roles[told.index(tuple(page.facts))].held
+            self.held = next(r.held for r in self.plan.roles if self._told <= {*r.briefing})
 
     def at_practice(self, page: Page) -> Fields:
         """Makes sense under the one sentence only."""

@@ -6,7 +6,7 @@ consent → task → practice → ahead → clips → listening → beliefs → 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar
@@ -24,6 +24,7 @@ from xplain.people.collect.asking import (
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import (
     CANNOT_TELL,
+    Briefing,
     Consent,
     Flow,
     Form,
@@ -41,12 +42,12 @@ QUESTIONNAIRES = 512
 """Kept at a time: more than people answer at once."""
 
 
-class TaskStage(Stage["Collection", CollectState]):
-    """What the robot does, told neutrally."""
+class TaskStage(Briefing["Collection", CollectState]):
+    """The robot's task, without the facts that people are asked about; and an assigned briefing."""
 
-    def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
-        """With the briefing, where there is one."""
-        return flow.briefing(state)
+    def facts(self, flow: Collection, state: CollectState) -> Mapping[str, Sequence[str]]:
+        """The briefing, if there is one."""
+        return {"told_to_you": flow.briefing(state).get("briefing", ())}
 
 
 class CollectPractice(Practice["Collection", CollectState]):
@@ -94,7 +95,7 @@ class ClipStage(Stage["Collection", CollectState]):
         clip = state.clip
         assert clip is not None, "a clip is on the page"
         answers = CANNOT_TELL + 1
-        chosen = choices(payload.get("labels"), [answers] * clip.size, flow.words["choose_each"])
+        chosen = choices(payload.get("labels"), [answers] * clip.size, flow.words["label_missing"])
         state = replace(state, answered=(*state.answered, replace(clip, labels=chosen)), clip=None)
         return self._next(flow, state)
 
@@ -157,8 +158,8 @@ class Collection(Flow[CollectPlan, CollectState]):
     STAGES: ClassVar = (
         Consent("consent", "consent"),
         TaskStage("task", "read"),
-        CollectPractice("practice", "example", "choose"),
-        LookingAhead("ahead", "ahead", "choose"),
+        CollectPractice("practice", "example"),
+        LookingAhead("ahead", "ahead"),
         ClipStage("clips", "labels"),
         Listening("listening", "labels"),
         BeliefStage("beliefs", "beliefs"),
@@ -218,12 +219,15 @@ def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int
 
 def _clip(plan: CollectPlan, clip: AskedClip) -> dict[str, Any]:
     told = [plan.facts[j].message for j in indices(clip.told)]
-    if clip.purpose == ATTENTION:
-        return {"told": told, "steps": [plan.attention], "transitions": (), "situation": ()}
+    if clip.purpose == ATTENTION:  # with a picture where other pages have one
+        picture = [t for t, one in enumerate(plan.pictures) if one][:1]
+        shown = {"told": told, "steps": [plan.attention], "transitions": (), "situation": ()}
+        return shown | {"illustrated": picture}
     steps = clip.transitions
     return {
         "told": told,
         "steps": [f"{plan.subject} {plan.hypotheses.phrases[t]}".strip() for t in steps],
         "transitions": steps,
+        "illustrated": steps,
         "situation": plan.situations[steps[0]] if plan.situations else (),
     }

@@ -60,6 +60,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         self.seconds = 0.0
         self._judged: int | None = None
         self._labels: list[int] = []
+        self._told: set[str] = set()
         self._pace = self._spread()
 
     def _spread(self) -> float:
@@ -71,9 +72,11 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return self.asked(self.plan.before)
 
     def at_briefing(self, page: Page) -> None:
-        """Takes over what the briefing says, if anything."""
+        """Takes over what the screens of the briefing say, if anything."""
+        self._told |= {*page.facts}
+        briefings = [{*role.briefing} for role in self.plan.roles]
         if page.facts:
-            self.user_type = [role.briefing for role in self.plan.roles].index(tuple(page.facts))
+            self.user_type = next(t for t, told in enumerate(briefings) if self._told <= told)
 
     def at_training(self, page: Page) -> Fields:
         """Expected where the message is there."""

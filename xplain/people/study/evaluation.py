@@ -276,7 +276,7 @@ class Asking(OneLabel["Explaining", StudyState]):
     ) -> StudyState:
         """To another question, or to the next step. Of somebody who cannot tell nothing is
         learned."""
-        label, talk = self.label(flow, payload, CANNOT_TELL + 1), flow.talk(state)
+        label, talk = self.label(flow, payload), flow.talk(state)
         if label != CANNOT_TELL:
             talk.hear(Asked(state.asked[-1].question), Answered(label))
         belief = tuple(talk.state.belief.tolist())

@@ -10,12 +10,13 @@ Within the evaluation, a policy that asks opens pages of the stage ``asking`` be
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from xplain.errors import Refused
 from xplain.people.flow import (
+    Briefing,
     Consent,
     Form,
     LookingAhead,
@@ -44,22 +45,29 @@ class StudyConsent(Consent["Study", StudyState]):
         }
 
 
-class Briefing(Stage["Study", StudyState]):
-    """What this user type knows."""
+class StudyBriefing(Briefing["Study", StudyState]):
+    """What everybody is told, and what this user type knows."""
+
+    def facts(self, flow: Study, state: StudyState) -> Mapping[str, Sequence[str]]:
+        """No more than the role has; people as they are have no briefing."""
+        known = [known.right for known in flow.plan.known]
+        return {"told_to_all": known, "told_to_you": flow.role(state).briefing}
+
+    def screens(self, flow: Study, state: StudyState) -> list[tuple[str, tuple[str, ...]]]:
+        """After a failed attempt the facts alone."""
+        every = super().screens(flow, state)
+        return every[1:-1] if state.attempts else every
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
-        """The sentences of the type, and what everybody is told."""
-        return {
-            "briefing": flow.role(state).briefing,
-            "known": [known.right for known in flow.plan.known],
-            "attempts_left": flow.plan.rules.max_attempts - state.attempts,
-        }
+        """With the attempts that are left."""
+        left = flow.plan.rules.max_attempts - state.attempts
+        return super().view(flow, state) | {"attempts_left": left}
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
-        """After a failed attempt the example is known; only the facts need another look."""
-        if state.attempts:
-            return state.to(stage="eligibility", wrong=False)
-        return flow.after(state, wrong=False)
+        """After a failed attempt to the test: the practice is not repeated."""
+        after = super().advance(flow, state, payload)
+        again = state.attempts and after.stage != self.name
+        return replace(after, stage="eligibility") if again else after
 
 
 class TrainingStage(Practice["Study", StudyState]):
@@ -147,12 +155,12 @@ class Study(Explaining):
     STAGES: ClassVar = (
         StudyConsent("consent", "consent"),
         QuestionStage("before", "screening", "before", "screened_out"),
-        Briefing("briefing", "read"),
-        TrainingStage("training", "example", "label_missing"),
-        LookingAhead("ahead", "ahead", "label_missing"),
+        StudyBriefing("briefing", "read"),
+        TrainingStage("training", "example"),
+        LookingAhead("ahead", "ahead"),
         Eligibility("eligibility", "eligibility"),
         Evaluation("evaluation", "labels"),
-        Asking("asking", "clip", "label_missing"),
+        Asking("asking", "clip"),
         Quiz("quiz", "quiz"),
         LastQuestions("questions", "answers"),
     )

@@ -120,12 +120,11 @@ class StudySite(site.Site[Study]):
         return map_svg.picture(plan, plan.path, what, gone)
 
     def drawing(self) -> dict[str, Any]:
-        """Who is not briefed reads of the task; on a map a trace is shown."""
-        drawn, words = super().drawing(), self.plan.texts.words
+        """With the title of questions in between; on a map the legend shows the robot's way."""
+        drawn = super().drawing()
         legend = map_svg.legend(self.plan, self.plan.path is not None)
-        title = words["briefing_natural" if self.plan.kinds else "briefing"]
-        own = {"briefing": title, "asking": words["asking"]}
-        return drawn | {"titles": drawn["titles"] | own, "legend": legend}
+        asking = {"asking": self.plan.texts.words["asking"]}
+        return drawn | {"titles": drawn["titles"] | asking, "legend": legend}
 
     @cached_property
     def pictures(self) -> Pictures:
