@@ -32,7 +32,7 @@ from tests.chromium import (
 )
 from tests.people.kinds import ASKING, site_of
 from tests.people.server_process import ROOT, ServerProcess
-from tests.people.study.stand_in import FAULTLESS, street_study
+from tests.people.study.stand_in import FAULTLESS, SCREENS, street_study
 from xplain.cli.main import main
 from xplain.people.bots import Page, Researcher
 from xplain.people.store import Store
@@ -189,7 +189,7 @@ def test_every_page_is_accessible_and_is_photographed(
             fields = forgetful.fill(page)[0]
             if page.stage == "training":
                 fields = [("label", str(len(page.messages)))]
-            if "Not all of your answers" in driver.page_source:
+            if "Some of your answers were different" in driver.page_source:
                 look_at(driver, axe, "briefing-again")
             answer(driver, page, fields)
         look_at(driver, axe, "ineligible")
@@ -428,7 +428,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         (invitation,) = Researcher(server.url, server.key).invite(1)
         go_in(driver, server.url, invitation)
         person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
-        for _ in range(6):
+        for _ in range(5 + SCREENS):
             page = Page.of_html(driver.page_source)
             choose(driver, person.fill(page)[0])
             button = driver.find_element(By.CSS_SELECTOR, "main form button")
@@ -439,7 +439,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         choose(driver, person.fill(page)[0])
         server.kill()
         press(driver)
-        wait(lambda: "No connection" in driver.find_element(By.ID, "connection").text)
+        wait(lambda: "no connection" in driver.find_element(By.ID, "connection").text)
         stored = driver.execute_script("return JSON.stringify(localStorage)")
         assert "labels" in stored  # the outbox
         server.start()
@@ -467,7 +467,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
     store = Store(path, StudySite(study))
     kinds = [row["kind"] for row in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
     assert kinds == [
-        *("consent", "read", "example", "example", "ahead"),
+        *("consent", *["read"] * SCREENS, "example", "example", "ahead"),
         "eligibility",
         *["labels"] * 2,
     ]

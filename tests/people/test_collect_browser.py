@@ -161,7 +161,7 @@ def test_a_lost_network_loses_no_label(driver: Driver, tmp_path: Path) -> None:
 
         choose(driver, person.fill(page)[0])
         press(driver)
-        wait(lambda: "kept here" in driver.find_element(By.ID, "connection").text)
+        wait(lambda: "kept on your device" in driver.find_element(By.ID, "connection").text)
         server.start()
         wait(lambda: moved_on(driver, page.hidden["sequence"]), 40)
         after = Page.of_html(driver.page_source)

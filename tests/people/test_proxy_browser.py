@@ -101,7 +101,7 @@ def test_an_answer_outlives_what_a_proxy_says(tmp_path: Path, status: int) -> No
         choose(driver, [("agree", "1")])
         press(driver)
         wait(lambda: proxy.answered > 1)
-        assert "No connection" in driver.find_element("id", "connection").text
+        assert "no connection" in driver.find_element("id", "connection").text
         assert sequence(driver) == "0"
         proxy.status = 0
         wait(lambda: sequence(driver) == "1")

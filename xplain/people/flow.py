@@ -259,9 +259,9 @@ class Briefing(Stage[F, S]):
         """The screen that is open."""
         screens = self.screens(flow, state)
         heading, sentences = screens[state.part]
-        briefing = sentences if heading == "told_to_you" else ()
-        number = {"screen_number": state.part + 1, "screen_count": len(screens)}
-        return {"screen": heading, "sentences": sentences, "briefing": briefing} | number
+        view = {"screen": heading, "sentences": sentences, "screen_number": state.part + 1}
+        briefing = {"briefing": sentences} if heading == "told_to_you" else {}
+        return view | {"screen_count": len(screens)} | briefing
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """To the next screen, or to the next stage."""

@@ -71,7 +71,7 @@ def test_the_way_from_consent_to_done() -> None:
     seen = [state.stage for state in states(COLLECTION)]
     clips = 12 + 2 + 1
     assert seen == [
-        *("consent", "task", "practice", "practice", "ahead"),
+        *("consent", "task", "task", "practice", "practice", "ahead"),
         *["clips"] * clips,
         *("beliefs", "questions", "done"),
     ]

@@ -45,7 +45,7 @@ def test_a_question_comes_with_the_messages_and_moves_no_progress(store: Store) 
             if page.stage == "asking":
                 assert {*page.messages} == told
                 assert "New message" not in html
-                assert page.headings == ["One step in between"]
+                assert page.headings == ["One extra step"]
                 assert re.findall('name="label" value="(.)" required>', html) == ["1", "0", "2"]
                 assert "checked" not in html
                 seen += 1

@@ -9,14 +9,15 @@ import pytest
 from flask import Flask
 
 from tests.people.kinds import KINDS, bot_of, site_of
+from tests.people.study.stand_in import SCREENS
 from tests.people.visitors import GENEROUS, Visitor, enter, pages
 from xplain.people.bots import Page
 from xplain.people.store import Store
 from xplain.people.web import create_app
 
 BEFORE = {
-    "study": ("consent", "briefing", "training", "training", "ahead", "eligibility"),
-    "collect": ("consent", "task", "practice", "practice", "ahead"),
+    "study": ("consent", *["briefing"] * SCREENS, "training", "training", "ahead", "eligibility"),
+    "collect": ("consent", "task", "task", "practice", "practice", "ahead"),
 }
 STEPS = {"study": ["evaluation"] * 4, "collect": ["clips"] * 15 + ["listening"] * 6}
 AFTER = {"study": ("quiz", "questions", "done"), "collect": ("beliefs", "questions", "done")}

@@ -40,7 +40,7 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
     assert 'name="label_0" value="0" required checked' in html
     status, html = visitor.post("/study", [*hidden.items()])
     assert status == 400
-    assert "Please say whether" in html
+    assert "Please say for each step" in html
     status, html = visitor.post("/study", [*hidden.items(), ("label_1", "1")])
     assert status == 200
     (who,) = participants(store._connection, StudyState)
@@ -57,7 +57,7 @@ def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> N
         someone = StudyBot(store.site.plan, habits, np.random.default_rng(number))
         for html, page in pages(Visitor(client.test_client()), someone, token):
             assert len(set(page.messages)) == len(page.messages)
-            marked += re.findall(r'<span class="tag">As said before:</span> (.*?)</div>', html)
+            marked += re.findall(r'<span class="tag">Said again:</span> (.*?)</div>', html)
     people = participants(store._connection, StudyState)
     again = [step["given"] & step["messages"] for one in people for step in steps_of(one)]
     assert len(marked) == sum(mask.bit_count() for mask in again) > 0
@@ -103,11 +103,12 @@ def test_what_people_write_is_escaped_everywhere(
 def test_sentences_of_the_domain_are_escaped(
     store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot]
 ) -> None:
+    read = ""
     for html, page in pages(browser(), person(), store.invite(1, "person")[0]):
         assert "<robot>" not in html
-        if page.stage == "briefing":
-            assert "&lt;robot&gt;" in html
-            assert "fine for the robot &amp; quick" in html
+        read += html if page.stage == "briefing" else ""
+    assert "&lt;robot&gt;" in read
+    assert "fine for the robot &amp; quick" in read
 
 
 def test_entry_is_as_configured(store: Store) -> None:
@@ -236,7 +237,7 @@ def test_who_finds_no_place_gets_the_code_for_it(store: Store) -> None:
         page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
         status, html = visitor.post("/study", [*page.hidden.items(), ("agree", "1")])
         assert status == 503
-        assert "All places are taken" in html
+        assert "There is no free place" in html
         assert ("FULL1" in html) == bool(code)
 
 

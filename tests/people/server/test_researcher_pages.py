@@ -181,7 +181,7 @@ def test_a_pause_lets_nobody_new_in_and_whoever_has_begun_go_on(
     client.post("/researcher/pause", data={"token": token, "on": "1"})
     with pytest.raises(Refused, match="paused"):
         consent(store, new)
-    assert store.submit(begun, 1, "read", {}).stage == "training"
+    assert store.submit(begun, 1, "read", {}).part == 1
     client.post("/researcher/pause", data={"token": token, "on": "0"})
     assert consent(store, new).stage == "briefing"
 

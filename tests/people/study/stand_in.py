@@ -29,6 +29,9 @@ from xplain.people.study.task import MayAsk, OfDomain
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
 """Of a participant who errs, forgets and leaves nowhere."""
 
+SCREENS = 4
+"""Of the street's briefing: the task, its four facts on two, what participants are asked to do."""
+
 PLACES = ("bridge", "market", "school", "tunnel")
 AHEAD = Ahead(("Qback <Qand> & Qforth", "Qfetched"), (((0, 1), (0, 0)),) * 2)
 """The street itself leads nowhere but to its end."""

@@ -123,7 +123,7 @@ def test_questions_keep_to_their_limits(when: str, most: int, cost: float, error
 def test_a_question_shows_what_was_said_and_wants_an_answer(asking: Study) -> None:
     state = at_evaluation(asking, 1, "asking")
     assert state.stage == "asking"
-    with pytest.raises(Refused, match="say whether"):
+    with pytest.raises(Refused, match="say for each step"):
         asking.advance(state, "clip", {})
     with pytest.raises(Refused):
         asking.advance(state, "labels", {"labels": [1]})

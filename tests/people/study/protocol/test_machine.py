@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
+from tests.people.study.stand_in import CONFIG, FAULTLESS, SCREENS, street_study
 from xplain.errors import InputError, Refused
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
@@ -31,7 +31,7 @@ def at_evaluation(study: Study, user_type: int, condition: str) -> StudyState:
     state = StudyState()
     for kind, payload in (
         ("consent", {"agree": 1, "text": text, **slot}),
-        ("read", {}),
+        *[("read", {})] * SCREENS,
         ("example", {"label": 0}),
         ("example", {"label": 1}),
         ("ahead", {"label": 1}),
@@ -167,6 +167,11 @@ def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Stu
     state = study.advance(state, "eligibility", {"answers": wrong})
     assert (state.stage, state.attempts, state.wrong) == ("briefing", 1, True)
     assert study.view(state)["attempts_left"] == 1
+    told = [study.view(state)["sentences"]]
+    state = study.advance(state, "read", {})
+    told.append(study.view(state)["sentences"])
+    assert sum(told, ()) == study.plan.roles[0].briefing  # the facts again, three a screen
+    assert len(told[0]) == 3
     state = study.advance(state, "read", {})
     assert state.stage == "eligibility"  # the practice is not repeated
     right = {"answers": [q.answer for q in study.plan.roles[0].eligibility]}
