@@ -129,7 +129,7 @@ def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path
     person = StudyBot(site.plan, FAULTLESS, np.random.default_rng(0))
     seen = list(pages(visitor, person, token))
     assert [page.stage for _, page in seen] == [
-        *("consent", "briefing", "training", "training", *["evaluation"] * 5),
+        *("consent", "briefing", "briefing", "training", "training", *["evaluation"] * 5),
         *("quiz", "done"),
     ]
     steps = [html for html, page in seen if page.stage == "evaluation"]
