@@ -31,9 +31,9 @@ from xplain.interaction.explainees import Exact, Explainee, Heedless, Slips
 from xplain.interaction.metrics import Record
 from xplain.solvers.base import Solver
 from xplain.solvers.greedy import QMDP, KnownType
-from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.hsvi import Certified
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR, AskFirst
 
 PRICES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)

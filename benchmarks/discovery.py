@@ -152,10 +152,11 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
             key: Problem(label_table(one.labelers, features), np.ones(n))
             for key, one in plans.items()
         }
+        true = problems["true"]
         policies = {key: QMDP().plan(problem) for key, problem in problems.items()}
         for t in range(len(setting.types)):
             user = SimulatedUser.of(labels[t])
-            alone = problems["true"].only_types([t])
+            alone = true.with_types(true.table.of_types([t]), ("alone",))
             runs = {key: (problems[key], policies[key]) for key in plans}
             runs["oracle"] = alone, QMDP().plan(alone)
             for key, (problem, policy) in runs.items():

@@ -39,7 +39,7 @@ from xplain.interaction.statistics import clustered_mean
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi import Effort
 from xplain.solvers.lookahead import Lookahead
 
 DOMAINS = ("rescue", "four_rooms")

@@ -18,7 +18,7 @@ import numpy as np
 from xplain import Explainer, GivenTypes
 from xplain.solvers.base import Solver
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR
 
 STEPS, TYPES = 20, 5

@@ -16,6 +16,7 @@ import argparse
 import time
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
@@ -27,9 +28,9 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver, messages_of
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.solvers.hsvi import Certified, CertifiedPolicy
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.pomcp.solver import POMCP, Search
+from xplain.solvers.pomcp import POMCP, Search
 
 
 def problem_of(
@@ -101,7 +102,7 @@ def growth(quick: bool, repeats: int) -> Table:
         row = cells(QMDP(), problem, repeats)
         dense = ("", "")
         if n <= (14 if quick else 18):
-            table = problem.dense()
+            table = replace(problem, table=LabelTable.dense(problem.p_explicable))
             dense = cells(QMDP(), table, 1)
         worth = len(problem.messages_with_effect)
         shown.add_row(*map(str, (m, n, types, facts, worth)), *row, *dense)

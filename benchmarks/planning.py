@@ -25,7 +25,7 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.base import GIB
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.solvers.hsvi import Certified, CertifiedPolicy
 from xplain.solvers.known_type import known_bytes, known_values
 from xplain.solvers.process import make_process
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.problem import Problem
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 
 DEPTHS = (2, 5, 20)
 EXPLORATION = 10.0
@@ -249,7 +249,7 @@ import time; start = time.perf_counter()
 import numpy as np
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.problem import Problem
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 rng = np.random.default_rng(0)
 problem = Problem(rng.random((5, 20, 1024)), np.ones(10))
 POMCP(simulations=2000).plan(problem).decide(VisibleState(), problem.prior)

@@ -30,7 +30,7 @@ from xplain.solvers.base import Knowledge, Solver, best_action, messages_of
 from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import Greedy
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi import Effort
 from xplain.solvers.known_type import known_values
 from xplain.solvers.process import make_process, matters, outcomes
 

@@ -12,9 +12,9 @@ from tests.explanation.flat_pomdp import read
 from xplain.cli.main import main
 from xplain.experiment.config import CONF
 from xplain.explanation.asking import Limits, Questions
+from xplain.explanation.files import load, save
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.explanation.problem_file import load, save
 from xplain.testing.literal_pomdp import reduced_optimal_value
 
 SOLVERS = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))

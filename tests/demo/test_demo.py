@@ -50,7 +50,7 @@ def demo(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("user", ["A", "E"])
 def test_it_plays_the_experiments_episode(rescue, user):
     case, prepared = rescue.case, rescue.prepared
-    problem = rescue.explainer.problem(case.learned)
+    problem = rescue.session()._talk.problem
     labels = case.labels.of_types([prepared.types.index(user)])
     policy = QMDP().plan(problem)
     episode = explain(problem, policy, SimulatedUser(labels), Independent())

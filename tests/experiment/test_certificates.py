@@ -47,7 +47,7 @@ def problem_of(case: Case) -> Problem:
 
 
 def alone(problem: Problem, user_type: int) -> Problem:
-    return problem.only_types([user_type])
+    return problem.with_types(problem.table.of_types([user_type]), ("alone",))
 
 
 PROBLEMS = [problem_of(case) for case in PREPARED.cases]

@@ -297,5 +297,5 @@ def test_tables_kept_by_type_are_explained_as_dense_ones():
         said += one.episode.n_messages
     assert said > 0
     wise = [with_true_labels(p) for p in (dense, by_type)]
-    tables = [problem_for(p, p.cases[1], costs, QMDP(), Independent(), 0).dense() for p in wise]
+    tables = [problem_for(p, p.cases[1], costs, QMDP(), Independent(), 0) for p in wise]
     assert np.array_equal(tables[0].p_explicable, tables[1].p_explicable)

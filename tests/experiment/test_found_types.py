@@ -16,7 +16,7 @@ from xplain.interaction.explainees import Exact
 from xplain.interaction.metrics import Record
 from xplain.solvers.base import Solver
 from xplain.solvers.greedy import QMDP, KnownType
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 
 SMALL = ("domain=rescue", "observers.label_noise=0.02", "points=150", "traces=5", "seed=2")
 SOLVERS: dict[str, Solver] = {

@@ -28,8 +28,8 @@ from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate as policy_value
 from xplain.solvers.greedy import QMDP, Baseline, KnownType
-from xplain.solvers.hsvi.solver import Certified, Effort
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.hsvi import Certified, Effort
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR, SayAll, Silent
 
 SOLVERS: dict[str, Solver] = {

@@ -1,4 +1,4 @@
-"""A reader of the ``.pomdp`` text that :mod:`xplain.explanation.pomdp_file` writes: as any program
+"""A reader of the ``.pomdp`` text that :mod:`xplain.explanation.files` writes: as any program
 would read it, knowing nothing of explanations."""
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.solvers.bounds import bounds
 from xplain.solvers.greedy import QMDP, Conformant
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi import Effort
 from xplain.testing.literal_pomdp import literal_optimal_value
 
 N, STEPS = 3, 3

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.decisions import messages_given, worths
-from xplain.explanation import knowledge
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, told, update
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
@@ -47,48 +46,6 @@ def problem_of(seed: int, types: int = 2, steps: int = 2, messages: int = 2) -> 
         problem = random_problem(rng, types, steps, messages)
         if len(problem.habits) == 1:
             return problem.with_habits(habits(rng, int(rng.integers(1, 3))))
-
-
-def tables(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.random.Generator]:
-    """A belief [rows, N], what is relevant, and a rate a type."""
-    rng = np.random.default_rng(seed)
-    relevant = np.array([sorted(rng.choice(5, 3, replace=False)) for _ in range(4)])
-    relevant[0, 2] = -1  # a pad
-    belief = rng.dirichlet(np.ones(32)).reshape(8, 4)
-    return belief, relevant, rng.random(4), rng
-
-
-@given(seeds)
-def test_saying_and_forgetting_only_move_probability_within_a_type(seed: int) -> None:
-    belief, relevant, rate, rng = tables(seed)
-    before = belief.copy()
-    said = knowledge.say(belief, relevant, int(rng.integers(5)), rate)
-    lost = knowledge.forget(belief, relevant, rate)
-    for after in (said, lost):
-        assert (after >= 0).all()
-        assert after.sum(axis=0) == pytest.approx(belief.sum(axis=0))
-    assert np.array_equal(belief, before)
-
-
-@given(seeds)
-def test_what_is_expected_after_forgetting_is_the_value_of_what_is_left(seed: int) -> None:
-    """b · E[v(K') | K] = (b after forgetting) · v: two ways to say one expectation."""
-    belief, relevant, rate, rng = tables(seed)
-    values = rng.random(belief.shape)
-    ahead = knowledge.expected_after_forgetting(values, relevant, rate)
-    assert (belief * ahead).sum() == pytest.approx(
-        (knowledge.forget(belief, relevant, rate) * values).sum()
-    )
-
-
-@given(seeds)
-def test_what_a_message_is_worth_is_the_value_where_it_lands(seed: int) -> None:
-    belief, relevant, rate, rng = tables(seed)
-    values, message = rng.random(belief.shape), int(rng.integers(5))
-    landed = knowledge.with_message(values, relevant, message)
-    assert (belief * (rate * landed + (1 - rate) * values)).sum() == pytest.approx(
-        (knowledge.say(belief, relevant, message, rate) * values).sum()
-    )
 
 
 @settings(max_examples=60, deadline=None)

@@ -13,7 +13,6 @@ from xplain.explanation.message_sets import (
     indices,
     mask_of,
     names_of,
-    packed,
     subsets,
 )
 
@@ -51,10 +50,3 @@ def test_a_mask_of_some_messages_is_one_of_all_and_back() -> None:
         assert indices(whole) == [kept[i] for i in indices(mask)]
         assert compress(whole, kept) == mask
         assert compress(whole | 1 << 3, kept) == mask  # what is not kept is left out
-
-
-def test_masks_are_packed_each_as_one_is_compressed(rng: np.random.Generator) -> None:
-    """Also where positions do not ascend, and where there are none."""
-    masks = rng.integers(0, 1 << 62, 20)
-    for kept in ((1, 2, 5), (61, 0, 7), ()):
-        assert packed(masks, kept).tolist() == [compress(mask, kept) for mask in masks.tolist()]

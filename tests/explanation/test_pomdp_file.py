@@ -14,14 +14,14 @@ from hypothesis import example, given, settings
 from tests.explanation.flat_pomdp import Flat, read
 from tests.explanation.problems import misleading_problem, tiny_problems
 from xplain.errors import InputError, TooLargeError
-from xplain.explanation import pomdp_file as cassandra
-from xplain.explanation.pomdp_file import lines
+from xplain.explanation import files
+from xplain.explanation.files import pomdp_lines
 from xplain.explanation.problem import Problem
 from xplain.testing.literal_pomdp import reduced_optimal_value
 
 
 def text_of(problem: Problem) -> str:
-    return "\n".join(lines(problem))
+    return "\n".join(pomdp_lines(problem))
 
 
 def expectimax(flat: Flat, belief: dict[int, float], horizon: int) -> float:
@@ -120,7 +120,7 @@ def test_reader_refuses_what_it_does_not_know() -> None:
 
 
 def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cassandra, "MAX_LINES", 100)
+    monkeypatch.setattr(files, "MAX_LINES", 100)
     with pytest.raises(TooLargeError, match="lines"):
         text_of(Problem(np.full((2, 3, 8), 0.5), np.ones(3)))
 
@@ -130,9 +130,9 @@ def test_the_lines_of_answers_count_before_any_is_written(monkeypatch: pytest.Mo
     written = text_of(problem).splitlines()
     answers = sum(line.startswith("O:") for line in written)
     others = sum(line.startswith(("T:", "R:")) for line in written)
-    monkeypatch.setattr(cassandra, "MAX_LINES", others + answers // 2)
+    monkeypatch.setattr(files, "MAX_LINES", others + answers // 2)
     with pytest.raises(TooLargeError, match="lines"):
-        next(cassandra.lines(problem))
+        next(files.pomdp_lines(problem))
 
 
 @pytest.mark.skipif("POMDPSOL_PATH" not in os.environ, reason="POMDPSOL_PATH names no pomdpsol")

@@ -12,10 +12,10 @@ import pytest
 from tests.explanation.by_type_problems import plain
 from xplain.errors import InputError
 from xplain.explanation.asking import Limits, Questions
+from xplain.explanation.files import load, save
 from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.explanation.problem_file import load, save
 
 HALF = np.full((1, 1, 2), 0.5)
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from tests.explanation.problems import random_problem
 from xplain.errors import InputError
 from xplain.explanation.asking import Questions, worded
+from xplain.explanation.files import load, save
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.explanation.problem_file import load, save
 from xplain.testing.problems import with_questions
 
 

@@ -18,11 +18,10 @@ from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import joined
 from xplain.explanation.message_sets import indices, mask_of
 from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
-from xplain.interaction.moves import Candidate, Say, Show
-from xplain.interaction.session import Session
+from xplain.interaction.session import Candidate, Say, Session, Show
 from xplain.solvers.base import messages_of
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.hsvi import Certified
 from xplain.testing.problems import random_problem, with_questions
 
 TABLE = np.array([[[0.05, 0.95], [0.05, 0.95]], [[0.95, 0.95], [0.95, 0.95]]])
@@ -195,7 +194,7 @@ def test_what_is_answered_out_of_turn_is_refused_in_one_line() -> None:
             session.answer(wrong)
     session.next()
     for no_answer in (2, -1, "yes", 0.5, None, [1]):
-        with pytest.raises(InputError, match="0 or 1"):
+        with pytest.raises(InputError, match="one of 0, 1"):
             session.answer(no_answer)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"messages\(\) comes first"):
         session.observe([1])
@@ -214,7 +213,7 @@ def test_what_is_answered_out_of_turn_is_refused_in_one_line() -> None:
 def test_who_never_asks_is_given_no_clips() -> None:
     with pytest.raises(InputError, match="ask=Limits"):
         replace(ASKING, ask=None).session([0], clips=[1])
-    with pytest.raises(InputError, match="indices"):
+    with pytest.raises(InputError, match="a whole number in 0 … 1"):
         ASKING.session([0], clips=[9])
     assert ASKING.session([0, 0]).next() == Explainer(TYPES, trade_off=0.5).session([0, 0]).next()
 

@@ -20,10 +20,10 @@ from xplain.explanation.listening import learned_habits
 from xplain.explanation.message_sets import mask_of, names_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.interaction.moves import Show
+from xplain.interaction.session import Show
 from xplain.solvers.greedy import QMDP, Conformant, KnownType
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR
 
 SOLVERS = [QMDP(), QHR(), Conformant()]
@@ -88,7 +88,7 @@ def play(session, answers, steps=None):
 @settings(max_examples=60, deadline=None)
 def test_a_session_is_an_episode_of_the_experiments(situation):
     problem, answers, explainer, _ = situation
-    problem = problem.with_habits(explainer.beliefs.habits())
+    problem = problem.with_habits(explainer.belief_update.habits(None))
     policy = explainer.solver.plan(problem)
     episode = explain(problem, policy, SimulatedUser.of(answers), explainer.belief_update)
     session = explainer.session(range(problem.n_steps))
@@ -274,7 +274,7 @@ TYPES = GivenTypes(np.full((2, 3, 4), 0.5), ("a", "b"), ("x", "y"))
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ({"trade_off": -1}, ["lambda", "-1", "≥ 0"]),
+        ({"trade_off": -1}, ["trade_off", "-1", "≥ 0"]),
         ({"discount": 0}, ["discount", "(0, 1]"]),
         ({"message_cost": [1, 2, 3]}, ["message_cost", "2 costs"]),
         ({"solver": KnownType()}, ["solver", "KnownType"]),
@@ -308,8 +308,8 @@ HALF = np.full((2, 3, 4), 0.5)
         (lambda: Explainer(types_of(), solver="qmdp"), "solver='qmdp': an object, such as QMDP()"),
         (lambda: Explainer(types_of(), solver=QMDP), "an object, such as QMDP()"),
         (lambda: Explainer(types_of(), belief_update="persistent"), "an object"),
-        (lambda: Explainer(types_of(), trade_off="1"), "trade_off='1': a finite number"),
-        (lambda: Explainer(types_of(), trade_off=None), "trade_off=None: a finite number"),
+        (lambda: Explainer(types_of(), trade_off="1"), "trade_off='1': a number ≥ 0"),
+        (lambda: Explainer(types_of(), trade_off=None), "trade_off=None: a number ≥ 0"),
         (lambda: Explainer(types_of(), message_cost="x"), "message_cost="),
         (lambda: Explainer(types_of(), seed="1"), "seed='1': a whole number"),
         (lambda: Explainer(types_of(names=("x", "x"))), "each once"),

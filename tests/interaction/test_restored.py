@@ -10,13 +10,12 @@ import pytest
 from xplain.explanation.asking import Limits, Question
 from xplain.explanation.belief import Independent, Persistent
 from xplain.interaction.explainer import Explainer, GivenTypes
-from xplain.interaction.moves import Say
-from xplain.interaction.session import Session
+from xplain.interaction.session import Say, Session
 from xplain.solvers.base import Solver
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.hsvi import Certified
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR
 
 SOLVERS = [QMDP(), POMCP(simulations=200), Certified(nodes=100), Lookahead(), QHR()]

@@ -22,10 +22,10 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.hsvi import Certified
 from xplain.solvers.known_type import known_values
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.process import make_process
 from xplain.solvers.voi import PATIENCE
 from xplain.testing.literal_pomdp import literal_optimal_value

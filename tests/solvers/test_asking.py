@@ -19,8 +19,8 @@ from xplain.solvers.base import CachedPolicy, Policy, best_action
 from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Certified, Effort
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.hsvi import Certified, Effort
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.process import make_process
 from xplain.solvers.voi import NO_NEWS, telling_questions
 from xplain.testing.literal_pomdp import literal_optimal_value

@@ -14,7 +14,7 @@ from xplain.solvers.base import GIB
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi import Effort
 from xplain.solvers.known_type import known_bytes
 from xplain.solvers.lookahead import Lookahead
 from xplain.testing.literal_pomdp import reduced_optimal_value
@@ -94,7 +94,7 @@ def test_as_many_messages_as_masks_hold_are_searched(monkeypatch: pytest.MonkeyP
     wide = (random_problem(rng, max_steps=3, max_messages=2) for _ in range(200))
     problem = next(p for p in wide if _open(p))
     for most, searched in ((2, True), (1, False)):
-        monkeypatch.setattr("xplain.solvers.hsvi.solver.MAX_RELEVANT", most)
+        monkeypatch.setattr("xplain.solvers.hsvi.MAX_RELEVANT", most)
         found = bounds(problem)
         assert (found.upper - found.lower <= 1e-3) == searched
         assert found.lower - 1e-9 <= reduced_optimal_value(problem) <= found.upper + 1e-9

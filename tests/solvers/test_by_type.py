@@ -17,9 +17,9 @@ from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds, known_type_value
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP, Baseline, Conformant, KnownType
-from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.hsvi import Certified
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR
 
 Both = tuple[Problem, Problem]

@@ -12,7 +12,7 @@ from tests.decisions import messages_given, worths
 from xplain.explanation.actions import EXPLAIN, Action, GiveMessages, VisibleState
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import CachedPolicy
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 
 
 class Slow:

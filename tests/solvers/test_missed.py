@@ -16,8 +16,8 @@ from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.hsvi import Certified, CertifiedPolicy
+from xplain.solvers.pomcp import POMCP
 from xplain.testing.literal_pomdp import literal_optimal_value
 
 

@@ -23,10 +23,10 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver, best_action
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP, Baseline, Conformant, KnownType
-from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.hsvi import Certified
 from xplain.solvers.known_type import known_values
 from xplain.solvers.lookahead import Lookahead
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.process import make_process
 from xplain.solvers.simple import QHR
 from xplain.testing.literal_pomdp import literal_optimal_value
@@ -108,7 +108,7 @@ def test_one_message_more_than_sets_are_weighed_for_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     problem = Problem(np.random.default_rng(5).random((2, 3, 8)), np.ones(3))
-    monkeypatch.setattr("xplain.solvers.hsvi.solver.MAX_RELEVANT", 2)
+    monkeypatch.setattr("xplain.solvers.hsvi.MAX_RELEVANT", 2)
     with pytest.raises(TooLargeError, match=r"certified.*3 matter on.*at most 2"):
         Certified().plan(problem)
 

@@ -19,7 +19,7 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP, Conformant
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR
 from xplain.testing.literal_pomdp import reduced_optimal_value
 

@@ -132,8 +132,7 @@ def export(words: list[str]) -> None:
     ``xplain export problem=FILE.npz format=pomdp output=FILE.pomdp``.
     """
     from xplain.experiment.config import composed
-    from xplain.explanation.pomdp_file import lines
-    from xplain.explanation.problem_file import load
+    from xplain.explanation.files import load, pomdp_lines
     from xplain.storage import written_whole
 
     cfg = composed("export", words)
@@ -141,7 +140,7 @@ def export(words: list[str]) -> None:
         raise InputError("format", cfg.format, "pomdp")
     problem = load(cfg.problem)
     with written_whole(Path(cfg.output)) as file:
-        file.writelines(f"{line}\n" for line in lines(problem))
+        file.writelines(f"{line}\n" for line in pomdp_lines(problem))
     print(Path(cfg.output))
 
 

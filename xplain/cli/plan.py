@@ -12,16 +12,16 @@ from rich.table import Table
 
 from xplain.experiment.config import CONF, composed
 from xplain.explanation.actions import AskQuestion, VisibleState
+from xplain.explanation.files import load
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.explanation.problem_file import load
 from xplain.interaction.statistics import half_width
 from xplain.randomness import run_seed
 from xplain.report.run_summary import BY_CHANCE
 from xplain.solvers.base import Policy, messages_of
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
 from xplain.solvers.evaluate import evaluate
-from xplain.solvers.hsvi.solver import CertifiedPolicy, Effort
+from xplain.solvers.hsvi import CertifiedPolicy, Effort
 
 Row = dict[str, Any]
 

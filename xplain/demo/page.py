@@ -10,7 +10,7 @@ from typing import Any
 
 from xplain.demo.play import DemoSetup, Played, play, stage
 from xplain.experiment.results import told
-from xplain.interaction.moves import Why
+from xplain.interaction.session import Why
 from xplain.storage import encode, write_text
 
 SHOWN = 6

@@ -19,8 +19,7 @@ from xplain.explanation.label_table import joined
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.explainees import Explainee, Person
 from xplain.interaction.explainer import Explainer, GivenTypes
-from xplain.interaction.moves import Candidate, Say, Why
-from xplain.interaction.session import Session
+from xplain.interaction.session import Candidate, Say, Session, Why
 from xplain.randomness import derived_seed, stream
 from xplain.solvers.base import Solver
 

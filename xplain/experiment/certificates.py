@@ -21,7 +21,7 @@ from xplain.interaction.statistics import half_width
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import Bounds, bounds
 from xplain.solvers.evaluate import evaluate
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi import Effort
 
 log = logging.getLogger(__name__)
 

@@ -16,9 +16,9 @@ types answer alike is no question.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,6 @@ SENSE = "Does this step make sense to you?"
 """What a clip is shown with."""
 WHICH = "Which do you think?"
 """What the two sentences of a fact are shown with."""
-PREFIX = "question_"
-"""Of the names of arrays in a problem's file."""
 
 
 @checks("ask")
@@ -134,16 +132,6 @@ class Questions:
         text = self.texts[number] if self.texts else f"question {number + 1}"
         return worded(number, text, int(self.right[number]))
 
-    def check(self, types: int, messages: int, steps: int) -> None:
-        """Raises InputError where they are not of so many hidden types, messages, steps."""
-        if self.table.n_types != types:
-            raise InputError("questions", self.table.n_types, f"{types} types, as the trace's")
-        unknown = self.table.relevant[self.table.relevant >= messages]
-        if unknown.size:
-            raise InputError("questions.relevant", int(unknown[0]), f"a message below {messages}")
-        if self.shows.shape[1] not in (0, steps):
-            raise InputError("questions.shows", self.shows.shape, f"{steps} columns, or none")
-
     def open(self, step: int, given: int | None, asked: int) -> list[int]:
         """The questions that may be asked at (k, H): of those that are alike the nearest not
         ``asked`` (a bitmask) yet. The rule by which :mod:`xplain.solvers.voi` goes as well.
@@ -165,40 +153,6 @@ class Questions:
             if tells[q] and not asked >> q & 1:
                 found.setdefault(column.tobytes(), q)
         return list(found.values())
-
-    def arrays(self) -> dict[str, Any]:
-        """What a file holds of them: arrays of numbers and text, by name."""
-        table = self.table
-        answered = {"p_answered": table.answers.transpose(2, 0, 1)} if table.answers.size else {}
-        found = {
-            "relevant": table.relevant,
-            "p_relevant": table.p.transpose(2, 0, 1),
-            **answered,
-            "shows": self.shows,
-            "texts": np.array(self.texts, dtype=np.str_),
-            "right": self.right,
-            **asdict(self.limits),
-        }
-        return {PREFIX + key: value for key, value in found.items()}
-
-    @classmethod
-    def of_arrays(cls, arrays: Mapping[str, Any]) -> Questions:
-        """From :meth:`arrays`; without questions where there are none.
-
-        Raises:
-            InputError: arrays that make no questions.
-        """
-        own = {k.removeprefix(PREFIX): v for k, v in arrays.items() if k.startswith(PREFIX)}
-        if not own:
-            return cls()
-        if missing := {"relevant", "p_relevant", "cost", "most", "when"} - own.keys():
-            raise InputError("problem", PREFIX + sorted(missing)[0], "an array of the file")
-        limits = Limits(own["cost"].item(), own["most"].item(), own["when"].item())
-        table = LabelTable.by_type(own["relevant"], own["p_relevant"], own.get("p_answered"))
-        shows = own.get("shows", np.empty((0, 0), np.bool_)).astype(np.bool_)
-        texts = tuple(map(str, own.get("texts", np.empty(0)).tolist()))
-        right = own.get("right", np.empty(0, np.int64)).astype(np.int64)
-        return cls(table, limits, shows, texts, right)
 
 
 def worded(number: int, text: str, right: int) -> Question:

@@ -1,7 +1,13 @@
 """Beliefs over user types (docs/method.md §5, paper's belief update).
 
-A belief is an array [N] that sums to 1. A *belief update* is a function of what the user was
-shown and answered; which labels count as evidence is the choice made here.
+A belief is an array [N] that sums to 1. Where messages may be missed or forgotten, a message said
+is no fact known: hidden are the type t, with its habits, and K, the facts that the user knows right
+now. Of these only the facts relevant to t matter, and a row of a label table is such a K. So a
+belief is an array [rows · N], and what happens to it is linear: a message moves a part α of the
+rows without the fact to those with it, and forgetting moves a part φ back.
+
+A *belief update* is a function of what the user was shown and answered; which labels count as
+evidence is the choice made here.
 """
 
 from __future__ import annotations
@@ -12,7 +18,6 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation import knowledge
 from xplain.explanation.habits import Assumed, Habits, check_assumed, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
@@ -66,7 +71,6 @@ class BeliefUpdate(Protocol):
         Args:
             learned: what observers' answers tell of it, if anything.
         """
-        ...
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
         """The problem of user types who listen and answer so.
@@ -147,10 +151,7 @@ def update(
         exactly 0 or 1) tell nothing about the type: the belief stays as it was.
     """
     posterior = _after(problem, problem.table, belief, message_set, labels, evidence)
-    if problem.messages_land:
-        return posterior
-    known = posterior.reshape(-1, problem.n_types)
-    return knowledge.forget(known, problem.table.relevant, problem.forget).ravel()
+    return posterior if problem.messages_land else after_forgetting(posterior, problem.forget)
 
 
 def answered(
@@ -194,10 +195,39 @@ def told(problem: Problem, belief: NDArray[np.float64], new: int) -> NDArray[np.
     """The belief after these messages were said: the same, unless users may miss some."""
     if problem.messages_land:
         return belief
-    known = belief.reshape(-1, problem.n_types)
     for message in indices(new):
-        known = knowledge.say(known, problem.table.relevant, message, problem.accept)
-    return known.ravel()
+        belief = after_message(belief, problem.table.relevant, message, problem.accept)
+    return belief
+
+
+def after_message(
+    belief: NDArray[np.float64],
+    relevant: NDArray[np.int64],
+    message: int,
+    accept: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The belief [rows · N] after a message was said once, whose bits in a row are ``relevant``
+    [N, r], and which is taken in with α, ``accept`` [N]."""
+    after, landing = belief.copy(), np.where(relevant == message, accept[:, None], 0.0)
+    for bit in np.flatnonzero(landing.any(axis=0)).tolist():
+        pairs = after.reshape(-1, 2, 1 << bit, len(accept))
+        landed = landing[:, bit] * pairs[:, 0]
+        pairs[:, 0] -= landed
+        pairs[:, 1] += landed
+    return after
+
+
+def after_forgetting(belief: NDArray[np.float64], lose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The beliefs [..., rows · N] after a step, at whose end each fact known is lost with φ,
+    ``lose`` [N]."""
+    after, width = np.array(belief, order="C"), len(lose)
+    while width < after.shape[-1]:
+        pairs = after.reshape(-1, 2, width // len(lose), len(lose))
+        lost = lose * pairs[:, 1]
+        pairs[:, 0] += lost
+        pairs[:, 1] -= lost
+        width *= 2
+    return after
 
 
 def rounded(belief: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -50,19 +50,16 @@ class Habits:
         """Raises InputError for a rate that no user has, or no probabilities."""
         for key in ("error", "accept", "forget", "prior"):
             object.__setattr__(self, key, np.asarray(getattr(self, key), float))
+        rates = {key: getattr(self, key) for key in RANGES}
         count = self.prior.size
-        if not 1 <= count <= MOST or any(a.shape != (count,) for a in self._arrays):
+        if not 1 <= count <= MOST or any(own.shape != (count,) for own in rates.values()):
             raise InputError("habits", count, f"1 to {MOST} of them, each with all rates")
-        for key, value in zip(("error", "accept", "forget"), self._arrays[:3], strict=True):
-            for rate in value.tolist():
+        for key, own in rates.items():
+            for rate in own.tolist():
                 RANGES[key].check(f"habits.{key}", rate)
         if not (self.prior >= 0).all() or abs(self.prior.sum() - 1) > 1e-6:
             raise InputError("habits.prior", self.prior.tolist(), "probabilities that sum to 1")
         object.__setattr__(self, "prior", self.prior / self.prior.sum())
-
-    @property
-    def _arrays(self) -> tuple[NDArray[np.float64], ...]:
-        return self.error, self.accept, self.forget, self.prior
 
     def __len__(self) -> int:
         return len(self.prior)

@@ -72,18 +72,9 @@ class LabelTable:
         Raises:
             InputError: no such table, or one of more than MAX_RELEVANT messages.
         """
-        p = _array("p_explicable", table)
-        if p.ndim != 3 or min(p.shape[0], p.shape[2]) < 1:
-            raise InputError("p_explicable", p.shape, "a table [types, steps, 2**messages]")
-        n = int(p.shape[2]).bit_length() - 1
-        if n > MAX_RELEVANT:
-            allowed = f"at most 2**{MAX_RELEVANT} message sets; a table by type holds more"
-            raise InputError("p_explicable", p.shape, allowed)
-        if p.shape[2] != 1 << n:
-            raise InputError("p_explicable", p.shape, "the last axis must be a power of two")
-        _check_probabilities("p_explicable", p)
-        relevant = np.tile(np.arange(n, dtype=np.int64), (len(p), 1))
-        return cls(relevant, p.transpose(1, 2, 0), *_answers(answers, p))
+        p = _table_array("p_explicable", table)
+        relevant = np.tile(np.arange(p.shape[2].bit_length() - 1), (len(p), 1))
+        return cls._checked("p_explicable", relevant, p, answers)
 
     @classmethod
     def by_type(
@@ -99,30 +90,50 @@ class LabelTable:
         Raises:
             InputError: indices that are no messages or named twice, or a table of another width.
         """
-        indices = np.asarray(relevant)
-        if indices.ndim != 2 or (indices.size and indices.dtype.kind not in "iu"):
-            raise InputError("relevant", indices.shape, "message indices [types, r], −1 pads")
-        types, width = indices.shape
-        p = _array("p_relevant", tables)
-        if p.ndim != 3 or min(p.shape[0], p.shape[2]) < 1 or len(p) != types:
-            raise InputError("p_relevant", p.shape, f"a table [{types}, steps, 2**r]")
+        p, indices = _table_array("p_relevant", tables), np.asarray(relevant)
+        if (
+            indices.ndim != 2
+            or len(indices) != len(p)
+            or (indices.size and indices.dtype.kind not in "iu")
+        ):
+            wanted = f"message indices [{len(p)} types, r], −1 pads"
+            raise InputError("relevant", indices.shape, wanted)
+        if not ((indices >= NONE) & (indices < MAX_MESSAGES)).all():
+            wanted = f"messages 0 … {MAX_MESSAGES - 1}, or −1"
+            raise InputError("relevant", indices.tolist(), wanted)
+        return cls._checked("p_relevant", indices.astype(np.int64), p, answers)
+
+    @classmethod
+    def _checked(
+        cls,
+        key: str,
+        relevant: NDArray[np.int64],
+        p: NDArray[np.float64],
+        answers: ArrayLike | None,
+    ) -> LabelTable:
+        """Of arrays as :meth:`by_type` has them.
+
+        Raises:
+            InputError: tables of other widths, of no probabilities, or a message named twice.
+        """
+        width = relevant.shape[1]
         if width > MAX_RELEVANT:
-            raise InputError("relevant", indices.shape, f"at most {MAX_RELEVANT} messages a type")
+            raise InputError(key, p.shape, f"at most 2**{MAX_RELEVANT} entries a transition")
         if p.shape[2] != 1 << width:
-            allowed = f"2**{width} = {1 << width} entries, as relevant has {width} columns"
-            raise InputError("p_relevant", p.shape, allowed)
-        outside = indices[(indices < NONE) | (indices >= MAX_MESSAGES)]
-        if outside.size:
-            raise InputError(
-                "relevant", int(outside[0]), f"a message 0 … {MAX_MESSAGES - 1}, or −1"
-            )
-        own = [[j for j in row if j != NONE] for row in indices.tolist()]
-        for row in own:
+            allowed = f"a power of two, 2**{width} = {1 << width} entries for {width} messages"
+            raise InputError(key, p.shape, allowed)
+        answered = [] if answers is None else [_table_array("p_answered", answers)]
+        if answered and answered[0].shape != p.shape:
+            raise InputError("p_answered", answered[0].shape, f"a table {p.shape}, as labels have")
+        given = cls(relevant, *(each.transpose(1, 2, 0) for each in (p, *answered)))
+        for row in given.rows:
             if len(set(row)) < len(row):
                 raise InputError("relevant", row, "each message once a type")
-        given = cls(indices.astype(np.int64), p.transpose(1, 2, 0), *_answers(answers, p))
-        table = given._read_over([sorted(row) for row in own])  # in whatever order, pads anywhere
-        _check_probabilities("p_relevant", table.p)
+        table = given.over([sorted(row) for row in given.rows])  # in whatever order, pads anywhere
+        for name, own in ((key, table.p), ("p_answered", table.answers)):
+            if own.size and not (own.min() >= 0 and own.max() <= 1):  # NaN is neither
+                wrong = own[~((own >= 0) & (own <= 1))]
+                raise InputError(name, float(wrong[0]), "probabilities in [0, 1]")
         return table
 
     @classmethod
@@ -153,6 +164,10 @@ class LabelTable:
 
     def effective(self) -> list[tuple[int, ...]]:
         """For each type the messages that do change some label, ascending."""
+        return self._effective
+
+    @cached_property
+    def _effective(self) -> list[tuple[int, ...]]:
         both = self._both
         return [
             tuple(row[i] for i in _effective_bits(both[..., t : t + 1]) if i < len(row))
@@ -161,11 +176,7 @@ class LabelTable:
 
     def effective_of_any(self) -> tuple[int, ...]:
         """The messages that change some label of some type, ascending."""
-        if (self.relevant == self.relevant[0]).all():
-            return tuple(
-                self.rows[0][i] for i in _effective_bits(self._both) if i < len(self.rows[0])
-            )
-        return tuple(sorted(set().union(*self.effective())))
+        return tuple(sorted(set().union(*self._effective)))
 
     @property
     def _both(self) -> NDArray[np.float64]:
@@ -203,12 +214,10 @@ class LabelTable:
         Raises:
             TooLargeError: more than MAX_RELEVANT messages of a type.
         """
-        wanted = [list(row) for row in rows]
-        same = wanted == self.rows and max(map(len, wanted)) == self.relevant.shape[1]
-        return self if same else self._read_over(wanted)
-
-    def _read_over(self, rows: Rows) -> LabelTable:
         width = max(map(len, rows))
+        relevant = _padded(rows, width)
+        if np.array_equal(relevant, self.relevant):
+            return self
         if width > MAX_RELEVANT:
             raise TooLargeError(
                 f"{width} messages matter to some type on this trace, and a table over "
@@ -228,7 +237,7 @@ class LabelTable:
                 return p[:, where[0]]
             return np.stack([p[:, at, t] for t, at in enumerate(where)], axis=-1)
 
-        return self._changed(_padded(rows, width), read)
+        return self._changed(relevant, read)
 
     def array(self, n: int) -> NDArray[np.float64]:
         """[N, m, 2^n] P(label is 1 | type, transition, message set) of n messages, all sets.
@@ -308,28 +317,19 @@ def _places(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.in
     return where
 
 
-def _array(key: str, value: ArrayLike) -> NDArray[np.float64]:
+def _table_array(key: str, value: ArrayLike) -> NDArray[np.float64]:
+    """A table [types, steps, entries].
+
+    Raises:
+        InputError: it is none.
+    """
     try:
-        return np.asarray(value, dtype=np.float64)
+        p = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(key, value, "numbers") from None
-
-
-def _answers(value: ArrayLike | None, p: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """The table's answers, if they are given."""
-    if value is None:
-        return []
-    answers = _array("p_answered", value)
-    if answers.shape != p.shape:
-        raise InputError("p_answered", answers.shape, f"a table {p.shape}, as labels have")
-    _check_probabilities("p_answered", answers)
-    return [answers.transpose(1, 2, 0)]
-
-
-def _check_probabilities(key: str, p: NDArray[np.float64]) -> None:
-    """Raises InputError for what is outside [0, 1], NaN among it."""
-    if p.size and not (p.min() >= 0 and p.max() <= 1):
-        raise InputError(key, float(p[~((p >= 0) & (p <= 1))][0]), "probabilities in [0, 1]")
+    if p.ndim != 3 or min(p.shape[0], p.shape[2]) < 1:
+        raise InputError(key, p.shape, "a table [types, steps, 2**messages]")
+    return p
 
 
 def _effective_bits(p: NDArray[np.float64]) -> tuple[int, ...]:

@@ -32,7 +32,6 @@ class Listener(Protocol):
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
         """[F] how likely each habit is to be theirs."""
-        ...
 
 
 @dataclass(frozen=True)

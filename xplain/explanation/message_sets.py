@@ -48,14 +48,6 @@ def subsets(messages: Iterable[int]) -> NDArray[np.int64]:
     return masks
 
 
-def packed(masks: NDArray[np.int64], positions: Iterable[int]) -> NDArray[np.int64]:
-    """The bits of masks [P] at some positions, moved to the lowest in this order: [P]."""
-    result = np.zeros_like(masks)
-    for i, j in enumerate(positions):
-        result |= (masks >> j & 1) << i
-    return result
-
-
 def expand(mask: int, kept: Sequence[int]) -> int:
     """A mask over the kept messages as one over all."""
     return sum(1 << j for i, j in enumerate(kept) if mask >> i & 1)

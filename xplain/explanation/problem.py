@@ -7,7 +7,7 @@ probabilities (:mod:`xplain.explanation.label_table`) is the whole model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -22,7 +22,7 @@ from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, joined
 from xplain.explanation.message_sets import indices
 
 DiscountPer = Literal["action", "step"]
-RANGES = {"inexplicability_cost": Range(0), "lambda": Range(0), "discount": Range(0, 1, "(]")}
+COST = Range(0)
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,16 @@ class Problem:
         count = (len(self.message_names) or None) if given is table else table.relevant.shape[1]
         cost = each_cost(self.message_cost, count)
         n = len(cost)
-        unknown = table.relevant[table.relevant >= n]
-        if unknown.size:
-            raise InputError("relevant", int(unknown[0]), f"a message 0 … {n - 1}, or −1")
         asking = self.questions or Questions(table.of_steps([]))
-        asking.check(types, n, steps)
+        if asking.table.n_types != types or asking.shows.shape[1] not in (0, steps):
+            found = asking.table.n_types, asking.shows.shape[1]
+            raise InputError("questions", found, f"{types} types and {steps} steps, or 0 steps")
+        for key, own in (
+            ("relevant", table.relevant),
+            ("questions.relevant", asking.table.relevant),
+        ):
+            if own.max(initial=-1) >= n:
+                raise InputError(key, int(own.max()), f"a message 0 … {n - 1}, or −1")
         copies = np.asarray(self.copies) if len(self.copies) else np.arange(steps)
         if copies.shape != (steps,) or not ((copies >= 0) & (copies <= np.arange(steps))).all():
             raise InputError("copies", copies.tolist(), f"for each of {steps} steps an earlier one")
@@ -105,9 +110,9 @@ class Problem:
             "table": table,
             "message_cost": cost,
             "prior": distribution(self.prior, types),
-            "inexplicability_cost": one_number("inexplicability_cost", self.inexplicability_cost),
-            "trade_off": one_number("lambda", self.trade_off),
-            "discount": one_number("discount", self.discount),
+            "inexplicability_cost": number("inexplicability_cost", self.inexplicability_cost, COST),
+            "trade_off": number("lambda", self.trade_off, COST),
+            "discount": number("discount", self.discount, Range(0, 1, "(]")),
             "message_names": named("message_names", self.message_names, n, "message"),
             "type_names": named("type_names", self.type_names, int(whose.max()) + 1, "type"),
             "questions": asking,
@@ -144,12 +149,6 @@ class Problem:
         hidden type, ascending: those worth an action."""
         tables = self.table, self.questions.table
         return tuple(sorted({j for table in tables for j in table.effective_of_any()}))
-
-    @property
-    def is_dense(self) -> bool:
-        """Whether every type's probabilities stand over all n messages."""
-        tables = self.table, self.questions.table
-        return all(table.is_dense(self.n_messages) for table in tables)
 
     @property
     def p_explicable(self) -> NDArray[np.float64]:
@@ -229,8 +228,8 @@ class Problem:
         """
         if habits.never_err and habits.take_all_in:
             return self
-        tables = self._tables(lambda table: _erring(table, habits))
-        table, asking = tables["table"], tables["questions"]
+        table = _erring(self.table, habits)
+        asking = replace(self.questions, table=_erring(self.questions.table, habits))
         if not habits.take_all_in:
             # A row is what somebody knows: of facts that change nothing it does not matter who
             # does. Labels and answers to questions come of the same knowledge.
@@ -250,20 +249,6 @@ class Problem:
             as_found=self.as_found.repeat(len(habits)),
         )
 
-    def dense(self) -> Problem:
-        """The same problem with one dense table.
-
-        Raises:
-            TooLargeError: more than MAX_RELEVANT messages.
-        """
-        rows = [range(self.n_messages)] * self.n_types
-        return self if self.is_dense else replace(self, **self._tables(lambda t: t.over(rows)))
-
-    def _tables(self, change: Callable[[LabelTable], LabelTable]) -> dict[str, Any]:
-        """The fields ``table`` and ``questions``, both changed alike."""
-        asking = replace(self.questions, table=change(self.questions.table))
-        return {"table": change(self.table), "questions": asking}
-
     def with_types(self, table: LabelTable, type_names: tuple[str, ...]) -> Problem:
         """The same trace and costs with other user types, equally likely a priori."""
         count = len(type_names)
@@ -278,11 +263,6 @@ class Problem:
             whose=np.arange(count),
             as_found=np.ones(count, np.bool_),
         )
-
-    def only_types(self, types: Sequence[int]) -> Problem:
-        """The same trace and costs with some of the hidden types, equally likely a priori."""
-        names = tuple(self.type_names[self.whose[t]] for t in types)
-        return self.with_types(self.table.of_types(types), names)
 
     def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:
         """The same trace and costs with one type, whose labels are as likely as those of a user
@@ -313,16 +293,6 @@ def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-def one_number(key: str, value: Any) -> float:
-    """A finite number in its range."""
-    if not isinstance(value, float):  # most are, and a problem is often made of another
-        array = numbers(key, value)
-        if array.ndim != 0:
-            raise InputError(key, value, "one number")
-        value = float(array)
-    return number(key, value, RANGES[key])
-
-
 def distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
     """[N] a prior; of none all types are as likely."""
     prior = np.asarray(given)
@@ -338,14 +308,12 @@ def each_cost(given: ArrayLike, count: int | None) -> NDArray[np.float64]:
     """[n] the costs of so many messages, of one for all or one for each; where nobody says how many
     there are, of as many as costs. Read-only."""
     cost = numbers("message_cost", given)
-    if cost.ndim == 0 and count is None:
-        raise InputError("message_cost", cost.tolist(), "one cost a message, or message_names")
-    n = len(cost) if count is None else count
-    if n > MAX_MESSAGES:
-        raise InputError("message_cost", n, f"at most {MAX_MESSAGES} messages")
-    cost = np.full(n, float(cost)) if cost.ndim == 0 else cost
-    if cost.shape != (n,) or (cost < 0).any():
-        raise InputError("message_cost", cost.tolist(), f"{n} costs ≥ 0, one a message")
+    if cost.ndim == 0 and count is not None:
+        cost = np.full(count, float(cost))
+    n = cost.size if count is None else count
+    if cost.shape != (n,) or n > MAX_MESSAGES or (cost < 0).any():
+        wanted = f"{n} costs ≥ 0, one a message, of at most {MAX_MESSAGES}"
+        raise InputError("message_cost", cost.tolist(), wanted)
     cost.flags.writeable = False
     return cost
 

@@ -48,12 +48,10 @@ class Person(Protocol):
 
     def hear(self, new: int) -> None:
         """Messages (a bitmask) are said, for the first time or again."""
-        ...
 
     def react(self, given: int, count: int) -> Reaction:
         """To the first ``count`` transitions, with the messages ``given`` so far. Asked once a
         step, in order."""
-        ...
 
     def answer(self, row: int, given: int) -> int:
         """The answer 0 or 1 to a question, with the messages ``given`` so far.
@@ -105,7 +103,6 @@ class Explainee(Protocol):
                 about copies.
             seed: the person's.
         """
-        ...
 
 
 @dataclass(frozen=True)

@@ -9,18 +9,50 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.errors import InputError, whole_number
+from xplain.errors import InputError, Range, Whole, checks, whole_number
+from xplain.explanation.asking import Limits, Questions
+from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import Habits
-from xplain.explanation.label_table import LabelTable
-from xplain.interaction.moves import Candidate, candidates, check_texts
-from xplain.interaction.planner import Planner
-from xplain.interaction.session import FORMAT, Session
+from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, joined
+from xplain.explanation.problem import DiscountPer, Problem, each_cost
+from xplain.interaction.dialogue import Dialogue, Event
+from xplain.interaction.session import FORMAT, Candidate, Session, plain
+from xplain.solvers.base import LazyPolicy, Solver
+from xplain.solvers.greedy import QMDP
+
+
+class Types(Protocol):
+    """What an explainer knows of users: N types, n messages.
+
+    :class:`GivenTypes` takes plain arrays and functions; learned types are
+    :class:`~xplain.learning.saved.LearnedTypes`.
+    """
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """N names of the types."""
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """n names of the messages; bit j of a message set is message j."""
+
+    @property
+    def prior(self) -> ArrayLike:
+        """[N] P(type) of a user not seen before; empty for all alike."""
+
+    @property
+    def habits(self) -> Habits | None:
+        """How people listen and answer; None where nothing was learned of it."""
+
+    def label_table(self, transitions: Sequence[Any]) -> LabelTable:
+        """P(label is 1 | type, message set) of T ≥ 1 transitions."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +96,7 @@ class GivenTypes:
         return made
 
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
-        """See :class:`~xplain.interaction.planner.Types`.
+        """See :class:`Types`.
 
         Raises:
             InputError: an index outside the table.
@@ -77,20 +109,61 @@ class GivenTypes:
         table = self._fitting(self.table)
         last = len(table.p) - 1
         for index in transitions:
-            number = isinstance(index, (int, np.integer)) and not isinstance(index, bool)
-            if not number or not 0 <= index <= last:
-                raise InputError("trace", index, f"indices 0 … {last} of the table")
+            whole_number("trace", index, 0, last)
         return table.of_steps(transitions)
 
 
+@checks()
 @dataclass(frozen=True)
-class Explainer(Planner):
+class Explainer:
     """Explains traces to people of unknown type.
 
-    It takes what a :class:`~xplain.interaction.planner.Planner` takes: ``types``, ``solver``,
-    ``trade_off``, ``message_cost``, ``inexplicability_cost``, ``discount``, ``discount_per``,
-    ``belief_update``, ``seed``, ``ask``.
+    Attributes:
+        types: who the users may be.
+        solver: plans the messages; any that does without knowing the user's type.
+        trade_off: λ, cost of communication against inexplicability.
+        message_cost: C_e, one number or one a message.
+        inexplicability_cost: C_inexp of each label 0.
+        discount: γ_E, for planning.
+        discount_per: see :class:`~xplain.explanation.problem.Problem`.
+        belief_update: which labels are evidence, and how users err. None: people repeat themselves
+            and err as observers did (``Persistent("learned")``) where the types tell how these
+            erred; else the paper's :class:`~xplain.explanation.belief.Independent`.
+        seed: of solvers that search at random.
+        ask: what questions cost and how many are asked; None for none.
     """
+
+    types: Types
+    solver: Solver = field(default_factory=QMDP)
+    trade_off: Annotated[float, Range(0)] = 1.0
+    message_cost: ArrayLike = 1.0
+    inexplicability_cost: Annotated[float, Range(0)] = 1.0
+    discount: Annotated[float, Range(0, 1, "(]")] = 0.95
+    discount_per: DiscountPer = "action"
+    belief_update: BeliefUpdate | None = None
+    seed: Whole = 0
+    ask: Limits | None = None
+
+    def __post_init__(self) -> None:
+        """Raises InputError: a value that no session could plan with."""
+        for key in ("messages", "names"):
+            names = getattr(self.types, key, "")
+            if isinstance(names, str) or len(set(names)) < len(names):
+                raise InputError(f"types.{key}", names, "names, each once")
+        for key, example in (
+            ("solver", "QMDP()"),
+            ("belief_update", "Independent()"),
+            ("ask", "Limits()"),
+        ):
+            given = getattr(self, key)
+            if isinstance(given, str | float | type):
+                raise InputError(key, given, f"an object, such as {example}")
+        if len(self.types.messages) > MAX_MESSAGES:
+            raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
+        if self.solver.knows in ("type", "labels"):
+            wanted = "a solver that need not know the user's type"
+            raise InputError("solver", type(self.solver).__name__, wanted)
+        self._dialogue(0, (), (), ())
 
     def session(
         self,
@@ -103,7 +176,7 @@ class Explainer(Planner):
         Args:
             trace: the transitions known already, as ``types`` takes them (learned types: rows of
                 features). Give the whole plan where the robot has one.
-            expected_steps: transitions that the trace is expected to have in the end. The planner
+            expected_steps: transitions that the trace is expected to have in the end. The solver
                 takes those not yet known to be explicable to everybody: each shows the prefix
                 once more, and that is all. At 0 it takes the trace to end with the last known one.
             clips: transitions that the user may be asked about, on the trace or off it, or those by
@@ -113,15 +186,19 @@ class Explainer(Planner):
             InputError: a transition or number that is not allowed, or clips where ``ask`` is None.
         """
         whole_number("expected_steps", expected_steps, 0)
-        may_ask = candidates(clips)
+        named = (
+            clips.items() if isinstance(clips, Mapping) else [(str(clip), clip) for clip in clips]
+        )
+        may_ask = tuple(
+            clip if isinstance(clip, Candidate) else Candidate(plain(clip), text)
+            for text, clip in named
+        )
         if may_ask and self.ask is None:
             raise InputError(
                 "clips", len(may_ask), "none; Explainer(..., ask=Limits()) allows some"
             )
-        check_texts(may_ask)
-        session = Session(self, expected_steps, may_ask)
-        session.extend(trace)
-        return session
+        begin = partial(self._dialogue, expected_steps, may_ask)
+        return Session(begin, [plain(row) for row in trace], expected_steps, may_ask)
 
     def from_json(self, text: str) -> Session:
         """Takes up a session of :meth:`Session.to_json` where it stood, in this process or another.
@@ -148,3 +225,48 @@ class Explainer(Planner):
         session = self.session(trace, expected, clips)
         session.take_up(events)
         return session
+
+    def _dialogue(
+        self,
+        expected_steps: int,
+        clips: Sequence[Candidate],
+        trace: Sequence[Any],
+        events: Sequence[Event],
+    ) -> Dialogue:
+        """The dialogue about a trace of which so much is known, after these events. The policy is
+        planned when it is first asked."""
+        known, types = len(trace), len(self.types.names)
+        steps = max(expected_steps if known else 0, known, 1)
+        # Steps not known yet are explicable to everybody, whatever is said.
+        table = LabelTable(np.empty((types, 0), np.int64), np.ones((steps - known, 1, types)))
+        if known:
+            table = joined([self.types.label_table(trace), table])
+        beliefs = self.belief_update
+        if beliefs is None:
+            beliefs = Independent() if self.types.habits is None else Persistent("learned")
+        problem = Problem(
+            table,
+            message_cost=each_cost(self.message_cost, len(self.types.messages)),
+            inexplicability_cost=self.inexplicability_cost,
+            trade_off=self.trade_off,
+            discount=self.discount,
+            prior=np.asarray(self.types.prior),
+            discount_per=self.discount_per,
+            message_names=tuple(self.types.messages),
+            type_names=tuple(self.types.names),
+            questions=self._questions(clips, trace, steps),
+            copies=np.array([*map(trace.index, trace), *range(known, steps)], np.int64),
+        ).with_habits(beliefs.habits(self.types.habits))
+        policy = LazyPolicy(partial(self.solver.plan, problem, self.seed))
+        return Dialogue(problem, policy, beliefs, list(events))
+
+    def _questions(self, clips: Sequence[Candidate], trace: Sequence[Any], steps: int) -> Questions:
+        """The questions that these candidates are, of a trace that is to have so many steps."""
+        if not clips or self.ask is None:
+            return Questions()
+        shows = np.zeros((len(clips), steps), np.bool_)
+        for q, clip in enumerate(clips):
+            shows[q, : len(trace)] = [clip.right < 0 and clip.transition == one for one in trace]
+        table = self.types.label_table([clip.transition for clip in clips])
+        texts = tuple(clip.text for clip in clips)
+        return Questions(table, self.ask, shows, texts, np.array([clip.right for clip in clips]))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, one_of
 from xplain.explanation.actions import AskQuestion
-from xplain.explanation.label_table import LabelTable, joined
+from xplain.explanation.asking import Question
 from xplain.explanation.listening import Explained
 from xplain.explanation.message_sets import mask_of, names_of
-from xplain.explanation.problem import Problem
 from xplain.interaction.dialogue import (
     Answered,
     Asked,
@@ -26,12 +26,98 @@ from xplain.interaction.dialogue import (
     all_given,
     all_labels,
 )
-from xplain.interaction.moves import Candidate, Move, Say, Show, Why, plain, questions_of
-from xplain.interaction.planner import Planner
 from xplain.solvers.base import messages_of
 
 FORMAT = 4
 """Version of a session's JSON."""
+KINDS = {Asked: "ask", Answered: "answer", Given: "give", Told: "told", Labelled: "labels"}
+"""What events are called there."""
+
+
+@dataclass(frozen=True)
+class Say:
+    """Say these messages.
+
+    Attributes:
+        messages: names, at least one.
+    """
+
+    messages: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Show:
+    """Show the first transitions of the trace, and ask for a label of each.
+
+    Attributes:
+        steps: how many.
+    """
+
+    steps: int
+
+
+Move = Question | Say | Show
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What may be asked about.
+
+    Attributes:
+        transition: as ``types`` takes it; the answer is its label.
+        text: for people. Of a belief its two sentences, a line each, in the order to be shown.
+        right: of a belief, which line is right; −1 of a step.
+    """
+
+    transition: Any
+    text: str
+    right: int = -1
+
+    def __post_init__(self) -> None:
+        """Raises InputError: a belief that does not have two sentences."""
+        one_of("clips.right", self.right, (-1, 0, 1))
+        if self.right >= 0 and self.text.count("\n") != 1:
+            raise InputError("clips.text", self.text, "two sentences of a belief, a line each")
+
+
+@dataclass(frozen=True)
+class Why:
+    """The values behind a decision.
+
+    Attributes:
+        step: transitions shown before it.
+        given: messages given before it.
+        belief: in each type, by name.
+        chosen: the messages that it gave; none is *explain* at once.
+        values: estimated discounted return by the messages given next, the best first; ``()`` is
+            *explain* at once. Some solvers weigh messages one at a time.
+        asked: the question, where it was one.
+        questions: (question, estimated return if it is asked next), the best first, of those that
+            the solver looked into.
+    """
+
+    step: int
+    given: tuple[str, ...]
+    belief: Mapping[str, float]
+    chosen: tuple[str, ...]
+    values: Mapping[tuple[str, ...], float]
+    asked: Question | None = None
+    questions: tuple[tuple[Question, float], ...] = ()
+
+    def __str__(self) -> str:
+        did = f"ask: {self.asked}" if self.asked else ", ".join(self.chosen) or "nothing to say"
+        ranked = [
+            *((value, f"ask: {question}") for question, value in self.questions),
+            *((v, ", ".join(names) or "say nothing more") for names, v in self.values.items()),
+        ]
+        ranked.sort(key=lambda one: -one[0])
+        return "\n".join([f"step {self.step + 1}: {did}"] + [f"  {v:9.3f}  {t}" for v, t in ranked])
+
+
+def plain(transition: Any) -> Any:
+    """Without numpy, for comparisons and JSON."""
+    wrapped = isinstance(transition, (np.ndarray, np.generic))
+    return transition.tolist() if wrapped else transition
 
 
 class Session:
@@ -40,43 +126,40 @@ class Session:
     Each step: :meth:`messages` to say, then the first ``shown`` transitions to show, then
     :meth:`observe` with the user's labels of them. :meth:`extend` at any time. Where something may
     be asked, :meth:`next` says what to do, and :meth:`answer` takes the user's answers.
+
+    Args:
+        begin: the dialogue about the transitions known, after some events.
+        trace: the transitions known.
+        expected_steps, clips: as :meth:`xplain.Explainer.session` has them.
     """
 
     def __init__(
-        self, planner: Planner, expected_steps: int = 0, clips: tuple[Candidate, ...] = ()
+        self,
+        begin: Callable[[Sequence[Any], Sequence[Event]], Dialogue],
+        trace: Sequence[Any],
+        expected_steps: int,
+        clips: tuple[Candidate, ...],
     ) -> None:
-        self._planner = planner
+        self._begin = begin
+        self._trace = tuple(trace)
         self._expected_steps = expected_steps
         self._clips = clips
-        self._trace: list[Any] = []
-        self._table = planner.unknown(0)
-        self._asked_about: LabelTable | None = None
-        if clips:
-            self._asked_about = planner.types.label_table([clip.transition for clip in clips])
-        self._talk = self._dialogue(self._problem(planner.unknown(1)))
-
-    def _dialogue(self, problem: Problem, events: Sequence[Event] = ()) -> Dialogue:
-        planner = self._planner
-        return Dialogue(problem, planner.plan(problem), planner.beliefs, list(events))
+        self._talk = begin(self._trace, ())
 
     @property
     def trace(self) -> tuple[Any, ...]:
         """All transitions known so far, in order, as they were given."""
-        return tuple(self._trace)
+        return self._trace
 
     @property
     def shown(self) -> int:
         """How many transitions are shown to the user at this step."""
-        return self._step + (not self.finished)
+        return self._talk.state.visible.step + (not self.finished)
 
     @property
     def finished(self) -> bool:
         """Whether the user has labelled the whole trace known so far."""
-        return self._step == len(self._trace)
-
-    @property
-    def _step(self) -> int:
-        return self._talk.state.visible.step
+        return self._talk.state.visible.step == len(self._trace)
 
     @property
     def said(self) -> tuple[str, ...]:
@@ -108,11 +191,13 @@ class Session:
         """Definition 2 of the paper for what happened so far, undiscounted; and κ for each
         question answered."""
         problem, events = self._talk.problem, self._talk.events
-        said = problem.communication(all_given(events))
         zeros = sum(labels.count(0) for labels in all_labels(events))
         asked = sum(isinstance(event, Answered) for event in events)
-        price = problem.questions.limits.cost * asked
-        return problem.trade_off * said + problem.inexplicability_cost * zeros + price
+        return (
+            problem.trade_off * problem.communication(all_given(events))
+            + problem.inexplicability_cost * zeros
+            + problem.questions.limits.cost * asked
+        )
 
     def extend(self, transitions: Sequence[Any] | NDArray[Any]) -> None:
         """The robot did (or plans) more: they follow the known transitions.
@@ -122,27 +207,9 @@ class Session:
         Raises:
             InputError: a transition that ``types`` does not take.
         """
-        new = [plain(row) for row in transitions]
-        if not new:
-            return
-        table = joined([self._table, self._planner.types.label_table(new)])
-        known = len(self._trace) + len(new)
-        ahead = self._planner.unknown(max(self._expected_steps - known, 0))
-        problem = self._problem(joined([table, ahead]), [*self._trace, *new])
-        self._table = table
-        self._trace += new
-        self._talk = self._dialogue(problem, self._talk.events)
-
-    def _problem(self, table: LabelTable, trace: Sequence[Any] = ()) -> Problem:
-        """What is planned for: the table of a trace, of which so much is known, and what may be
-        asked."""
-        planner, about = self._planner, self._asked_about
-        copies = [trace.index(transition) for transition in trace]
-        copies += range(len(trace), len(table.p))
-        if about is None or planner.ask is None:
-            return planner.problem(table, copies=copies)
-        asked = questions_of(self._clips, about, planner.ask, trace, len(table.p))
-        return planner.problem(table, asked, copies)
+        if new := [plain(row) for row in transitions]:
+            self._talk = self._begin((*self._trace, *new), self._talk.events)
+            self._trace = (*self._trace, *new)
 
     def next(self) -> Move:
         """What to do now: ask a question, then :meth:`answer`; say messages, then ``next`` again;
@@ -153,12 +220,12 @@ class Session:
             InputError: every transition known is answered.
         """
         talk = self._talk
-        if talk.state.open is None and not self._waits and not self.finished:
-            action = talk.decide()
-            if isinstance(action, AskQuestion):
-                talk.hear(Asked(action.question))
-            else:
-                talk.hear(Given(messages_of(action)))
+        if talk.state.open is None and talk.state.new is None and not self.finished:
+            match talk.decide():
+                case AskQuestion(question):
+                    talk.hear(Asked(question))
+                case action:
+                    talk.hear(Given(messages_of(action)))
         if talk.state.open is not None:
             return talk.problem.questions.question(talk.state.open)
         said = self.messages()
@@ -174,8 +241,9 @@ class Session:
             InputError: there is none, it was asked already, or this step's messages are said.
         """
         one_of("question", number, range(len(self._clips)), "number of a clip")
-        if self._waits or self.finished or self._talk.state.visible.asked >> number & 1:
-            raise InputError("question", number, "one not asked yet, before the step's messages")
+        self._check_step_is_open("question", number)
+        if self._talk.state.visible.asked >> number & 1:
+            raise InputError("question", number, "one not asked yet")
         self._talk.hear(Asked(number))
 
     def answer(self, answer: int) -> None:
@@ -187,14 +255,7 @@ class Session:
         """
         if self._talk.state.open is None:
             raise InputError("answer", answer, "a question comes first: next()")
-        if answer not in (0, 1):
-            raise InputError("answer", answer, "0 or 1")
-        self._talk.hear(Answered(int(answer)))
-
-    @property
-    def _waits(self) -> bool:
-        """Whether messages were said, and the labels are not heard yet."""
-        return self._talk.state.new is not None
+        self._talk.hear(Answered(int(one_of("answer", answer, (0, 1)))))
 
     def messages(self) -> tuple[str, ...]:
         """The messages to say now, before the first ``shown`` transitions are shown; none if it
@@ -204,7 +265,7 @@ class Session:
         Raises:
             InputError: every transition known is answered.
         """
-        if not self._waits:
+        if self._talk.state.new is None:
             if self.finished:
                 raise InputError("session", len(self._trace), "is finished; extend the trace first")
             self._talk.hear(Given(messages_of(self._talk.decide(asking=False))))
@@ -217,8 +278,7 @@ class Session:
             InputError: :meth:`messages` was called already, or a message is unknown, or was said
                 and is known since.
         """
-        if self._waits or self.finished:
-            raise InputError("session", tuple(names), "told once a step, before messages()")
+        self._check_step_is_open("session", tuple(names))
         new = mask_of(names, self._talk.problem.message_names, "session")
         if new & ~self._talk.problem.may_give(self._talk.state.visible.given):
             wanted = f"messages that may be said after {self.said}"
@@ -231,7 +291,7 @@ class Session:
         Raises:
             InputError: not so many labels, others than 0 and 1, or nothing was asked.
         """
-        if not self._waits:
+        if self._talk.state.new is None:
             raise InputError("labels", labels, "messages() comes first")
         given = np.asarray(labels)
         if given.shape != (self.shown,) or not np.isin(given, (0, 1)).all():
@@ -249,24 +309,22 @@ class Session:
         if found is None:
             raise InputError("session", 0, "messages() comes first")
         (before, event), questions = found, self._talk.problem.questions
-        ranked = sorted(before.values().items(), key=lambda item: -item[1])
+        messages, asked = dict[tuple[str, ...], float](), list[tuple[Question, float]]()
+        for action, value in sorted(before.values().items(), key=lambda item: -item[1]):
+            match action:
+                case AskQuestion(question):
+                    asked.append((questions.question(question), value))
+                case _:
+                    messages[self._names(messages_of(action))] = value
         visible = before.state.visible
         return Why(
             step=visible.step,
             given=self._names(visible.given),
             belief=self._by_name(before.state.belief),
             chosen=self._names(event.messages) if isinstance(event, Given) else (),
-            values={
-                self._names(messages_of(action)): value
-                for action, value in ranked
-                if not isinstance(action, AskQuestion)
-            },
+            values=messages,
             asked=questions.question(event.question) if isinstance(event, Asked) else None,
-            questions=tuple(
-                (questions.question(action.question), value)
-                for action, value in ranked
-                if isinstance(action, AskQuestion)
-            ),
+            questions=tuple(asked),
         )
 
     def take_up(self, events: Sequence[tuple[str, Any]]) -> None:
@@ -286,39 +344,42 @@ class Session:
         for kind, content in events:
             methods[one_of("session.events", kind, tuple(methods), "event")](content)
 
-    def _written(self, event: Event) -> tuple[str, Any]:
-        match event:
-            case Asked(question):
-                return "ask", question
-            case Answered(answer):
-                return "answer", answer
-            case Given(messages):
-                return "give", self._names(messages)
-            case Told():
-                return "told", None
-            case Labelled(labels):
-                return "labels", labels
-
     def to_json(self) -> str:
         """The whole session as text; :meth:`xplain.Explainer.from_json` takes it up again.
 
         Raises:
             InputError: a transition is nothing that JSON can hold.
         """
+        events = [
+            (
+                KINDS[type(event)],
+                self._names(event.messages)
+                if isinstance(event, Given)
+                else event[0]
+                if event
+                else 0,
+            )
+            for event in self._talk.events
+        ]
         state = {
             "format": FORMAT,
-            "messages": self._planner.types.messages,
-            "types": self._planner.types.names,
+            "messages": self._talk.problem.message_names,
+            "types": self._talk.problem.type_names,
             "trace": self._trace,
             "expected_steps": self._expected_steps,
             "clips": [[clip.transition, clip.text, clip.right] for clip in self._clips],
-            "events": [self._written(event) for event in self._talk.events],
+            "events": events,
         }
         try:
             return json.dumps(state)
         except TypeError as error:
             first = [*self._trace, *(clip.transition for clip in self._clips)][0]
             raise InputError("trace", first, f"transitions for JSON ({error})") from None
+
+    def _check_step_is_open(self, key: str, value: object) -> None:
+        """Raises InputError: this step's messages are said, or the trace is at its end."""
+        if self._talk.state.new is not None or self.finished:
+            raise InputError(key, value, "once a step, before messages()")
 
     def _by_name(self, belief: NDArray[np.float64]) -> dict[str, float]:
         problem = self._talk.problem

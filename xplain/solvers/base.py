@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -50,7 +51,6 @@ class Policy(Protocol):
             visible: where the explanation stands.
             belief: [S] over what is hidden, as ``Problem.start``.
         """
-        ...
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """The values behind the choice: estimated discounted return by the action taken next.
@@ -73,7 +73,6 @@ class Solver(Protocol):
         Raises:
             TooLargeError: the tables would not fit; raised before memory is taken.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -157,6 +156,26 @@ class CachedPolicy:
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """See :class:`xplain.solvers.base.Policy`."""
         return self.policy.values(visible, belief)
+
+
+class LazyPolicy:
+    """A policy that is planned when it is first asked: a trace that grows by ten transitions before
+    the next decision is planned for once.
+
+    Args:
+        plan: makes the policy.
+    """
+
+    def __init__(self, plan: Callable[[], Policy]) -> None:
+        self._policy = cache(plan)
+
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return self._policy().decide(visible, belief)
+
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return self._policy().values(visible, belief)
 
 
 def check_memory(what: str, size: int, limit_gib: float, instead: str) -> None:

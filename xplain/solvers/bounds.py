@@ -13,7 +13,7 @@ from xplain.explanation.actions import VisibleState
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import check_memory, messages_of
 from xplain.solvers.greedy import Greedy
-from xplain.solvers.hsvi.solver import Effort, search
+from xplain.solvers.hsvi import Effort, search
 from xplain.solvers.known_type import KnownValues, known_bytes, known_values
 from xplain.solvers.process import Process, make_process, set_prices
 

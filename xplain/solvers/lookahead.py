@@ -8,7 +8,7 @@ for the sake of the answer, which QMDP never does.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from xplain.errors import Count, Positive, checks
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.message_sets import indices, subsets
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import TIE, Knowledge, Policy, best_action, check_memory
+from xplain.solvers.base import TIE, Knowledge, Policy, best_of, check_memory
 from xplain.solvers.greedy import greedy_policy
 from xplain.solvers.known_type import KnownValues
 from xplain.solvers.process import (
@@ -25,6 +25,7 @@ from xplain.solvers.process import (
     all_given,
     before_step,
     expected_after_giving,
+    matters,
     outcomes,
     set_prices,
 )
@@ -33,6 +34,10 @@ from xplain.solvers.voi import with_questions
 
 NEGLIGIBLE = 1e-9
 """Answers less likely keep the score of being told the state."""
+KEPT = 16
+"""Bitmasks of messages whose subsets are kept."""
+Sets = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+"""[B] sets of messages, [B, S] what they add to a cell, [B] their prices and discounts."""
 
 
 @checks("solver")
@@ -69,6 +74,7 @@ class Expectimax:
         process, known: the model, and its values where the state is known.
         messages: bitmask of those with an effect.
         candidates, answers: as :class:`Lookahead` has them.
+        kept: of bitmasks of messages that were asked for, at most KEPT.
     """
 
     process: Process
@@ -76,36 +82,53 @@ class Expectimax:
     messages: int
     candidates: int
     answers: int
+    kept: dict[int, Sets] = field(default_factory=dict)
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         """As :class:`xplain.solvers.base.Policy` says."""
-        return best_action(self.values(visible, belief))
+        values = self._values(visible, belief)
+        return give(best_of(np.array(list(values)), np.array(list(values.values()))))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Of the sets looked into, the best by QMDP's score first: a set whose score is below a
-        value found cannot be worth more."""
+        """Of the sets looked into."""
+        return {give(new): value for new, value in self._values(visible, belief).items()}
+
+    def _values(self, visible: VisibleState, belief: NDArray[np.float64]) -> dict[int, float]:
+        """Of sets of messages, the best by QMDP's score first: a set whose score is below a value
+        found cannot be worth more."""
         process, step = self.process, visible.step
         said = before_step(process, visible.given)
-        believed = int(np.bitwise_or.reduce(process.relevant[belief > 0]))
-        free = indices(self.messages & believed & ~said)
-        sets, heard = subsets(free), np.broadcast_to(belief, (1 << len(free), len(belief)))
-        if process.jump is not None:
-            heard = all_given(process, belief, free)
-        prices, discounts = set_prices(process, sets)
-        explained = self.known.explain[step, process.cells.of_sets(sets | said)]
-        scores = discounts * (explained * heard).sum(axis=1) - prices
-        found: dict[Action, float] = {}
+        messages = self.messages & matters(process, belief) & ~said
+        sets, added, prices, discounts = self._sets(messages)
+        explained = self.known.explain[step].take(process.cells.at(said) + added)
+        if process.jump is None:
+            scores = discounts * (explained @ belief) - prices
+        else:
+            heard = all_given(process, belief, indices(messages))
+            scores = discounts * (explained * heard).sum(axis=1) - prices
+        found: dict[int, float] = {}
         best = -np.inf
         for i in np.argsort(-scores, kind="stable")[: self.candidates].tolist():
             value = float(scores[i])
             if value < best - 2 * TIE * (1 + abs(best)):
                 break
             if step + 1 < process.n_steps:
-                later = self._later(step, said | int(sets[i]), heard[i])
+                after = belief if process.jump is None else heard[i]
+                later = self._later(step, said | int(sets[i]), after)
                 value = min(value, float(discounts[i]) * later - float(prices[i]))
-            found[give(int(sets[i]))] = value
+            found[int(sets[i])] = value
             best = max(best, value)
         return found
+
+    def _sets(self, messages: int) -> Sets:
+        """The subsets of these messages."""
+        if messages not in self.kept:
+            if len(self.kept) == KEPT:
+                self.kept.clear()
+            sets = subsets(indices(messages))
+            added = self.process.cells.of_sets(sets) - self.process.cells.base
+            self.kept[messages] = sets, added, *set_prices(self.process, sets)
+        return self.kept[messages]
 
     def _later(self, step: int, said: int, belief: NDArray[np.float64]) -> float:
         """The value of *explain* where QMDP decides after the answers; inf where these are too
@@ -116,14 +139,14 @@ class Expectimax:
             return np.inf
         weights, tail = following
         after = before_step(process, said)
-        messages = indices(self.messages & ~after)
-        at = known.value_cells.at(after) + known.value_cells.stride[messages]
-        given = expected_after_giving(process, messages, known.value[step + 1][at])
-        worth = process.message_discount * weights @ given.T
+        messages, at = indices(self.messages & ~after), known.value_cells.at(after)
+        value = known.value[step + 1]
+        given = value.take(at + known.value_cells.stride[messages])
+        worth = weights @ expected_after_giving(process, messages, given).T
+        worth *= process.message_discount
         worth -= weights.sum(axis=1)[:, None] * process.price[messages]
-        best = np.maximum(
-            weights @ known.explained(step + 1, after), worth.max(axis=1, initial=-np.inf)
-        )
-        later = best.sum() + tail @ known.now(step + 1, after)
-        cost = belief @ process.explain_cost[step, process.cells.at(said)]
+        explained = weights @ known.explained(step + 1, after)
+        best = np.maximum(explained, worth.max(axis=1, initial=-np.inf))
+        later = best.sum() + tail @ value.take(at)
+        cost = belief @ process.explain_cost[step].take(process.cells.at(said))
         return float(process.discount * later - cost)

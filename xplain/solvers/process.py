@@ -27,34 +27,46 @@ message that is in ``relevant[s]`` of no s with belief is no action.
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import dataclass, field
 from math import comb
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.explanation.belief import after_forgetting
 from xplain.explanation.label_table import NONE, LabelTable
 from xplain.explanation.message_sets import bits_of, indices
 from xplain.explanation.problem import Problem
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+KEPT = 1 << 12
+"""Bitmasks whose cells are kept: a walk meets the same ones again and again."""
 
 
-class Cells(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Cells:
     """Where a flat table is read.
 
     Attributes:
         base: [S] the cell of s before anything was said.
         stride: [n, S] what saying message j adds.
+        kept: the cells of bitmasks that were asked for, at most KEPT.
     """
 
     base: IntArray
     stride: IntArray
+    kept: dict[int, IntArray] = field(default_factory=dict)
 
     def at(self, said: int) -> IntArray:
         """[S] the cells for a bitmask of messages."""
-        return self.base + self.stride[indices(said)].sum(axis=0) if said else self.base
+        if said not in self.kept:
+            if len(self.kept) == KEPT:
+                self.kept.clear()
+            self.kept[said] = self.base + self.stride[indices(said)].sum(axis=0)
+        return self.kept[said]
 
     def of_sets(self, sets: IntArray) -> IntArray:
         """[B, S] the cells for B bitmasks."""
@@ -265,15 +277,7 @@ def give_all(process: Process, belief: FloatArray, messages: int) -> FloatArray:
 
 def forget(process: Process, belief: FloatArray) -> FloatArray:
     """The belief(s) [..., S] after a step: b F."""
-    if process.forget is None:
-        return belief
-    after = np.array(belief, order="C")
-    for bit in range(process.own.shape[1]):
-        pairs = after.reshape(-1, 2, 1 << bit, process.n_types)
-        lost = process.forget * pairs[:, 1]
-        pairs[:, 0] += lost
-        pairs[:, 1] -= lost
-    return after
+    return belief if process.forget is None else after_forgetting(belief, process.forget)
 
 
 def expected_after_forgetting(process: Process, values: FloatArray) -> FloatArray:
@@ -314,9 +318,9 @@ def outcomes(
     possible = np.flatnonzero(belief > 0)
     columns = process.answered[: step + 1, process.cells.at(said)[possible]]
     news = columns[(columns != columns[:, :1]).any(axis=1)]
-    kinds, sizes = np.unique(news, axis=0, return_counts=True)
     weights, tail = belief[None, possible], np.zeros(len(belief))
-    for yes, size in zip(kinds, sizes.tolist(), strict=True):
+    for column, size in Counter(row.tobytes() for row in news).items():
+        yes = np.frombuffer(column)
         ones = np.arange(size + 1)[:, None]
         ways = np.array([[comb(size, c)] for c in range(size + 1)], float)
         likelihood = ways * yes**ones * (1 - yes) ** (size - ones)

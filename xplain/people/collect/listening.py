@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
+from xplain.explanation.belief import after_forgetting, after_message
 from xplain.explanation.habits import Habits
-from xplain.explanation.knowledge import forget, say
 from xplain.explanation.message_sets import indices, subsets
 from xplain.people.collect.asking import ATTENTION, HEEDED, AskedClip, CollectState, prior
 from xplain.people.collect.plan import CollectPlan
@@ -70,12 +70,12 @@ class Asked:
         belief[0] = weight
         for clip in clips:
             for j in indices(clip.told):
-                belief = say(belief, relevant, j, accept)
+                belief = after_message(belief, relevant, j, accept)
             judged = clip.judged
             for transition, label in zip(judged.transitions, judged.labels, strict=True):
                 one = habits.answered(self.known.labels[table, transition].astype(float))
                 belief = belief * (one if label else 1 - one)
-            belief = forget(belief, relevant, lose)
+            belief = after_forgetting(belief.ravel(), lose).reshape(belief.shape)
         return np.asarray(belief.sum(axis=0))
 
 

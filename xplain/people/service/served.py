@@ -24,7 +24,7 @@ from xplain.experiment.pipeline import draw_trace, observe
 from xplain.explanation.asking import Limits, nearest_first
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.explainer import Explainer
-from xplain.interaction.moves import Candidate
+from xplain.interaction.session import Candidate
 from xplain.learning.saved import LearnedTypes
 from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.questions.questionnaire import Questionnaire

@@ -31,9 +31,9 @@ from xplain.explanation.label_table import MAX_RELEVANT, NONE
 from xplain.explanation.message_sets import compress, expand
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
+from xplain.solvers import hsvi_kernel as kernel
 from xplain.solvers.base import GIB, Knowledge, Policy, best_action, check_memory
-from xplain.solvers.hsvi import kernel
-from xplain.solvers.hsvi.kernel import (
+from xplain.solvers.hsvi_kernel import (
     ACTIONS,
     ANSWERS,
     DONE,

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from xplain.explanation.problem import Problem
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 
 ALL = (1 << 64) - 1
 

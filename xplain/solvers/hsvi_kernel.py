@@ -1,4 +1,4 @@
-"""The compiled search of :mod:`xplain.solvers.hsvi.solver`: sample, back up, share.
+"""The compiled search of :mod:`xplain.solvers.hsvi`: sample, back up, share.
 
 One source gives two searches: ``missed`` is None where messages land, True where they may be missed
 or forgotten and move the hidden state; numba drops the branches of None.

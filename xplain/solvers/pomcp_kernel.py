@@ -1,4 +1,4 @@
-"""The compiled search of :mod:`xplain.solvers.pomcp.solver`: select, expand, evaluate, back up.
+"""The compiled search of :mod:`xplain.solvers.pomcp`: select, expand, evaluate, back up.
 
 One source gives two searches: ``missed`` is None where messages land, True where they may be missed
 or forgotten and move the hidden state; ``asks`` is None where there are no questions. numba drops

@@ -50,7 +50,7 @@ from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Knowledge, Policy, best_action, check_memory, messages_of
 from xplain.solvers.known_type import KnownValues, known_bytes, known_values
-from xplain.solvers.pomcp.kernel import (
+from xplain.solvers.pomcp_kernel import (
     COLUMN,
     EDGE,
     ENTRY,
@@ -230,7 +230,7 @@ def _model(process: Process, known: KnownValues) -> SearchModel:
 
 
 def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
-    """``wanted`` of :class:`~xplain.solvers.pomcp.kernel.SearchModel`, where messages land."""
+    """``wanted`` of :class:`~xplain.solvers.pomcp_kernel.SearchModel`, where messages land."""
     steps, types = process.n_steps, process.n_types
     wanted = np.zeros(known.explain.shape, np.int64)
     for bit, own in enumerate(process.own.T):

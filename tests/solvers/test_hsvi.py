@@ -19,11 +19,11 @@ from xplain.errors import InputError, TooLargeError
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
+from xplain.solvers import hsvi as solver
 from xplain.solvers.base import GIB
 from xplain.solvers.evaluate import evaluate
-from xplain.solvers.hsvi import solver
-from xplain.solvers.hsvi.kernel import ACTIONS, NODES, OPENED
-from xplain.solvers.hsvi.solver import TAIL, Certified, CertifiedPolicy, Effort, Searched, search
+from xplain.solvers.hsvi import TAIL, Certified, CertifiedPolicy, Effort, Searched, search
+from xplain.solvers.hsvi_kernel import ACTIONS, NODES, OPENED
 from xplain.testing.literal_pomdp import reduced_optimal_value
 from xplain.testing.problems import random_problem
 

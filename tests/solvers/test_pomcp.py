@@ -19,8 +19,8 @@ import pytest
 import yaml
 
 from tests.explanation.problems import misleading_problem
+from tests.solvers.plain_pomcp import PlainPOMCP
 from tests.solvers.plain_values import plain_optimal_value
-from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, GiveMessages, VisibleState
 from xplain.explanation.asking import Limits, Questions
@@ -28,11 +28,11 @@ from xplain.explanation.belief import rounded
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
+from xplain.solvers import pomcp
 from xplain.solvers.base import best_action
 from xplain.solvers.evaluate import evaluate
-from xplain.solvers.pomcp import solver as pomcp
-from xplain.solvers.pomcp.kernel import Tree
-from xplain.solvers.pomcp.solver import POMCP, Search
+from xplain.solvers.pomcp import POMCP, Search
+from xplain.solvers.pomcp_kernel import Tree
 from xplain.testing.literal_pomdp import literal_optimal_value, reduced_optimal_value
 from xplain.testing.problems import random_problem
 
@@ -263,7 +263,7 @@ PRINT_SEARCH = """
 import numpy as np
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.problem import Problem
-from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp import POMCP
 rng = np.random.default_rng(1)
 problem = Problem(rng.random((3, 4, 8)), np.ones(3), trade_off=0.3)
 policy = POMCP(simulations=3000).plan(problem, SEED)
@@ -366,7 +366,7 @@ def test_names_the_setting_that_is_wrong(key: str, value: object) -> None:
 
 def test_defaults_are_the_configurations() -> None:
     """Who embeds POMCP() gets what `solver=pomcp` runs."""
-    path = Path(__file__).parents[3] / "conf" / "solver" / "pomcp.yaml"
+    path = Path(__file__).parents[2] / "conf" / "solver" / "pomcp.yaml"
     chosen = yaml.safe_load(path.read_text())
     assert chosen.pop("_target_") == f"{POMCP.__module__}.{POMCP.__qualname__}"
     assert chosen == {key: value for key, value in asdict(POMCP()).items() if key != "knows"}
