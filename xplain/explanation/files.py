@@ -93,7 +93,8 @@ def load(path: str | Path) -> Problem:
     asked = {k.removeprefix(PREFIX): arrays.pop(k) for k in [*arrays] if k.startswith(PREFIX)}
     table = _table_of(arrays, {"message_cost"}, Problem)
     if asked:
-        questions = _table_of(asked, {field.name for field in fields(Limits)}, Questions, Limits)
+        needed = {*BY_TYPE, *(field.name for field in fields(Limits))}
+        questions = _table_of(asked, needed, Questions, Limits)
         limits = Limits(**{field.name: asked.pop(field.name) for field in fields(Limits)})
         arrays["questions"] = Questions(questions, limits, **asked)
     if "habits" in arrays:
@@ -108,7 +109,7 @@ def _as_python(array: NDArray[Any]) -> Any:
     return tuple(array.tolist()) if array.dtype.kind == "U" else array
 
 
-def _table_of(arrays: dict[str, Any], needed: set[str], *kinds: Any) -> LabelTable:
+def _table_of(arrays: dict[str, Any], needed: set[str], *kinds: Any) -> Any:
     """The table of these arrays, which are taken out; the others must be fields of these classes.
 
     Raises:
@@ -125,7 +126,7 @@ def _table_of(arrays: dict[str, Any], needed: set[str], *kinds: Any) -> LabelTab
     p, answers = arrays.pop(form[-1]), arrays.pop("p_answered", None)
     if form == BY_TYPE:
         return LabelTable.by_type(arrays.pop("relevant"), p, answers)
-    return LabelTable.dense(p, answers)
+    return p if answers is None else LabelTable.dense(p, answers)
 
 
 def pomdp_lines(problem: Problem) -> Iterator[str]:

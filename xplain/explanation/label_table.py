@@ -129,7 +129,9 @@ class LabelTable:
         for row in given.rows:
             if len(set(row)) < len(row):
                 raise InputError("relevant", row, "each message once a type")
-        table = given.over([sorted(row) for row in given.rows])  # in whatever order, pads anywhere
+        table = given._read_over(
+            [sorted(row) for row in given.rows]
+        )  # in whatever order, pads anywhere
         for name, own in ((key, table.p), ("p_answered", table.answers)):
             if own.size and not (own.min() >= 0 and own.max() <= 1):  # NaN is neither
                 wrong = own[~((own >= 0) & (own <= 1))]
@@ -214,10 +216,11 @@ class LabelTable:
         Raises:
             TooLargeError: more than MAX_RELEVANT messages of a type.
         """
+        same = np.array_equal(_padded(rows, max(map(len, rows))), self.relevant)
+        return self if same else self._read_over(rows)
+
+    def _read_over(self, rows: Rows) -> LabelTable:
         width = max(map(len, rows))
-        relevant = _padded(rows, width)
-        if np.array_equal(relevant, self.relevant):
-            return self
         if width > MAX_RELEVANT:
             raise TooLargeError(
                 f"{width} messages matter to some type on this trace, and a table over "
@@ -237,7 +240,7 @@ class LabelTable:
                 return p[:, where[0]]
             return np.stack([p[:, at, t] for t, at in enumerate(where)], axis=-1)
 
-        return self._changed(relevant, read)
+        return self._changed(_padded(rows, width), read)
 
     def array(self, n: int) -> NDArray[np.float64]:
         """[N, m, 2^n] P(label is 1 | type, transition, message set) of n messages, all sets.
