@@ -55,6 +55,15 @@ class Writer:
         atom = self.atom(terms, static)
         return atom if self.chance(0.6) else f"(not {atom})"
 
+    def condition(self, terms: dict[str, str]) -> str:
+        kind = self.rng.random()
+        if kind < 0.2:
+            return f"({self.pick(['or', 'imply'])} {self.literal(terms)} {self.literal(terms)})"
+        if kind < 0.3:
+            wanted = self.pick(["box", "place", "object"])
+            return f"(exists (?e - {wanted}) {self.literal(terms | {'?e': wanted})})"
+        return self.literal(terms)
+
     def effect(self, terms: dict[str, str]) -> str:
         text = self.literal(terms, static=False)
         if self.chance(0.3):
@@ -64,7 +73,7 @@ class Writer:
 
     def conditional(self, terms: dict[str, str], p: float) -> str:
         text = self.literal(terms, static=False)
-        return f"(when {self.literal(terms)} {text})" if self.chance(p) else text
+        return f"(when {self.condition(terms)} {text})" if self.chance(p) else text
 
     def action(self, name: str) -> str:
         kinds = [
@@ -73,7 +82,7 @@ class Writer:
         ]
         own = {f"?{x}": kind for x, kind in zip("xy", kinds, strict=False)}
         terms = own | ({"p": "place"} if self.chance(0.3) else {})
-        asked = [self.literal(terms) for _ in range(self.rng.integers(2))]
+        asked = [self.condition(terms) for _ in range(self.rng.integers(2))]
         effects = [self.effect(terms) for _ in range(self.rng.integers(2, 5))]
         if self.chance():  # an atom that is added and deleted at once stays
             both = self.atom(terms, static=False)
