@@ -25,7 +25,8 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.interaction.explainees import Explainee
 from xplain.interaction.metrics import Record
 from xplain.solvers.base import Solver
-from xplain.solvers.greedy import KnownType
+from xplain.solvers.greedy import Conformant, KnownType
+from xplain.solvers.simple import SayAll
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,9 @@ class Experiment:
             own = with_truth("solver")  # nothing was learned
         else:
             own = explain(prepared, {"solver": self.solver}, "explaining")
+        if self.belief.open:
+            safe: dict[str, Solver] = {"say_all": SayAll(), "conformant": Conformant()}
+            own += explain(prepared, safe, "references for people of no type")
         if compared:
             records = [*records, *with_truth("true_labels")]
         return prepared, [*own, *records]

@@ -118,7 +118,7 @@ def problem_of_types(
     facts = None
     if prepared.wrong is not None and case.everything is not None:
         asked = None if case.questions is None else case.questions.everything
-        facts = Facts(case.everything, fact_sets(prepared.wrong), asked)
+        facts = Facts(case.everything, fact_sets(prepared.wrong), asked, prepared.new)
     return belief_update.people(problem, prepared.habits, facts)
 
 

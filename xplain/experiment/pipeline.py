@@ -23,6 +23,7 @@ from xplain.errors import Count, Range, checks
 from xplain.experiment.asking import CaseQuestions, Clips, belief_questions, merged
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Pool
+from xplain.explanation.belief import OPEN
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.data.observers import Observed, Observers
@@ -107,6 +108,7 @@ class Prepared:
         cases: one a trace.
         habits: of people, as far as the observers' answers tell.
         wrong: [N, n] P(a user of a learned type holds a fact wrong); None where that is unknown.
+        new: P(a user is of none of the learned types).
     """
 
     domain: str
@@ -124,6 +126,7 @@ class Prepared:
     cases: tuple[Case, ...]
     habits: Habits | None = None
     wrong: NDArray[np.float64] | None = None
+    new: float = OPEN
 
 
 def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
@@ -158,6 +161,7 @@ def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
         scene=domain.scene,
         habits=known.habits,
         wrong=known.wrong,
+        new=known.new,
         cases=tuple(
             build_case(
                 setting,

@@ -81,6 +81,7 @@ class EpisodeFigures:
     steps_until_sure: int
     questions: int = 0
     questions_cost: float = 0.0
+    fit: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -209,6 +210,7 @@ def results_of(prepared: Prepared, records: list[Record], provenance: Provenance
                 steps_until_sure=record.steps_until_sure,
                 questions=record.episode.n_questions,
                 questions_cost=record.episode.asking,
+                fit=record.episode.fit,
             )
             for record in records
         ),

@@ -18,13 +18,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.belief import Facts, Independent
-from xplain.explanation.habits import Habits
+from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import DENSE, LabelTable, joined
 from xplain.explanation.problem import Problem
 
@@ -62,25 +62,36 @@ class _People(NamedTuple):
 class Open(Independent):
     """People may be of no type found, answer otherwise than they think, or miss messages.
 
-    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`.
+    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. A rate of errors that
+    is told or learned takes the place of those of people who err in both directions.
     """
+
+    open: ClassVar[bool] = True
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
         """As :class:`~xplain.explanation.belief.BeliefUpdate` has it."""
         habits = self.habits(learned)
         if problem.n_messages > DENSE:
             return problem.with_habits(habits)
-        opened = with_anybody(problem, facts, habits.take_all_in)
-        return opened.with_habits(habits)
+        rates = habits.shares("error")
+        erring, error = ERRING / (ERRING + LISTENING), ERROR
+        if (share := 1 - rates.pop(0.0, 0.0)) > 0:
+            erring, error = share, sum(rate * own for rate, own in rates.items()) / share
+        opened = with_anybody(problem, facts, erring, error, habits.take_all_in)
+        return opened.with_habits(habits_of(0.0, habits.shares("accept"), habits.shares("forget")))
 
 
-def with_anybody(problem: Problem, facts: Facts | None, messages_land: bool = True) -> Problem:
+def with_anybody(
+    problem: Problem, facts: Facts | None, erring: float, error: float, messages_land: bool
+) -> Problem:
     """The problem where people may be as nobody assumed; one more user type stands for all who are
     of none.
 
     Args:
         problem: of M user types, with at most DENSE messages.
         facts: that people may believe incorrectly; None where nobody knows.
+        erring: share of those who err in both directions among all who answer what they think.
+        error: P(the opposite answer) of these.
         messages_land: whether nothing else says that a message may be without effect.
     """
     n, count = problem.n_messages, problem.n_types
@@ -101,14 +112,15 @@ def with_anybody(problem: Problem, facts: Facts | None, messages_land: bool = Tr
         share = np.append(share, facts.new / len(np.unique(sizes)) / alike)
         wrong, whose = (*wrong, *others), np.append(whose, np.full(len(others), count))
     stuck = STUCK if messages_land else 0.0
-    plain = _People(table, table, share * LISTENING * (1 - stuck), whose, whose < count)
+    exact, erring = (own * (LISTENING + ERRING) for own in (1 - erring, erring))
+    plain = _People(table, table, share * exact * (1 - stuck), whose, whose < count)
     parts_ = [
         plain,
-        plain._replace(answered=table * (1 - ERROR) + (1 - table) * ERROR, prior=share * ERRING),
+        plain._replace(answered=table * (1 - error) + (1 - table) * error, prior=share * erring),
         _never(plain._replace(answered=table + (1 - table) * GUESS, prior=share * POLITE)),
     ]
     if stuck:
-        parts_ += [_stuck(plain, share * LISTENING * stuck, wrong, every)]
+        parts_ += [_stuck(plain, share * exact * stuck, wrong, every)]
     people = _joined(parts_)
     most = max(NUMBERS // table[..., 0].size, count)
     people = people.take(np.sort(np.argsort(-people.prior, kind="stable")[:most]))

@@ -48,6 +48,10 @@ class Facts(NamedTuple):
     new: float = OPEN
 
 
+NO_FIT = 0.5
+"""No found type fits somebody of whom the fit (:meth:`Problem.fit`) is below this."""
+
+
 def fact_sets(wrong: NDArray[np.float64]) -> tuple[int, ...]:
     """The facts that each type more likely believes incorrectly than not, as bitmasks, of
     probabilities [N, n]."""
@@ -61,9 +65,11 @@ class BeliefUpdate(Protocol):
         fresh_labels: whether each label of each step is drawn independently and is evidence, as in
             the POMDP that solvers and certificates are about; else people repeat themselves, and
             :func:`xplain.interaction.dialogue.advance` leaves out what is no news.
+        open: whether people may be of no type that was found.
     """
 
     fresh_labels: ClassVar[bool]
+    open: ClassVar[bool] = False
 
     def habits(self, learned: Habits | None) -> Habits:
         """How users are taken to listen and to answer.
@@ -92,6 +98,8 @@ class Assuming:
         accept: how often a message is taken in when it is said.
         forget: how often a fact set right is lost, a step.
     """
+
+    open: ClassVar[bool] = False
 
     error: Assumed = 0.0
     accept: Assumed = 1.0

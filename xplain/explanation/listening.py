@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.belief import told, update
-from xplain.explanation.habits import PAPER, Habits, habits_of
+from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
@@ -88,9 +88,11 @@ def learned_habits(people: Sequence[Listener], grid: Habits | None = None) -> Ha
 
 
 def _of_the_paper(problem: Problem) -> Problem:
-    """The same types, as people without failings."""
-    count = len(problem.habits)
-    table = problem.table.of_types(range(0, problem.n_types, count))
-    prior = problem.prior.reshape(-1, count).sum(axis=1)
-    own = LabelTable(table.relevant, table.p)
-    return replace(problem, table=own, prior=prior, habits=PAPER)
+    """The types that were found, as people without failings."""
+    found = np.flatnonzero(problem.as_found)
+    types, first = np.unique(problem.whose[found], return_index=True)
+    table = problem.table.of_types(found[first].tolist())
+    prior = np.bincount(problem.whose[found], problem.prior[found])
+    names = tuple(problem.type_names[t] for t in types)
+    alone = problem.with_types(LabelTable(table.relevant, table.p), names)
+    return replace(alone, prior=prior / prior.sum())

@@ -169,6 +169,11 @@ class Problem:
             return belief
         return np.asarray(np.bincount(self.whose, belief, self.n_user_types), np.float64)
 
+    def fit(self, belief: NDArray[np.float64]) -> float:
+        """The share of a belief over hidden states in user types that were found, listening and
+        answering as assumed."""
+        return float(belief.reshape(-1, self.n_types)[:, self.as_found].sum())
+
     @property
     def messages_land(self) -> bool:
         """Whether every message said is a fact known from then on, as in the paper. Where not,

@@ -33,6 +33,7 @@ class Episode:
         inexplicability: Σ C_inexp over every transition found inexplicable at every step.
         cost: Definition 2, λ · communication + inexplicability, undiscounted; and ``asking``.
         asking: κ of every question.
+        fit: P(the user is of a found type, as assumed) in the end.
         questions: [J, 3] the step at which each was asked, its number, and the answer.
     """
 
@@ -45,6 +46,7 @@ class Episode:
     inexplicability: float
     cost: float
     asking: float = 0.0
+    fit: float = 1.0
     questions: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 3), np.int64))
 
     @property
@@ -127,5 +129,6 @@ def explain(
         inexplicability,
         problem.trade_off * communication + inexplicability + asking,
         asking,
+        problem.fit(talk.state.belief),
         np.array(questions, np.int64).reshape(-1, 3),
     )

@@ -8,6 +8,7 @@ See docs/explainer.md.
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,15 +18,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, Range, Whole, checks, whole_number
+from xplain.explanation.anybody import Open
 from xplain.explanation.asking import Limits, Questions
-from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
-from xplain.explanation.habits import Habits
-from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, joined
+from xplain.explanation.belief import OPEN, BeliefUpdate, Facts, Independent, Persistent
+from xplain.explanation.habits import Assumed, Habits
+from xplain.explanation.label_table import DENSE, MAX_MESSAGES, LabelTable, joined
 from xplain.explanation.problem import DiscountPer, Problem, each_cost
 from xplain.interaction.dialogue import Dialogue, Event
 from xplain.interaction.session import FORMAT, Candidate, Session, plain
 from xplain.solvers.base import LazyPolicy, Solver
 from xplain.solvers.greedy import QMDP
+
+log = logging.getLogger(__name__)
 
 
 class Types(Protocol):
@@ -51,8 +55,19 @@ class Types(Protocol):
     def habits(self) -> Habits | None:
         """How people listen and answer; None where nothing was learned of it."""
 
+    @property
+    def wrong(self) -> tuple[int, ...] | None:
+        """N bitmasks of the facts that each type believes incorrectly; None where unknown."""
+
+    @property
+    def new(self) -> float:
+        """P(a user is of none of the types)."""
+
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
         """P(label is 1 | type, message set) of T ≥ 1 transitions."""
+
+    def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
+        """The same of one type, who believes every fact incorrectly; None where unknown."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +82,9 @@ class GivenTypes:
         names: N names.
         prior: [N]; empty for all alike.
         habits: how they listen and answer, where that was learned.
+        wrong: N bitmasks of the facts that each type believes incorrectly, where they are known.
+        about_everything: like ``table``, of the one type who believes every fact incorrectly.
+        new: P(a user is of none of the types).
     """
 
     table: ArrayLike | LabelTable | Callable[[Sequence[Any]], ArrayLike | LabelTable]
@@ -74,19 +92,26 @@ class GivenTypes:
     names: tuple[str, ...]
     prior: ArrayLike = ()
     habits: Habits | None = None
+    wrong: tuple[int, ...] | None = None
+    about_everything: ArrayLike | LabelTable | Callable[..., ArrayLike | LabelTable] | None = None
+    new: float = OPEN
 
     def __post_init__(self) -> None:
         """Raises InputError for a table of other widths, or one of zeros."""
-        if not callable(self.table) and not self._fitting(self.table).p.any():
+        facts = self.wrong is None, self.about_everything is None
+        if any(facts) != all(facts) or len(self.wrong or self.names) != len(self.names):
+            wanted = f"of {len(self.names)} types, with about_everything"
+            raise InputError("wrong", self.wrong, wanted)
+        if not callable(self.table) and not self._fitting(self.table, len(self.names)).p.any():
             raise InputError("table", 0, "probabilities that a label is 1; all of these are 0")
 
-    def _fitting(self, table: ArrayLike | LabelTable) -> LabelTable:
+    def _fitting(self, table: ArrayLike | LabelTable, types: int) -> LabelTable:
         """A table of these types and messages.
 
         Raises:
             InputError: it has other numbers of them.
         """
-        types, n = len(self.names), len(self.messages)
+        n = len(self.messages)
         made = table if isinstance(table, LabelTable) else LabelTable.dense(table)
         if made.n_types != types:
             raise InputError("table", made.n_types, f"{types} types, as there are names")
@@ -101,12 +126,20 @@ class GivenTypes:
         Raises:
             InputError: an index outside the table.
         """
-        if callable(self.table):
-            made = self._fitting(self.table(transitions))
+        return self._of(self.table, transitions, len(self.names))
+
+    def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
+        """See :class:`Types`."""
+        about = self.about_everything
+        return None if about is None else self._of(about, transitions, 1)
+
+    def _of(self, given: Any, transitions: Sequence[Any], types: int) -> LabelTable:
+        if callable(given):
+            made = self._fitting(given(transitions), types)
             if len(made.p) != len(transitions):
                 raise InputError("table", len(made.p), f"{len(transitions)} rows, one a transition")
             return made
-        table = self._fitting(self.table)
+        table = self._fitting(given, types)
         last = len(table.p) - 1
         for index in transitions:
             whole_number("trace", index, 0, last)
@@ -126,9 +159,11 @@ class Explainer:
         inexplicability_cost: C_inexp of each label 0.
         discount: γ_E, for planning.
         discount_per: see :class:`~xplain.explanation.problem.Problem`.
-        belief_update: which labels are evidence, and how users err. None: people repeat themselves
-            and err as observers did (``Persistent("learned")``) where the types tell how these
-            erred; else the paper's :class:`~xplain.explanation.belief.Independent`.
+        belief_update: which labels are evidence, and how users err. None: people may be of no type
+            (:class:`~xplain.explanation.anybody.Open`) where the facts of the types are known and
+            at most DENSE; else they repeat themselves and err as observers did
+            (``Persistent("learned")``) where the types tell how these erred; else the paper's
+            :class:`~xplain.explanation.belief.Independent`.
         seed: of solvers that search at random.
         ask: what questions cost and how many are asked; None for none.
     """
@@ -163,7 +198,19 @@ class Explainer:
         if self.solver.knows in ("type", "labels"):
             wanted = "a solver that need not know the user's type"
             raise InputError("solver", type(self.solver).__name__, wanted)
+        if self.belief_update is None and self.types.wrong is not None and not self.beliefs.open:
+            log.warning("people are taken as found: they have more than %d messages", DENSE)
         self._dialogue(0, (), (), ())
+
+    @property
+    def beliefs(self) -> BeliefUpdate:
+        """How labels change the belief."""
+        if self.belief_update is not None:
+            return self.belief_update
+        error: Assumed = 0.0 if self.types.habits is None else "learned"
+        if self.types.wrong is not None and len(self.types.messages) <= DENSE:
+            return Open(error)
+        return Independent() if self.types.habits is None else Persistent(error)
 
     def session(
         self,
@@ -238,12 +285,15 @@ class Explainer:
         known, types = len(trace), len(self.types.names)
         steps = max(expected_steps if known else 0, known, 1)
         # Steps not known yet are explicable to everybody, whatever is said.
-        table = LabelTable(np.empty((types, 0), np.int64), np.ones((steps - known, 1, types)))
-        if known:
-            table = joined([self.types.label_table(trace), table])
-        beliefs = self.belief_update
-        if beliefs is None:
-            beliefs = Independent() if self.types.habits is None else Persistent("learned")
+        ahead = LabelTable(np.empty((types, 0), np.int64), np.ones((steps - known, 1, types)))
+        table = joined([self.types.label_table(trace), ahead]) if known else ahead
+        facts, beliefs, wrong = None, self.beliefs, self.types.wrong
+        if beliefs.open and wrong is not None:
+            everything = self.types.everything(trace) if known else None
+            one, about = ahead.of_types([0]), [clip.transition for clip in clips]
+            everything = one if everything is None else joined([everything, one])
+            asked = self.types.everything(about) if about else None
+            facts = Facts(everything, wrong, asked, self.types.new)
         problem = Problem(
             table,
             message_cost=each_cost(self.message_cost, len(self.types.messages)),
@@ -256,7 +306,8 @@ class Explainer:
             type_names=tuple(self.types.names),
             questions=self._questions(clips, trace, steps),
             copies=np.array([*map(trace.index, trace), *range(known, steps)], np.int64),
-        ).with_habits(beliefs.habits(self.types.habits))
+        )
+        problem = beliefs.people(problem, self.types.habits, facts)
         policy = LazyPolicy(partial(self.solver.plan, problem, self.seed))
         return Dialogue(problem, policy, beliefs, list(events))
 

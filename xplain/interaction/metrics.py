@@ -30,7 +30,7 @@ RATIOS = (
 
 SIGNED = ("regret",)
 """Measures that may be negative: the oracle's labelers err, and a lucky plan can beat it."""
-SHARES = ("final_belief",)
+SHARES = ("final_belief", "fit")
 
 
 def possible(measure: str) -> Range:
@@ -101,6 +101,8 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
     if any(episode.n_questions for episode in episodes):
         columns["questions"] = [episode.n_questions for episode in episodes]
         columns["questions_cost"] = [episode.asking for episode in episodes]
+    if any(episode.fit < 1 for episode in episodes):
+        columns["fit"] = [episode.fit for episode in episodes]
     # Of labels from a file nobody knows which learned type stands for which true one.
     if any(record.right.any() for record in own.values()):
         columns["steps_until_sure"] = [record.steps_until_sure for record in own.values()]

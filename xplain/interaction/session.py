@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from xplain.errors import InputError, one_of
 from xplain.explanation.actions import AskQuestion
 from xplain.explanation.asking import Question
+from xplain.explanation.belief import NO_FIT
 from xplain.explanation.listening import Explained
 from xplain.explanation.message_sets import mask_of, names_of
 from xplain.interaction.dialogue import (
@@ -88,6 +89,7 @@ class Why:
         step: transitions shown before it.
         given: messages given before it.
         belief: in each type, by name.
+        fit: the share of the belief in types that were found, as assumed.
         chosen: the messages that it gave; none is *explain* at once.
         values: estimated discounted return by the messages given next, the best first; ``()`` is
             *explain* at once. Some solvers weigh messages one at a time.
@@ -99,6 +101,7 @@ class Why:
     step: int
     given: tuple[str, ...]
     belief: Mapping[str, float]
+    fit: float
     chosen: tuple[str, ...]
     values: Mapping[tuple[str, ...], float]
     asked: Question | None = None
@@ -111,7 +114,10 @@ class Why:
             *((v, ", ".join(names) or "say nothing more") for names, v in self.values.items()),
         ]
         ranked.sort(key=lambda one: -one[0])
-        return "\n".join([f"step {self.step + 1}: {did}"] + [f"  {v:9.3f}  {t}" for v, t in ranked])
+        lines = [f"step {self.step + 1}: {did}"] + [f"  {v:9.3f}  {t}" for v, t in ranked]
+        if self.fit < NO_FIT:
+            lines.insert(1, f"the answers fit none of the types (fit {self.fit:.2f})")
+        return "\n".join(lines)
 
 
 def plain(transition: Any) -> Any:
@@ -185,6 +191,12 @@ class Session:
     def belief(self) -> dict[str, float]:
         """``{type: probability}``, given all labels so far; they sum to 1."""
         return self._by_name(self._talk.state.belief)
+
+    @property
+    def fit(self) -> float:
+        """The share of the belief in the types that were found, as they are assumed to listen and
+        to answer: the rest is on people nobody assumed (:mod:`xplain.explanation.anybody`)."""
+        return self._talk.problem.fit(self._talk.state.belief)
 
     @property
     def cost(self) -> float:
@@ -321,6 +333,7 @@ class Session:
             step=visible.step,
             given=self._names(visible.given),
             belief=self._by_name(before.state.belief),
+            fit=before.problem.fit(before.state.belief),
             chosen=self._names(event.messages) if isinstance(event, Given) else (),
             values=messages,
             asked=questions.question(event.question) if isinstance(event, Asked) else None,

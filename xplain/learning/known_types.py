@@ -90,6 +90,7 @@ def find_types(
         tables=tables,
         habits=None if types.answers is None else types.answers.habits,
         wrong=np.stack(known) if len(known) == len(wrong) else None,
+        new=clustering.new,
     )
 
 

@@ -17,6 +17,7 @@ import skops.io
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
+from xplain.explanation.belief import OPEN, fact_sets
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.answers import ErrorRates, QuestionErrors
@@ -116,6 +117,9 @@ class LearnedTypes:
         feature_names: F names.
         sentences: what to say for each message, by its name; may be empty.
         errors: how people err when they answer; None where nobody learned it.
+        wrong: [N] bitmasks of the facts that each type believes incorrectly; None where unknown.
+        about_everything: the labeler of somebody who believes every fact incorrectly, if known.
+        new: P(a user is of none of the types).
     """
 
     labelers: tuple[Labeler, ...]
@@ -125,6 +129,9 @@ class LearnedTypes:
     feature_names: tuple[str, ...]
     sentences: Mapping[str, str] = field(default_factory=dict)
     errors: QuestionErrors | None = None
+    wrong: tuple[int, ...] | None = None
+    about_everything: Labeler | None = None
+    new: float = OPEN
 
     @classmethod
     def of(
@@ -137,7 +144,9 @@ class LearnedTypes:
             dataset: what they were learned from.
             sentences: what to say for each message.
         """
-        learned = types.answers
+        learned, everything = types.answers, types.everything
+        wrong = [own for labeler in types.labelers if (own := labeler.wrong) is not None]
+        known = everything is not None and len(wrong) == len(types.labelers)
         return cls(
             types.labelers,
             types.names,
@@ -148,6 +157,9 @@ class LearnedTypes:
             None
             if learned is None
             else QuestionErrors(learned.slip, learned.guess, learned.errors, dataset.features),
+            fact_sets(np.array(wrong)) if known else None,
+            everything if known else None,
+            types.clustering.new,
         )
 
     @property
@@ -181,6 +193,13 @@ class LearnedTypes:
             raise InputError("trace", "NaN or infinite", wanted)
         return label_table(self.labelers, rows)
 
+    def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
+        """As :meth:`label_table`, of somebody who believes every fact incorrectly; None where
+        facts are unknown."""
+        if self.about_everything is None:
+            return None
+        return self.about_everything.table(np.asarray(transitions, dtype=np.float64))
+
     def save(self, path: str | Path) -> None:
         """Writes an ``.npz`` file.
 
@@ -203,7 +222,11 @@ class LearnedTypes:
                 "errors/guess": self.errors.guess,
                 "errors/rates": self.errors.errors.rates,
             }
-        for t, labeler in enumerate(self.labelers):
+        labelers = dict(enumerate(self.labelers))
+        if self.about_everything is not None and self.wrong is not None:
+            arrays |= {"wrong": np.array(self.wrong), "new": self.new}
+            labelers[len(labelers)] = self.about_everything
+        for t, labeler in labelers.items():
             arrays |= {f"{t}/{key}": own for key, own in labeler.arrays().items()}
         for key in FIGURES:
             arrays[key] = np.array([getattr(labeler, key) for labeler in self.labelers])
@@ -241,6 +264,12 @@ class LearnedTypes:
                 for t in range(len(names))
             )
             prior = np.asarray(arrays["prior"], dtype=np.float64)
+            about: tuple[Any, ...] = ()
+            if "wrong" in arrays:
+                wrong = tuple(arrays["wrong"].astype(int).tolist())
+                last = classifier_of(arrays, len(names), len(features), len(messages), trusted)
+                everything = FittedLabeler(last, len(messages), 0.5, 0.5, means_truth=True)
+                about = wrong, everything, float(arrays["new"])
             errors = _errors(arrays, len(features)) if "errors/rates" in arrays else None
         except InputError:
             raise
@@ -253,7 +282,9 @@ class LearnedTypes:
         if not labelers or prior.shape != (len(labelers),):
             raise InputError("types", str(path), "one prior and one labeler a type")
         said = {m: text for m, text in zip(messages, sentences, strict=True) if text}
-        return cls(labelers, names, prior, messages, features, said, errors)
+        if about and len(about[0]) != len(labelers):
+            raise InputError("types", str(path), "the facts of each type")
+        return cls(labelers, names, prior, messages, features, said, errors, *about)
 
 
 def _errors(arrays: Mapping[str, NDArray[Any]], features: int) -> QuestionErrors:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import TooLargeError
+from xplain.explanation.belief import OPEN
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.answers import AnswerModel
@@ -64,6 +65,13 @@ class Clustering:
     def shares(self) -> NDArray[np.float64]:
         """[N] of the observers."""
         return np.bincount(self.assignment) / len(self.assignment)
+
+    @property
+    def new(self) -> float:
+        """P(the next person is of a new type): at least OPEN, and as often as observers were alone
+        of their type (Good 1953)."""
+        alone = int((np.bincount(self.assignment) == 1).sum())
+        return max(OPEN, alone / (len(self.assignment) + 1))
 
     def members(self, cluster: int) -> NDArray[np.int64]:
         """Indices of the observers of a cluster, ascending."""
@@ -122,6 +130,7 @@ class KnownTypes:
         tables: what follows for a trace, by the features [m, F] of its transitions [m, 3].
         habits: how people err, as far as their answers tell.
         wrong: [N, n] P(a user of the type holds a fact wrong); None where that is unknown.
+        new: P(a user is of none of the types).
     """
 
     names: tuple[str, ...]
@@ -133,6 +142,7 @@ class KnownTypes:
     tables: TablesOf
     habits: Habits | None = None
     wrong: NDArray[np.float64] | None = None
+    new: float = OPEN
 
 
 def shares_of(drawn: ArrayLike) -> dict[int, float]:

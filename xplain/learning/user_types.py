@@ -107,6 +107,8 @@ class UserTypes:
         answers: how labels became answers, of the dataset's transitions and observers; None where
             nobody learned it.
         evidence: how well hypotheses foretold the answers; None where there are none.
+        everything: the labeler of somebody who believes every fact incorrectly; None where facts
+            are unknown.
     """
 
     labelers: tuple[Labeler, ...]
@@ -115,6 +117,7 @@ class UserTypes:
     prior: NDArray[np.float64]
     answers: AnswerModel | None = None
     evidence: Evidence | None = None
+    everything: Labeler | None = None
 
     @property
     def by_observers(self) -> dict[tuple[int, ...], Labeler]:
@@ -205,7 +208,8 @@ def learn_types(
     )
     names = tuple(f"type_{t}" for t in range(clustering.n_types))
     answers = answers or clustering.answers
-    return UserTypes(labelers, clustering, names, clustering.shares, answers, evidence)
+    shares, everything = clustering.shares, trainer.everything()
+    return UserTypes(labelers, clustering, names, shares, answers, evidence, everything)
 
 
 def with_none_of_these(types: UserTypes, dataset: Dataset, weight: float) -> UserTypes:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from statistics import fmean
 
 from rich.console import Console
 
 from xplain.experiment.progress import is_terminal
 from xplain.experiment.results import Figure, Results
+from xplain.explanation.belief import NO_FIT
 from xplain.report.measure import NEGATIVE, NO_REFERENCE, warning_about_oracle
 from xplain.report.paper import table1
 from xplain.report.story import counted
@@ -53,6 +55,8 @@ def print_summary(results: Results) -> None:
         words = (title, f"{figure.mean:.3f}", _interval(figure), said)
         rows.append(tuple(map(Cell, words[: len(heads)])))
     console.print(Table(heads, tuple(rows), 1).shown())
+    if said := _of_no_type(results):
+        console.print(said)
     if "regret" in results.metrics and results.metrics["regret"].mean < 0:
         console.print(NEGATIVE)
     if "regret" in results.metrics and warning:
@@ -64,6 +68,27 @@ def print_certificates(bounds: Mapping[str, float]) -> None:
     console = Console(highlight=False, width=None if is_terminal(sys.stdout) else 100)
     for line in _bounds(bounds):
         console.print(line)
+
+
+def _of_no_type(results: Results) -> str:
+    """What the explanations cost whose users fit no found type, and would cost otherwise; empty
+    where the belief knows the types that were found alone."""
+    cost: dict[str, dict[tuple[int, str], float]] = {}
+    for one in results.episodes:
+        cost.setdefault(one.solver, {})[one.trace, one.type] = one.cost
+    own = [one for one in results.episodes if one.solver == "solver"]
+    users = [(one.trace, one.type) for one in own if one.fit < NO_FIT]
+    if "say_all" not in cost:
+        return ""
+    said = f"for {len(users)} of {len(own)} users no found type fits"
+    if not users:
+        return said
+    mean = {name: fmean(found[user] for user in users) for name, found in cost.items()
+            if name in ("solver", "say_all", "conformant")}  # fmt: skip
+    return (
+        f"{said}: cost {mean['solver']:.2f}, against {mean['say_all']:.2f} for saying everything "
+        f"and {mean['conformant']:.2f} for one explanation that suits all types"
+    )
 
 
 def _asks(results: Results) -> str:

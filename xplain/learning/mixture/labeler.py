@@ -382,6 +382,12 @@ class EverythingWrong(Labeler):
             one[exact >= 0] = hypotheses.labels[rows][:, exact[exact >= 0]].T
         return LabelTable.dense(np.clip(one, EDGE, 1 - EDGE)[None])
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """As :meth:`Labeler.arrays`: a table of all that it knows."""
+        features = self.known.features
+        return {"rows": features, "table": self.table(features.astype(np.float64)).array(
+            self.n_messages)[0]}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class HypothesisTrainer(LabelerTrainer):
