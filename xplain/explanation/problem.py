@@ -134,6 +134,11 @@ class Problem:
         return len(self.type_names)
 
     @property
+    def found_types(self) -> tuple[str, ...]:
+        """The names of the user types that were found."""
+        return self.type_names[: 1 + int(self.whose[self.as_found].max())]
+
+    @property
     def n_steps(self) -> int:
         """m, the transitions of the trace; the horizon in *explain* actions."""
         return len(self.table.p)

@@ -377,7 +377,7 @@ class Session:
         state = {
             "format": FORMAT,
             "messages": self._talk.problem.message_names,
-            "types": self._talk.problem.type_names,
+            "types": self._talk.problem.found_types,
             "trace": self._trace,
             "expected_steps": self._expected_steps,
             "clips": [[clip.transition, clip.text, clip.right] for clip in self._clips],
