@@ -270,14 +270,16 @@ def scrolled(driver: Driver, person: StudyBot) -> dict[int, float]:
 
 
 def out_of_sight(driver: Driver) -> list[float]:
-    """How far the button that goes on is below the window, on a phone and on a small laptop."""
+    """How far the new step or the button that goes on is below the window: on a phone, on a small
+    laptop, and there at 200 % zoom."""
     found = []
-    for width, height in ((390, 844), (1280, 800)):
+    for width, height in ((390, 844), (1280, 800), (640, 400)):
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         bottom = driver.execute_script(
             "window.scrollTo(0, 0);"
-            "return document.querySelector('main form button').getBoundingClientRect().bottom"
+            "const seen = document.querySelectorAll('.newest, .steps li, main form button');"
+            "return Math.max(...[...seen].map(one => one.getBoundingClientRect().bottom))"
         )
         found.append(bottom - height)
     driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
