@@ -12,7 +12,7 @@ import pytest
 
 from tests import forked, processes
 from tests.runs import sweeps
-from xplain.runs.mlflow import Disk
+from xplain.runs.folder import Disk
 from xplain.runs.signals import interruptible
 from xplain.runs.sweep import finish
 

@@ -8,6 +8,7 @@ result's address has ``results.json``; where it failed, ``failure.json`` in its 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import traceback
@@ -18,12 +19,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from filelock import FileLock, Timeout
+
 from xplain.errors import InputError
 from xplain.experiment.config import GROUPS
 from xplain.experiment.results import RESULTS, load_results
 from xplain.report.summary import SWEEP, load_sweep
 from xplain.runs.terminal import without_passwords
 from xplain.storage import write_text
+
+log = logging.getLogger(__name__)
 
 FAILURE = "failure.json"
 LISTED = "job.json"
@@ -86,16 +91,12 @@ class SweepFolder:
     @contextmanager
     def alone(self, waiting: str) -> Iterator[None]:
         """Holds the sweep's lock; tells ``waiting`` when another process has it."""
-        import logging
-
-        from filelock import FileLock, Timeout
-
         self.path.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.path / "sweep.lock")
         try:
             held = lock.acquire(timeout=1)
         except Timeout:
-            logging.getLogger(__name__).info(waiting)
+            log.info(waiting)
             held = lock.acquire()
         with held:
             yield
@@ -155,6 +156,22 @@ def mark_failed(folder: Path, error: BaseException) -> None:
     }
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / FAILURE, json.dumps(content, indent=1) + "\n")
+
+
+class Disk:
+    """Leaves results on disk (``tracking=none``); subclasses send them elsewhere."""
+
+    def log(self, folder: Path, outputs: Path) -> list[str]:
+        """Takes note of a run or a sweep that ended. Never raises: the results are on disk.
+
+        Args:
+            folder: of the run or sweep.
+            outputs: the outputs folder.
+
+        Returns:
+            Lines for the terminal: where to look.
+        """
+        return []
 
 
 _NO_RESULTS = {"artifacts", "cache", "report", "results"}

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -40,11 +40,9 @@ from xplain.experiment.results import (
     save_results,
 )
 from xplain.report.run_summary import print_certificates, print_summary
+from xplain.runs.folder import Disk
 from xplain.runs.terminal import attempted, without_passwords
 from xplain.storage import write_text
-
-if TYPE_CHECKING:
-    from xplain.runs.mlflow import Disk
 
 log = logging.getLogger(__name__)
 

@@ -1,8 +1,8 @@
-"""Where results go besides the disk: nowhere, or to MLflow.
+"""Sends results to MLflow: a run for each result, and for a sweep a parent whose children are its
+jobs.
 
-MLflow gets a run for each result; a sweep is a parent whose children are its jobs. Everything is
-read from folders on disk when a run or sweep ends, so what MLflow missed can be sent later, and
-what is sent twice is there once.
+Everything is read from folders on disk when a run or sweep ends, so what MLflow missed can be sent
+later, and what is sent twice is there once. This module imports MLflow, which takes a second.
 """
 
 from __future__ import annotations
@@ -13,28 +13,27 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from filelock import FileLock
+from mlflow import MlflowClient
+from mlflow.entities import Metric, Param, Run
 
 from xplain.errors import InputError, XplainError, first_line
 from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.report.comparison import answer
 from xplain.report.measure import is_problem, warning_about_oracle
 from xplain.report.summary import SWEEP, Summary, load_sweep
-from xplain.runs.folder import FAILURE, SweepFolder, runs_and_sweeps
+from xplain.runs.folder import FAILURE, Disk, SweepFolder, runs_and_sweeps
 from xplain.runs.terminal import without_passwords
-
-if TYPE_CHECKING:
-    from mlflow import MlflowClient
-    from mlflow.entities import Run
 
 log = logging.getLogger(__name__)
 
 RESULT_TAG, SWEEP_TAG = "xplain.result", "xplain.sweep"
 PARENT_TAG = "mlflow.parentRunId"
-SOURCE = "python -m xplain"
 
 FIGURES = {
     "regret": "regret",
@@ -52,22 +51,6 @@ MEASURES = {"regret": "regret", "above_floor": "regret_to_clairvoyant", "cost": 
 """Names in MLflow of what the jobs of a sweep are compared by."""
 
 LEARNED = ("adjusted_rand_index", "labeler_accuracy")
-
-
-class Disk:
-    """Leaves results on disk; subclasses send them elsewhere."""
-
-    def log(self, folder: Path, outputs: Path) -> list[str]:
-        """Takes note of a run or a sweep that ended. Never raises: the results are on disk.
-
-        Args:
-            folder: of the run or sweep.
-            outputs: the outputs folder.
-
-        Returns:
-            Lines for the terminal: where to look.
-        """
-        return []
 
 
 @dataclass(frozen=True)
@@ -107,9 +90,6 @@ class MLflow(Disk):
             InputError: the experiment was deleted in MLflow.
             OSError, SQLAlchemyError, MlflowException: the store cannot take it.
         """
-        from filelock import FileLock
-        from mlflow import MlflowClient
-
         outputs.mkdir(parents=True, exist_ok=True)
         own = outputs.resolve() / "mlflow.db"
         uri = self.uri or f"sqlite:///{own}"
@@ -126,20 +106,17 @@ class MLflow(Disk):
             experiment = found.experiment_id if found else None
             experiment = experiment or client.create_experiment(self.experiment, artifacts)
         store = _Store(client, experiment)
-        address = uri.rstrip("/") if served else "http://127.0.0.1:5000"
+        page = f"{uri.rstrip('/') if served else 'http://127.0.0.1:5000'}/#/experiments"
         if (folder / SWEEP).exists():
             shown = f"workflowType=machine_learning&viewStateShareKey={store.send_sweep(folder)}"
-            link = f"{address}/#/experiments/{experiment}/runs?{shown}"
+            lines = [f"MLflow: {page}/{experiment}/runs?{shown}"]
         else:
-            run = store.send_result(folder, load_results(folder), {}, {})
-            link = f"{address}/#/experiments/{experiment}/runs/{run}"
-        lines = [f"MLflow: {without_passwords(link)}"]
+            run = store.send_result(folder, load_results(folder), {}, {"xplain.single": "yes"})
+            lines = [f"MLflow: {page}/{experiment}/runs/{run}"]
         if not served:
-            uri = f"sqlite:///{os.path.relpath(own)}" if self.uri is None else self.uri
-            lines.append(
-                f"  once this runs: mlflow ui --backend-store-uri {without_passwords(uri)}"
-            )
-        return lines
+            place = f"sqlite:///{os.path.relpath(own)}" if self.uri is None else self.uri
+            lines.append(f"  once this runs: mlflow ui --backend-store-uri {place}")
+        return [without_passwords(line) for line in lines]
 
 
 def sync(folders: Sequence[Path], outputs: Path, tracking: MLflow) -> int:
@@ -150,39 +127,38 @@ def sync(folders: Sequence[Path], outputs: Path, tracking: MLflow) -> int:
         XplainError: MLflow cannot take them.
     """
     count = 0
-    for folder in folders:
-        below = list(runs_and_sweeps(folder))
-        if not below:
-            raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
-        for one in below:
-            sweep = SweepFolder(one)
-            held: AbstractContextManager[None] = nullcontext()
-            if (one / SWEEP).exists():
-                try:
-                    load_sweep(one)
-                except InputError as error:  # the others can be sent all the same
-                    log.warning("left out: %s", error)
-                    continue
-                held = sweep.alone(f"{one.name}: it is running; waiting for its end")
-                count += sum(sweep.state(job) == "finished" for job in sweep.jobs())
-            else:
-                count += 1
-            try:
-                with held:
-                    tracking.send(one, outputs)
-            except XplainError:
-                raise
-            except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
-                text = without_passwords(first_line(error))
-                allowed = f"tracking.uri: MLflow does not take the results ({text})"
-                raise XplainError(allowed) from error
+    for one in [path for folder in folders for path in _sent(folder)]:
+        sweep = SweepFolder(one) if (one / SWEEP).exists() else None
+        try:
+            with sweep.alone(f"{one.name}: it is running; waiting") if sweep else nullcontext():
+                tracking.send(one, outputs)
+        except XplainError:
+            raise
+        except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
+            text = without_passwords(first_line(error))
+            said = f"tracking.uri: MLflow does not take the results ({text})"
+            raise XplainError(said) from error
+        states = [sweep.state(job) for job in sweep.jobs()] if sweep else ["finished"]
+        count += states.count("finished")
     return count
+
+
+def _sent(folder: Path) -> list[Path]:
+    """The runs and sweeps at or below a folder; says which sweep is damaged and left out."""
+    found = list(runs_and_sweeps(folder))
+    if not found:
+        raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
+    for one in [path for path in found if (path / SWEEP).exists()]:
+        try:
+            load_sweep(one)
+        except InputError as error:
+            log.warning("left out: %s", error)
+            found.remove(one)
+    return found
 
 
 def _make_database(path: Path) -> None:
     """Makes MLflow's tables, all or none: a database that is cut short can never be used."""
-    from mlflow import MlflowClient
-
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".mlflow.") as folder:
         new = Path(folder) / path.name
         MlflowClient(tracking_uri=f"sqlite:///{new}").search_experiments(max_results=1)
@@ -212,20 +188,18 @@ class _Store:
             tags: that tell it from runs of the same result in other sweeps.
             among: runs that may be its; None looks for them.
         """
-        from mlflow.entities import Metric, Param
-
-        times = (results.started, results.started + sum(results.seconds.values()))
-        started, end = (int(1000 * seconds) for seconds in times)
+        started = int(1000 * results.started)
+        end = started + int(1000 * sum(results.seconds.values()))
         about = {
             "mlflow.source.git.commit": results.git.get("commit", ""),
             "xplain.rule": results.elbow.rule,
             "xplain.warning": warning_about_oracle(results.learning),
         }
-        tags = {RESULT_TAG: results.fingerprint, **(tags or {"xplain.single": "yes"})}
+        tags = {RESULT_TAG: results.fingerprint, **tags}
         run, new = self._run(results.name, "FINISHED", started, tags, about, among)
         if new:
-            known = figures(results)
-            metrics = [Metric(key, round(v, 4), end, 0) for key, v in sorted(known.items())]
+            known = sorted(figures(results).items())
+            metrics = [Metric(key, round(value, 4), end, 0) for key, value in known]
             params = [Param(key, value) for key, value in parameters(results, swept).items()]
             self.client.log_batch(run, metrics, params)
             self.client.log_artifacts(run, str(folder))
@@ -234,23 +208,18 @@ class _Store:
 
     def send_sweep(self, path: Path) -> str:
         """Sends a sweep's jobs that ended, its report and a view of it; returns the view's key."""
-        from mlflow.entities import Param
-
         sweep, summary = SweepFolder(path), Summary(path)
-        jobs, started = sweep.jobs(), int(1000 * summary.about["started"])
+        started = int(1000 * summary.about["started"])
         parent, _ = self._run(sweep.identity, "", started, {SWEEP_TAG: sweep.identity}, {})
-        keys = dict.fromkeys(key for job in jobs for key in job.values)
-        swept = {key: dict.fromkeys(job.values.get(key, "") for job in jobs) for key in keys}
-        params = [Param(key, ", ".join(values)[:500]) for key, values in swept.items()]
-        self.client.log_batch(parent, params=[*params, Param("jobs", str(len(jobs)))])
         self.client.set_tag(parent, "mlflow.note.content", answer(summary))
         children = self._known({PARENT_TAG: parent})
-        for job in jobs:
+        states = {job.fingerprint: sweep.state(job) for job in sweep.jobs()}
+        for job in sweep.jobs():
             tags = {RESULT_TAG: job.fingerprint, PARENT_TAG: parent}
-            if (state := sweep.state(job)) == "finished":
+            if states[job.fingerprint] == "finished":
                 own = replace(load_results(sweep.address(job)), name=job.label)
                 self.send_result(sweep.address(job), own, job.values, tags, children)
-            elif state == "failed":
+            elif states[job.fingerprint] == "failed":
                 at = int(1000 * (sweep.of(job) / FAILURE).stat().st_mtime)
                 error = {"xplain.error": sweep.failure(job)["error"][:4000]}
                 run, new = self._run(job.label, "FAILED", at, tags, error, children)
@@ -259,10 +228,8 @@ class _Store:
                     self.client.set_terminated(run, "FAILED", at)
         if (path / "report").is_dir():
             self.client.log_artifacts(parent, str(path / "report"), "report")
-        states = {sweep.state(job) for job in jobs}
-        ended = (
-            "FINISHED" if states == {"finished"} else "FAILED" if "failed" in states else "KILLED"
-        )
+        every = set(states.values())
+        ended = "FAILED" if "failed" in every else "KILLED" if "waiting" in every else "FINISHED"
         self.client.set_terminated(parent, ended)
         key, now = sweep.identity.rpartition("-")[2], int(1000 * time.time())
         # The form in which MLflow lists views itself, from 3.15 on.
@@ -299,7 +266,10 @@ class _Store:
                 kept = run
             else:
                 self.client.delete_run(run.info.run_id)
-        source = {"mlflow.user": os.environ.get("USER", ""), "mlflow.source.name": SOURCE}
+        source = {
+            "mlflow.user": os.environ.get("USER", ""),
+            "mlflow.source.name": "python -m xplain",
+        }
         every = {**known_by, **tags, **source}
         made = kept or self.client.create_run(self.experiment, started, every, name)
         return str(made.info.run_id), kept is None
@@ -313,14 +283,15 @@ class _Store:
 def figures(results: Results) -> dict[str, float]:
     """Figures that make one number each, by their names in MLflow."""
     known = {FIGURES[key]: own for key, own in results.metrics.items() if key in FIGURES}
-    flat = {name: own.mean for name, own in known.items()}
-    for name in set(MEASURES.values()) & known.keys():
-        ends = {f"{name}_low": known[name].low, f"{name}_high": known[name].high}
-        flat |= {end: value for end, value in ends.items() if value is not None}
-    flat |= {
-        f"types/{name}": results.learning[name] for name in LEARNED if name in results.learning
+    compared = [name for name in known if name in MEASURES.values()]
+    every = {
+        **{name: own.mean for name, own in known.items()},
+        **{f"{name}_low": known[name].low for name in compared},
+        **{f"{name}_high": known[name].high for name in compared},
+        **{f"types/{name}": results.learning.get(name) for name in LEARNED},
+        "solver/seconds": sum(results.seconds.values()),
     }
-    return flat | {"solver/seconds": sum(results.seconds.values())}
+    return {name: value for name, value in every.items() if value is not None}
 
 
 def parameters(results: Results, swept: Mapping[str, str]) -> dict[str, str]:

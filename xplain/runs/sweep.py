@@ -31,12 +31,11 @@ from xplain.errors import InputError, checks, first_line, mapping
 from xplain.experiment.config import GROUPS, missing_key
 from xplain.experiment.fingerprint import code_version, git_state
 from xplain.experiment.from_config import check
-from xplain.experiment.results import RESULTS, Results, finished_at
+from xplain.experiment.results import RESULTS, finished_at
 from xplain.report.stages import stages
 from xplain.report.summary import SWEEP
-from xplain.runs.folder import FAILURE, LISTED, Listed, SweepFolder, listed, mark_failed
+from xplain.runs.folder import FAILURE, LISTED, Disk, Listed, SweepFolder, listed, mark_failed
 from xplain.runs.job import Job, ended_by
-from xplain.runs.mlflow import Disk
 from xplain.runs.signals import end_with_parent, interruptible
 from xplain.runs.terminal import attempted
 from xplain.storage import write_text
@@ -318,7 +317,6 @@ def finish(
     finished = [job for job, state in states if state == "finished"]
     seconds = time.time() - began
     end = [f"{len(finished)} of {len(jobs)} jobs finished, {duration(seconds)}"]
-    end += _shares([own for _, own in summary.results], began) if summary else []
     for job, state in states:
         if state == "failed":
             error = folder.failure(job)["error"]
@@ -330,20 +328,6 @@ def finish(
     with attempted("the end was not told"):
         tell("\n".join(end))
     return len(finished) == len(jobs)
-
-
-def _shares(results: Sequence[Results], began: float) -> list[str]:
-    """Where the time of the processes went that ran jobs now."""
-    ran = [one for one in results if one.started >= began]
-    workers = {one.worker for one in ran}
-    if not workers:
-        return []
-    inside = sum(sum(one.seconds.values()) for one in ran)
-    share = min(1.0, inside / (len(workers) * (time.time() - began)))
-    return [
-        f"time of {len(workers)} worker{'s' * (len(workers) > 1)}: {share:.0%} in the method "
-        f"itself, {1 - share:.0%} in all else (start, configuration, waiting, MLflow, report)"
-    ]
 
 
 def list_job(job: Job, overrides: Sequence[str], folder: Path) -> None:
@@ -542,25 +526,17 @@ def command(config: DictConfig) -> str:
 def _watched(folder: SweepFolder, jobs: Sequence[Listed], done: int) -> Iterator[None]:
     """Tells how far the jobs are, by their folders, for the time of the context."""
     began, every = time.time(), done + len(jobs)
-    waiting, failed = list(jobs), 0
     progress, stop = stages(), threading.Event()
 
-    def ended(path: Path) -> bool:
+    def ended(path: Path) -> bool:  # now, not in an attempt before
         return path.exists() and path.stat().st_mtime >= began - 1
 
     def look() -> None:
-        nonlocal failed
-        for job in [*waiting]:
-            if failure := ended(folder.of(job) / FAILURE):
-                failed += 1
-                log.info("failed: %s: %s", job.label, folder.failure(job)["error"])
-            if failure or ended(folder.address(job) / RESULTS):
-                waiting.remove(job)
-        count = len(jobs) - len(waiting)
+        failed = sum(ended(folder.of(job) / FAILURE) for job in jobs)
+        count = failed + sum(ended(folder.address(job) / RESULTS) for job in jobs)
         words = f"{done + count} of {every} jobs done, {failed} failed"
-        if count and waiting:
-            left = (time.time() - began) / count * len(waiting)
-            words += f", about {duration(left)} left"
+        if 0 < count < len(jobs):
+            words += f", about {duration((time.time() - began) / count * (len(jobs) - count))} left"
         progress.note(words)
 
     def watch() -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from tests.domains.configs import configured, domain_of
 from tests.domains.users.corridor import Painted
+from xplain.domains.users import types
 from xplain.domains.users.setting import Setting, UserType
 from xplain.domains.users.types import Completions, Explicit, FewFacts, RandomCover
 from xplain.errors import InputError
@@ -114,13 +115,14 @@ def test_few_facts_are_as_many_as_said_and_any() -> None:
         assert abs(times / count - p) < 5 * (p * (1 - p) / count) ** 0.5, facts
 
 
-def test_types_of_few_facts_behave_differently() -> None:
+def test_types_of_few_facts_behave_differently(monkeypatch: pytest.MonkeyPatch) -> None:
     for seed in range(30):
-        types = FewFacts(2, 1, 2).types(Painted(), stream(seed, "users"))
-        one, two = (set(t.inaccurate) - {"colour"} for t in types)
+        drawn = FewFacts(2, 1, 2).types(Painted(), stream(seed, "users"))
+        one, two = (set(t.inaccurate) - {"colour"} for t in drawn)
         assert one != two
+    monkeypatch.setattr(types, "ATTEMPTS", 5)
     with pytest.raises(InputError, match=r"users\.count.*in 5 draws"):
-        FewFacts(8, 1, 1, attempts=5).types(Painted(), RNG)
+        FewFacts(8, 1, 1).types(Painted(), RNG)
 
 
 def test_types_of_more_facts_than_there_are_are_refused() -> None:
@@ -142,12 +144,13 @@ def test_one_random_type_holds_everything_wrong() -> None:
     assert set(only.inaccurate) == {p.name for p in domain.parameters}
 
 
-def test_a_draw_that_cannot_be_found_says_so() -> None:
+def test_a_draw_that_cannot_be_found_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(types, "ATTEMPTS", 1)
     domain = domain_of("domain=four_rooms")
     with pytest.raises(InputError, match="at most 31"):
         RandomCover(32).types(domain, RNG)
     with pytest.raises(InputError, match=r"no behaviourally distinct types .* in 1 draws"):
-        RandomCover(31, attempts=1).types(domain, RNG)
+        RandomCover(31).types(domain, RNG)
 
 
 @pytest.mark.parametrize("count", [0, -1, 2.5, True, "three"])

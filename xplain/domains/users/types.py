@@ -122,6 +122,10 @@ class Completions:
         return tuple(user_type(domain, name, groups[name]) for name in sorted(groups))
 
 
+ATTEMPTS = 1000
+"""Draws before giving up: more than a second or two of them found nothing in any domain here."""
+
+
 @checks("users")
 @dataclass(frozen=True)
 class RandomCover:
@@ -132,12 +136,10 @@ class RandomCover:
         count: types to draw.
         distinct: only types that differ in the label of some reachable (transition, message
             set). Whole draws are then repeated until one fits.
-        attempts: draws before giving up.
     """
 
     count: Count
     distinct: bool = True
-    attempts: Count = 1000
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
         """Uniform over the lists of distinct subsets that cover all parameters (and, if required,
@@ -150,7 +152,7 @@ class RandomCover:
         full = (1 << len(names)) - 1
         if len(names) < 31 and self.count > full:
             raise InputError("users.count", self.count, f"at most {full} subsets exist")
-        for _ in range(self.attempts):
+        for _ in range(ATTEMPTS):
             masks = [int(rng.integers(1, full + 1)) for _ in range(self.count)]
             if len(set(masks)) < self.count or np.bitwise_or.reduce(masks) != full:
                 continue
@@ -167,7 +169,7 @@ class RandomCover:
         raise InputError(
             "users.count",
             self.count,
-            f"no {kind} that use all of {domain.name}'s parameters in {self.attempts} draws; "
+            f"no {kind} that use all of {domain.name}'s parameters in {ATTEMPTS} draws; "
             "ask for fewer, or set users.distinct=false",
         )
 
@@ -180,13 +182,11 @@ class FewFacts:
     Attributes:
         count: types to draw.
         fewest, most: facts of a type; first their number is drawn uniformly, then the facts.
-        attempts: draws before giving up.
     """
 
     count: Count
     fewest: Count = 2
     most: Count = 6
-    attempts: Count = 1000
 
     def __post_init__(self) -> None:
         """Raises InputError if ``most`` < ``fewest``."""
@@ -204,7 +204,7 @@ class FewFacts:
             raise InputError(
                 "users.most", self.most, f"at most {len(names)}, {domain.name}'s facts"
             )
-        for _ in range(self.attempts):
+        for _ in range(ATTEMPTS):
             sizes = rng.integers(self.fewest, self.most + 1, self.count)
             chosen = [np.sort(rng.permutation(len(names))[:size]) for size in sizes]
             drawn = tuple(
@@ -216,6 +216,6 @@ class FewFacts:
         raise InputError(
             "users.count",
             self.count,
-            f"no {self.count} types of {domain.name} that behave differently in {self.attempts} "
+            f"no {self.count} types of {domain.name} that behave differently in {ATTEMPTS} "
             "draws; ask for fewer",
         )
