@@ -208,6 +208,7 @@ def test_a_folder_may_have_any_letters(tmp_path: Path) -> None:
             "solver._target_='own.Exist': a class; own has Frugal, Refuses, Exits, Unknowing",
         ),
         ("onw.Exits", "solver._target_='onw.Exits': a class; Python finds no module 'onw'"),
+        ("own.Exits\nmemry: 3", "solver.memry=3: no parameter of own.Exits; it takes knows"),
     ],
 )
 def test_a_class_that_will_not_do_is_one_line_before_any_work(

@@ -47,13 +47,6 @@ SOURCE_GROUPS = ("domain", "users", "observers", "queries", "labeler", "clustere
 """Groups of components that decide data and types."""
 GROUPS = (*SOURCE_GROUPS, "solver", "belief", "explainee", "ask")
 """Groups of components that decide a number; a choice says what it is without its key."""
-MOVED = {
-    "observers.queries": "queries=independent, queries=shared, queries=battery or queries=adaptive",
-    "observers.trace_length": "queries.trace_length",
-    "observers.message_probability": "queries.message_probability",
-}
-"""Keys that are called otherwise today."""
-
 RESUME = ("missing", "failed", "none")
 """Which jobs of a sweep run: those not finished, those that failed, or all of them anew."""
 
@@ -259,8 +252,6 @@ def _composition(error: ConfigCompositionException) -> str:
 
 def unknown_key(key: str) -> str:
     """What a key of the experiment that there is not might have been."""
-    if key in MOVED:
-        return f"{key}: no such key; it is {MOVED[key]} now"
     top, _, inner = key.partition(".")
     known = known_keys()
     if not inner or top not in known:

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from functools import partial
 from importlib import import_module
+from inspect import signature
 from typing import Any, TypeVar
 
 from hydra.errors import InstantiationException
-from hydra.utils import instantiate
+from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.domains.base import Domain
@@ -47,6 +48,8 @@ def component(cfg: DictConfig, group: str, **given: Any) -> Any:
     except InstantiationException as error:
         if isinstance(error.__cause__, ImportError):
             _require_class(f"{group}._target_", str(cfg[group].get("_target_")))
+        if isinstance(error.__cause__, TypeError):
+            _require_parameters(group, cfg[group])
         raise
     kind = KINDS.get(group, object)
     if not isinstance(made, kind):
@@ -75,6 +78,19 @@ def _require_class(key: str, target: str) -> None:
         own = (n for n, one in found.items() if getattr(one, "__module__", None) == module)
         allowed = f"a class; {module} has {', '.join(own) or 'none'}"
         raise InputError(key, target, allowed) from None
+
+
+def _require_parameters(group: str, node: DictConfig) -> None:
+    """Says what a class takes, where a file gives a parameter that it has not.
+
+    Raises:
+        InputError: it is so.
+    """
+    takes = signature(get_class(node["_target_"])).parameters
+    for key in node:
+        if key not in takes and not str(key).startswith("_"):
+            allowed = f"no parameter of {node['_target_']}; it takes {', '.join(takes)}"
+            raise InputError(f"{group}.{key}", node[key], allowed)
 
 
 def _section(cfg: DictConfig, key: str, kind: type[T]) -> T:

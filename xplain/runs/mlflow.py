@@ -188,8 +188,8 @@ class _Store:
             tags: that tell it from runs of the same result in other sweeps.
             among: runs that may be its; None looks for them.
         """
-        started = int(1000 * results.started)
-        end = started + int(1000 * sum(results.seconds.values()))
+        times = (results.started, results.started + sum(results.seconds.values()))
+        started, end = (int(1000 * seconds) for seconds in times)
         about = {
             "mlflow.source.git.commit": results.git.get("commit", ""),
             "xplain.rule": results.elbow.rule,
