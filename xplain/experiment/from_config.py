@@ -87,8 +87,8 @@ def _require_parameters(group: str, node: DictConfig) -> None:
         InputError: it is so.
     """
     takes = signature(get_class(node["_target_"])).parameters
-    for key in node:
-        if key not in takes and not str(key).startswith("_"):
+    for key in map(str, node):
+        if key not in takes and not key.startswith("_"):
             allowed = f"no parameter of {node['_target_']}; it takes {', '.join(takes)}"
             raise InputError(f"{group}.{key}", node[key], allowed)
 
