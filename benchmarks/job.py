@@ -19,7 +19,9 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from xplain.experiment.config import composed
+from hydra import compose, initialize_config_dir
+
+from xplain.experiment.config import CONF, register
 from xplain.experiment.experiment import Experiment
 from xplain.runs.job import Job
 from xplain.runs.sweep import run_in_sweep
@@ -50,7 +52,7 @@ def main() -> int:
         keys = (f"lambda={trade_off}", f"outputs='{outputs}'", "solver=qmdp")
         with stage("all of it"):
             with stage("configuration"):
-                cfg = composed("config", keys, with_hydra=True)
+                cfg = compose("config", [*keys], return_hydra_config=True)
                 job = Job.of(cfg, cfg.hydra.runtime.choices)
             with stage("fingerprints"):
                 expected, _ = job.fingerprint, job.source
@@ -60,9 +62,11 @@ def main() -> int:
     prepared, explained = Experiment.prepared, Experiment.explained
     with (
         tempfile.TemporaryDirectory() as folder,
+        initialize_config_dir(str(CONF), version_base="1.3"),  # as a launcher, once for all jobs
         patch.object(Experiment, "prepared", timed("data, types and labelers", prepared)),
         patch.object(Experiment, "explained", timed("the method", explained)),
     ):
+        register()
         run(0.75, Path(folder))
         spent.clear()
         for index in range(jobs):
