@@ -40,7 +40,7 @@ def held(name: str, *wrong: str) -> mdp.MDP:
 def test_the_robots_model_is_what_the_environment_does(name: str) -> None:
     """Played at random, every outcome has its probability and reward, and ends when it should."""
     model, arguments = held(name), given(name)
-    environment = gymnasium.make(arguments["id"], **arguments["arguments"]).unwrapped
+    environment = gymnasium.make(arguments["id"], **(arguments["arguments"] or {})).unwrapped
     rng = np.random.default_rng(0)
     counts: dict[tuple[int, int], list[int]] = {}
     state, _ = environment.reset(seed=0)
@@ -248,6 +248,37 @@ def test_only_listed_actions_are_available_and_a_state_without_a_row_ends(
     assert model.terminal.tolist() == [False, False, True]
     assert model.probability.sum(axis=2).tolist() == [[0, 1], [1, 1], [0, 0]]
     assert mdp.optimal_actions([model])[0].tolist() == [[False, True], [False, True], [False] * 2]
+
+
+END = {0: [(1.0, 2, 0.0, True)], 1: [(1.0, 2, 0.0, True)]}
+ROWS = {s: {a: [(1.0, max(s + 2 * a - 1, 0), -1.0, s + a == 2)] for a in (0, 1)} for s in (0, 1)}
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        [*ROWS.values(), END],
+        {s: [*row.values()] for s, row in {**ROWS, 2: END}.items()},
+        np.array([[[row[a][0]] for a in (0, 1)] for row in (*ROWS.values(), END)]),
+        {np.int64(s): {a: np.array(x) for a, x in row.items()} for s, row in ROWS.items()},
+        {s: {a: [*x, (0.0, -1, np.nan, True)] for a, x in row.items()} for s, row in ROWS.items()},
+        {**ROWS, 2: {}},
+        {**ROWS, 2: {a: [(1.0, 0, 0.0, True)] for a in (0, 1)}},  # leads to the start
+        {s: {a: [(0.5, *x[0][1:])] * 2 for a, x in row.items()} for s, row in ROWS.items()},
+    ],
+)
+def test_tables_that_say_the_same_are_one_model(
+    table: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A corridor of three cells that ends at the last one."""
+    shown(table, monkeypatch)
+    model, starts = read_model("Corridor", {}, 0.9)
+    assert model.terminal.tolist() == [False, False, True]
+    assert starts.tolist()[0] == 0
+    for s, a in product(range(2), range(2)):
+        likely = model.probability[s, a] > 0
+        assert {*model.successor[s, a][likely]} == {max(s + 2 * a - 1, 0)}
+        assert model.probability[s, a].sum() == 1
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from operator import index
 from typing import Any
 
 import numpy as np
@@ -285,45 +284,41 @@ def read_model(
         raise InputError(
             "domain.id", id, f"gymnasium cannot make it: {first_line(error)}"
         ) from None
-    initial = getattr(environment.unwrapped, "initial_state_distrib", None)
     environment.close()
-    if not isinstance(table, Mapping):
+    if table is None:
         raise InputError("domain.id", id, "an environment with a tabular model (env.unwrapped.P)")
     try:
         rows = [
-            (
-                index(s),
-                index(a),
-                [(float(p), index(s2), float(r), bool(end)) for p, s2, r, end in outcomes],
-            )
-            for s, row in table.items()
-            for a, outcomes in row.items()
+            ((_whole(s), _whole(a), k, _whole(after)), (float(p), float(r), bool(end)))
+            for s, row in _pairs(table)
+            for a, outcomes in _pairs(row)
+            for k, (p, after, r, end) in enumerate(x for x in outcomes if float(x[0]))
         ]
-        listed = [{s, *(outcome[1] for outcome in outcomes)} for s, _, outcomes in rows]
-        every = set().union(*listed, map(index, table))
-        states = getattr(getattr(environment, "observation_space", None), "n", max(every) + 1)
-        used = {a for _, a, _ in rows}
-        actions = getattr(getattr(environment, "action_space", None), "n", max(used) + 1)
-    except (TypeError, ValueError, AttributeError):
+        s, a, k, after = np.array([numbers for numbers, _ in rows]).T
+        listed = [_whole(state) for state, _ in _pairs(table)]
+        spaces = (getattr(environment, f"{x}_space", None) for x in ("observation", "action"))
+        most = max(after.max(), *listed), a.max()
+        states, actions = (getattr(x, "n", n + 1) for x, n in zip(spaces, most, strict=True))
+        initial = getattr(environment.unwrapped, "initial_state_distrib", None)
+        start = np.ones(states) if initial is None else np.asarray(initial, np.float64).ravel()
+        successor = np.zeros((states, actions, k.max() + 1), dtype=np.int64)
+        outcome = np.zeros((3, *successor.shape))  # probability, reward, whether it ends
+        successor[s, a, k], outcome[:, s, a, k] = after, np.array([x for _, x in rows]).T
+        probability, reward, ended = outcome[0], outcome[1], outcome[2] > 0
+        total = probability.sum(axis=2)
+        sound = np.isclose(total[total != 0], 1).all() and (probability >= 0).all()
+        numbered = min(s.min(), a.min(), after.min(), *listed) >= 0 and after.max() < states
+        if not (sound and numbered and np.isfinite(reward).all() and len(start) <= states):
+            raise ValueError("not a model")
+    except (TypeError, ValueError, LookupError, AttributeError):
         raise InputError("domain.id", id, MODEL) from None
-    fits = every <= {*range(states)} and used <= {*range(actions)}
-    if not fits or (initial is not None and np.size(initial) > states):
-        raise InputError("domain.id", id, MODEL)
-    slots = max(len(outcomes) for _, _, outcomes in rows)
-    successor = np.zeros((states, actions, slots), dtype=np.int64)
-    probability, reward = np.zeros(successor.shape), np.zeros(successor.shape)
-    ended = np.zeros(successor.shape, dtype=bool)
-    for s, a, outcomes in rows:
-        for k, (p, after, r, terminated) in enumerate(outcomes):
-            successor[s, a, k], probability[s, a, k] = after, p
-            reward[s, a, k], ended[s, a, k] = r, terminated
-    total = probability.sum(axis=2)
-    sound = np.isclose(total[total != 0], 1).all() and (probability >= 0).all()
-    if not sound or not np.isfinite(reward).all():
-        raise InputError("domain.id", id, MODEL)
     terminal = (probability == 0).all(axis=(1, 2))  # what has no row
-    terminal[successor[ended & (probability > 0)]] = True
-    starts = np.flatnonzero(np.ones(states) if initial is None else np.asarray(initial) > 0)
+    led = np.zeros(states, dtype=bool)
+    led[successor[ended]] = True
+    # The row of a state that ends episodes may lead anywhere, to the start for example.
+    stays = successor == np.arange(states)[:, None, None]
+    terminal[successor[ended & (stays | ~led[:, None, None])]] = True
+    starts = np.flatnonzero(start > 0)
     # Tables also hold states that no episode reaches, with outcomes that make no sense.
     possible = (probability > 0) & ~terminal[:, None, None]
     met = reached(starts, states, lambda s: successor[s][possible[s]])
@@ -333,10 +328,26 @@ def read_model(
     return MDP(successor, probability, reward, discount, terminal), starts[~terminal[starts]]
 
 
-def _values(feature: str, given: int | Sequence[str]) -> list[Any]:
+def _pairs(table: Any) -> Any:
+    """The keys and values of a mapping, or the numbers and values of a list."""
+    return table.items() if isinstance(table, Mapping) else enumerate(table)
+
+
+def _whole(value: Any) -> int:
+    """A state or an action; also one that an array of floats holds.
+
+    Raises:
+        ValueError: it is no whole number.
+    """
+    if isinstance(value, str) or int(value) != value:
+        raise ValueError("not a whole number")
+    return int(value)
+
+
+def _values(feature: str, given: Any) -> list[Any]:
     """A feature's values, by number."""
-    if isinstance(given, int) and not isinstance(given, bool) and given >= 1:
-        return list(range(given))
+    if isinstance(given, (int, np.integer)) and not isinstance(given, bool) and given >= 1:
+        return list(range(int(given)))
     if isinstance(given, Sequence) and not isinstance(given, str) and given:
         return list(given)
     raise InputError(f"domain.states.{feature}", given, "how many values, or a list of their names")
