@@ -23,12 +23,10 @@ from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Explainee, Slips
-from xplain.people.material import fixed
+from xplain.people.material import Material, fixed
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import PERSONALIZED
-from xplain.people.study.policies import at_work
-from xplain.people.study.prepare import drafted
-from xplain.people.study.task import OfDomain, learned_types
+from xplain.people.study.prepare import drafted, learned_table, learned_types, traces_of
 from xplain.randomness import derived_seed
 
 FIRST = 9600
@@ -54,13 +52,15 @@ def measured(domain: str, labeler: str, seed: int, traces: int) -> dict[tuple[st
     cfg = composed("study", [f"domain={domain}", f"seed={seed}", f"labeler={labeler}"])
     config: dict[str, Any] = fixed(cfg)
     setting, learned = learned_types(cfg)
-    task, found = OfDomain(setting), defaultdict[tuple[str, str], list[float]](list)
-    best = task.traces(config["trace"], config["max_steps"], seed)[:traces]
+    task, found = Material.of(setting), defaultdict[tuple[str, str], list[float]](list)
+    best = traces_of(task, config["trace"], config["max_steps"], seed)[:traces]
     for number, trace in enumerate(best):
         for name, belief in BELIEFS.items():
             kind = f"{type(belief).__module__}.{type(belief).__name__}"
             own = {**config, "belief": {"_target_": kind, "error": belief.error}}
-            study = at_work(drafted(task.seen(trace), task.table(learned, trace), own, learned))
+            study = Study.of(
+                drafted(task, trace, learned_table(task, learned, trace), own, learned)
+            )
             for people, explainee in PEOPLE.items():
                 cost = paid(study, explainee, derived_seed(seed, "people", number))
                 found[name, people].append(cost)

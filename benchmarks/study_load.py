@@ -33,13 +33,13 @@ from xplain.experiment.config import composed
 from xplain.people.bots import Browser, Page, Researcher, Visitor
 from xplain.people.collect.bot import Habits as Answers
 from xplain.people.collect.bot import bot
+from xplain.people.collect.flow import Collection
 from xplain.people.collect.prepare import collect_plan
-from xplain.people.collect.site import CollectSite
-from xplain.people.site import Site
+from xplain.people.flow import Flow
 from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
+from xplain.people.study.flow import Study
 from xplain.people.study.prepare import study_plan
-from xplain.people.study.site import StudySite
 
 Times = list[float]
 
@@ -135,20 +135,20 @@ class Slow(threading.Thread):
             one.close()
 
 
-def study() -> tuple[Site[Any], Callable[[int], Visitor]]:
+def study() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
     """The shipped study, and its people."""
     small = ["seed=0", "observers.points=150", "trace.candidates=40"]
     plan = study_plan(composed("study", small))
     habits = Habits(0, 0, 0, 0, mistake=0)
     rng = np.random.default_rng
-    return StudySite.of(plan), lambda number: StudyBot(plan, habits, rng(number))
+    return Study.of(plan), lambda number: StudyBot(plan, habits, rng(number))
 
 
-def collect() -> tuple[Site[Any], Callable[[int], Visitor]]:
+def collect() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
     """A collection about rescue with adaptive questions, and its people."""
     plan = collect_plan(composed("collect", ["rules.people=6"]))
     habits = Answers(error=0.05, mistake=0)
-    return CollectSite.of(plan), lambda number: bot(plan, habits, 0, number)
+    return Collection.of(plan), lambda number: bot(plan, habits, 0, number)
 
 
 def stolen() -> tuple[int, int]:

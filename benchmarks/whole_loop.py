@@ -26,14 +26,14 @@ from xplain.learning.data.label_file import write_table
 from xplain.people.collect.bot import Habits as Observing
 from xplain.people.collect.bot import crowd, truth_of
 from xplain.people.collect.plan import CollectPlan, CollectRules
-from xplain.people.collect.prepare import assemble, source_of
-from xplain.people.collect.tables import dataset_of, why_left_out
+from xplain.people.collect.prepare import assemble, material_of
+from xplain.people.collect.tables import dataset_of
 from xplain.people.material import fixed
 from xplain.people.study.analysis import CONDITIONS
 from xplain.people.study.bot import Habits, Measures, take_part
+from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
-from xplain.people.study.site import StudySite
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
 
@@ -50,7 +50,7 @@ def collection(domain: str, seed: int) -> CollectPlan:
     cfg = composed("collect", [f"domain={domain}", f"points={LABELS}", f"seed={seed}"])
     config = fixed(cfg)
     rules = CollectRules(points=LABELS, **config["rules"])
-    return assemble(source_of(cfg), Adaptive(), rules, config)
+    return assemble(material_of(cfg), Adaptive(), rules, config)
 
 
 def found_types(plan: CollectPlan, folder: Path, seed: int) -> tuple[Path, float]:
@@ -59,7 +59,7 @@ def found_types(plan: CollectPlan, folder: Path, seed: int) -> tuple[Path, float
     from sklearn.metrics import adjusted_rand_score
 
     states = crowd(plan, PEOPLE, Observing(error=ERROR, mistake=0.0), seed)
-    kept = {f"{i:03d}": state for i, state in enumerate(states) if not why_left_out(state)}
+    kept = {f"{i:03d}": state for i, state in enumerate(states) if not state.left_out}
     write_table(dataset_of(plan, kept), folder / "labels.csv")
     (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
     given = {"labeler": "hypotheses", "hypotheses": f"{folder}/hypotheses.npz", "held_out": False}
@@ -77,7 +77,7 @@ def study(domain: str, types: Path, seed: int) -> StudyPlan:
 
 def took_part(plan: StudyPlan, people: int, habits: Habits, seed: int) -> list[dict[str, object]]:
     """A row a simulated participant who got to the end: condition and measures."""
-    at_work, rows = StudySite.of(plan).flow, []
+    at_work, rows = Study.of(plan), []
     for condition in CONDITIONS:
         for number in range(people * len(plan.true_labels)):
             # The same people under both conditions.

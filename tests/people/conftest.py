@@ -14,13 +14,12 @@ from tests.people.study.conftest import study as study
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 
 
 @pytest.fixture
 def store(tmp_path: Path, study: Study) -> Iterator[Store]:
-    opened = Store(tmp_path / "study.sqlite", StudySite(study))
+    opened = Store(tmp_path / "study.sqlite", study)
     yield opened
     opened.close()
 

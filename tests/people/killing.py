@@ -54,7 +54,7 @@ class Careful:
 
 def survive(
     database: Path,
-    site: Any,
+    flow: Any,
     command: str,
     person: Callable[[int, int], Person],
     kills: int,
@@ -64,7 +64,7 @@ def survive(
 
     Args:
         database: with a plan in it.
-        site: of the plan, as the server runs it.
+        flow: of the plan, as the server runs it.
         command: ``study`` or ``collect``.
         person: who comes as the i-th into the place of the j-th.
         kills: of the server.
@@ -113,7 +113,7 @@ def survive(
         assert watched.result() > 0
         visitors = [visitor for future in futures for visitor in future.result()]
     server.stop()
-    return _compare(Store(database, site), visitors)
+    return _compare(Store(database, flow), visitors)
 
 
 def _compare(store: Store, visitors: list[Careful]) -> tuple[int, int]:

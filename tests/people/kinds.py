@@ -1,4 +1,4 @@
-"""Both kinds of flow, for tests of what they share: a site on the street, and its people."""
+"""Both kinds of flow, for tests of what they share: a flow on the street, and its people."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from tests.people.study import stand_in as studying
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.people.bots import Bot, visit
 from xplain.people.collect.bot import Observer
-from xplain.people.collect.site import CollectSite
-from xplain.people.site import Site
+from xplain.people.flow import Flow
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
-from xplain.people.study.site import StudySite
+from xplain.people.study.flow import Study
 from xplain.people.web import create_app
 
 KINDS = ("study", "collect")
@@ -26,31 +25,31 @@ ASKING = "asking"
 
 
 @cache
-def site_of(kind: str) -> Site[Any]:
+def flow_of(kind: str) -> Flow[Any, Any]:
     """One for all tests; nothing that is computed depends on what it keeps."""
     if kind == "study":
-        return StudySite(studying.street_study())
+        return studying.street_study()
     if kind == ASKING:
         own = {"asking": studying.CONFIG["conditions"]["personalized"]}
-        return StudySite(studying.street_study(ask=studying.ASK, conditions=own))
-    return CollectSite(collecting.street_collection(listening=2))
+        return studying.street_study(ask=studying.ASK, conditions=own)
+    return collecting.street_collection(listening=2)
 
 
-def bot_of(site: Site[Any], *seeds: int) -> Bot[Any, Any]:
+def bot_of(flow: Flow[Any, Any], *seeds: int) -> Bot[Any, Any]:
     """Somebody faultless."""
     rng = np.random.default_rng(seeds)
-    if isinstance(site, StudySite):
-        return StudyBot(site.plan, studying.FAULTLESS, rng)
-    roles = site.plan.roles
-    return Observer(site.plan, roles[seeds[-1] % len(roles)].held, collecting.FAULTLESS, rng)
+    if isinstance(flow, Study):
+        return StudyBot(flow.plan, studying.FAULTLESS, rng)
+    roles = flow.plan.roles
+    return Observer(flow.plan, roles[seeds[-1] % len(roles)].held, collecting.FAULTLESS, rng)
 
 
 def filled(kind: str, path: Path, people: int = 3) -> list[str]:
     """A database in which so many people went all the way; their ids in the order they came."""
-    store = Store(path, site_of(kind))
+    store = Store(path, flow_of(kind))
     app = create_app(store, GENEROUS)
     for number, token in enumerate(store.invite(people, "person")):
-        assert visit(Visitor(app.test_client()), bot_of(store.site, number), token) == "done"
+        assert visit(Visitor(app.test_client()), bot_of(store.flow, number), token) == "done"
     found = [row["id"] for row in store.query("SELECT id FROM participant ORDER BY number")]
     store.close()
     return found

@@ -14,7 +14,6 @@ from tests.people.study.stand_in import ASK, FAULTLESS, street_study
 from tests.people.test_dry_runs import everything_replays
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
-from xplain.people.study.site import StudySite
 from xplain.people.study.tables import export
 
 
@@ -25,14 +24,14 @@ def test_questions_survive_kill_9(
     kills: int, people: int, least: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Bots who err in all three conditions; the server dies while they are asked, too."""
-    site, path = StudySite(street_study(ask=ASK)), tmp_path / "s.sqlite"
+    flow, path = street_study(ask=ASK), tmp_path / "s.sqlite"
 
     def erring(*seeds: int) -> StudyBot:
         habits = replace(FAULTLESS, label_noise=0.2)
-        return StudyBot(site.plan, habits, np.random.default_rng(seeds))
+        return StudyBot(flow.plan, habits, np.random.default_rng(seeds))
 
-    Store(path, site).close()
-    acknowledged, stored = survive(path, site, "study", erring, kills, people)
+    Store(path, flow).close()
+    acknowledged, stored = survive(path, flow, "study", erring, kills, people)
     with capsys.disabled():
         print(f"\n{kills} kills: {acknowledged} answers acknowledged, {stored} stored")
     assert least < acknowledged <= stored

@@ -30,7 +30,7 @@ from tests.chromium import (
     take_part,
     wait,
 )
-from tests.people.kinds import ASKING, site_of
+from tests.people.kinds import ASKING, flow_of
 from tests.people.server_process import ROOT, ServerProcess
 from tests.people.study.stand_in import FAULTLESS, SCREENS, street_study
 from xplain.cli.main import main
@@ -39,7 +39,6 @@ from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.prepare import study_plan
-from xplain.people.study.site import StudySite
 
 By = pytest.importorskip("selenium.webdriver.common.by", reason="selenium is not installed").By
 Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
@@ -89,9 +88,7 @@ def rescue() -> Study:
         "{name: gender, label: Your gender, kind: choice, choices: [woman, man, another]},"
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
     )
-    return StudySite.of(
-        study_plan(composed("study", ["seed=0", "observers.points=150", questions]))
-    ).flow
+    return Study.of(study_plan(composed("study", ["seed=0", "observers.points=150", questions])))
 
 
 @pytest.fixture(scope="module")
@@ -102,11 +99,11 @@ def asking() -> Study:
 
     paper = ["belief=independent", "belief.error=0"]
     made = composed("study", ["seed=0", "observers.points=150", "ask=clips", *paper])
-    return StudySite.of(study_plan(made)).flow
+    return Study.of(study_plan(made))
 
 
 def serving(path: Path, study: Study) -> ServerProcess:
-    Store(path, StudySite(study)).close()
+    Store(path, study).close()
     return ServerProcess(path, "server.burst=1e6", "server.visitor_burst=1e6")
 
 
@@ -371,7 +368,7 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
             assert "Simulated participant" in driver.page_source
     main(["study", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
-    store = Store(path, StudySite(study))
+    store = Store(path, study)
     (times,) = store.query(
         "SELECT count(*) AS n, min(browser) AS low FROM event WHERE kind = 'labels'"
     )
@@ -384,7 +381,7 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
 
 @pytest.mark.parametrize("kind", ["study", ASKING])
 def test_the_keyboard_is_enough(driver: Driver, kind: str, tmp_path: Path) -> None:
-    path, study = tmp_path / "s.sqlite", site_of(kind).flow
+    path, study = tmp_path / "s.sqlite", flow_of(kind)
     with serving(path, study) as server:
         (invitation,) = Researcher(server.url, server.key).invite(1)
         driver.get(f"{server.url}/?invitation={invitation}")
@@ -466,7 +463,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         driver.refresh()
         wait(lambda: moved_on(driver, here))
         assert len(Page.of_html(driver.page_source).fields) == 3
-    store = Store(path, StudySite(study))
+    store = Store(path, study)
     kinds = [row["kind"] for row in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
     assert kinds == [
         *("consent", *["read"] * SCREENS, "example", "example", "ahead"),

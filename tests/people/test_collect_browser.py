@@ -21,7 +21,6 @@ from xplain.people.bots import Page, Researcher
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectRules
-from xplain.people.collect.site import CollectSite
 from xplain.people.store import Store
 from xplain.questions.designs import Adaptive
 
@@ -37,7 +36,7 @@ def own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 def rescue() -> Collection:
     """The rescue task with clips of two steps and the lab's questions."""
     from xplain.experiment.config import composed
-    from xplain.people.collect.prepare import assemble, source_of
+    from xplain.people.collect.prepare import assemble, material_of
     from xplain.people.material import fixed
 
     questions = (
@@ -47,12 +46,12 @@ def rescue() -> Collection:
     cfg = composed("collect", ["points=8", questions])
     config = fixed(cfg)
     rules = CollectRules(points=8, **config["rules"] | {"listening": 2})
-    plan = assemble(source_of(cfg), Adaptive(clip=2), rules, config)
+    plan = assemble(material_of(cfg), Adaptive(clip=2), rules, config)
     return at_work(plan)
 
 
 def serving(path: Path, collection: Collection) -> ServerProcess:
-    Store(path, CollectSite(collection)).close()
+    Store(path, collection).close()
     limits = ("server.burst=1e6", "server.visitor_burst=1e6")
     return ServerProcess(path, *limits, command="collect")
 
@@ -140,9 +139,9 @@ def test_the_facts_of_people_who_answer_in_a_browser_are_found(
             assert take_part(driver, bot(plan, FAULTLESS, 0, number)) == "done"
     main(["collect", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
-    store = Store(path, CollectSite(collection))
+    store = Store(path, collection)
     for number, row in enumerate(store.query("SELECT state FROM seen ORDER BY number")):
-        state = store.site.state(row["state"])
+        state = store.flow.STATE.from_text(row["state"])
         held = plan.roles[number].held
         best = max((f for f in state.belief if f != "none"), key=lambda f: state.belief[f])
         assert int(best) == plan.hypotheses.essential[plan.hypotheses.row(np.array(held))]

@@ -19,7 +19,7 @@ from sklearn.metrics import adjusted_rand_score
 from tests.conftest import Command
 from tests.people.collect.stand_in import street_collection
 from tests.people.killing import RATE, survive
-from tests.people.kinds import KINDS, bot_of, site_of
+from tests.people.kinds import KINDS, bot_of, flow_of
 from tests.people.server_process import ServerProcess
 from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
 from tests.people.visitors import GENEROUS, Visitor
@@ -28,11 +28,9 @@ from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
 from xplain.learning.saved import LearnedTypes
 from xplain.people.bots import Browser, Refusal, Researcher, visit
-from xplain.people.collect.site import CollectSite
 from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.study.site import StudySite
 from xplain.people.study.tables import export
 from xplain.people.web import create_app
 
@@ -41,7 +39,7 @@ from xplain.people.web import create_app
 def database(tmp_path: Path, study: Study) -> Path:
     """With a plan in it."""
     path = tmp_path / "study.sqlite"
-    Store(path, StudySite(study)).close()
+    Store(path, study).close()
     return path
 
 
@@ -88,9 +86,9 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    site, path = site_of(kind), tmp_path / "s.sqlite"
-    Store(path, site).close()
-    acknowledged, stored = survive(path, site, kind, partial(bot_of, site), kills, people)
+    flow, path = flow_of(kind), tmp_path / "s.sqlite"
+    Store(path, flow).close()
+    acknowledged, stored = survive(path, flow, kind, partial(bot_of, flow), kills, people)
     with capsys.disabled():
         print(f"\n{kills} kills: {acknowledged} answers acknowledged, {stored} stored")
     assert least < acknowledged <= stored
@@ -101,17 +99,17 @@ def test_what_is_said_again_survives_kill_9_and_is_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """People who miss and forget; the analysis counts what the log has, in one condition alone."""
-    site = StudySite(street_study(belief=CONFIG["belief"] | {"accept": 0.8, "forget": "learned"}))
+    flow = street_study(belief=CONFIG["belief"] | {"accept": 0.8, "forget": "learned"})
     habits = replace(FAULTLESS, forgetting=0.4, losing=0.3)
 
     def heedless(*seeds: int) -> StudyBot:
-        return StudyBot(site.plan, habits, np.random.default_rng(seeds))
+        return StudyBot(flow.plan, habits, np.random.default_rng(seeds))
 
     path, out = tmp_path / "s.sqlite", tmp_path / "out"
-    Store(path, site).close()
-    acknowledged, stored = survive(path, site, "study", heedless, kills=3, people=6)
+    Store(path, flow).close()
+    acknowledged, stored = survive(path, flow, "study", heedless, kills=3, people=6)
     assert 30 < acknowledged <= stored
-    store = Store(path, site)
+    store = Store(path, flow)
     app = create_app(store, GENEROUS)
     for number, token in enumerate(store.invite(24, "bot")):
         assert visit(Visitor(app.test_client()), heedless(number), token) == "done"
@@ -144,7 +142,7 @@ def test_from_bots_to_types(
     """The whole first half of the method, over HTTP: 24 who err and lapse, then the types."""
     monkeypatch.chdir(tmp_path)
     collection, database = street_collection(points=20), tmp_path / "collect.sqlite"
-    Store(database, CollectSite(collection)).close()
+    Store(database, collection).close()
     with ServerProcess(database, *RATE, command="collect") as server:
         archive = tmp_path / "collect.zip"
         arguments = ["--url", server.url, "--key", server.key, "--count", "24", "--at-once", "6"]
@@ -178,7 +176,7 @@ def test_from_bots_to_types(
 
 def fill_every_place(study: Study, path: Path, habits: Habits) -> Counter[str]:
     """People's places, filled over HTTP by simulated people some of whom drop out for good."""
-    Store(path, StudySite(study)).close()
+    Store(path, study).close()
     places = len(study.plan.cells) * study.plan.rules.per_cell
     stages: Counter[str] = Counter()
     with ServerProcess(path, *RATE) as server:
@@ -223,12 +221,12 @@ def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.slow
 def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from xplain.experiment.config import composed
+    from xplain.people.study.flow import Study
     from xplain.people.study.prepare import study_plan
-    from xplain.people.study.site import StudySite
 
-    study = StudySite.of(
+    study = Study.of(
         study_plan(composed("study", ["rules.per_cell=4", "rules.timeout_minutes=0.05"]))
-    ).flow
+    )
     path = tmp_path / "study.sqlite"
     stages = fill_every_place(study, path, Habits(leaving=0.02))
     assert stages["done"] == 40
@@ -257,10 +255,10 @@ def test_one_process_a_database(database: Path, command: Command) -> None:
 def test_a_running_server_keeps_its_plan(
     kind: str, changes: str, named: str, tmp_path: Path
 ) -> None:
-    site, path = site_of(kind), tmp_path / "s.sqlite"
-    Store(path, site).close()
+    flow, path = flow_of(kind), tmp_path / "s.sqlite"
+    Store(path, flow).close()
     with ServerProcess(path, *changes.split(), command=kind) as server:
         assert "are ignored" in server.log()
         assert named in server.log()
-        plan = Researcher(server.url, server.key).plan(site.PLAN)
-    assert plan.hash == site.plan.hash
+        plan = Researcher(server.url, server.key).plan(flow.PLAN)
+    assert plan.hash == flow.plan.hash

@@ -28,7 +28,7 @@ def table(folder: Path, image: str) -> Path:
 def shown(folder: Path, image: str) -> Image.Image:
     """The picture that participants get."""
     source = own_table(table(folder, image), str(folder / "facts.csv"), 0)
-    picture = source.pictures[0]
+    picture = source.clips[0].picture
     assert picture is not None
     return Image.open(io.BytesIO(base64.b64decode(picture.content)))
 

@@ -24,7 +24,6 @@ from tests.people.server_process import ServerProcess
 from tests.people.study.stand_in import street_study
 from xplain.people.bots import Researcher
 from xplain.people.store import Store
-from xplain.people.study.site import StudySite
 
 pytest.importorskip("selenium", reason="selenium is not installed")
 pytestmark = pytest.mark.browser
@@ -93,7 +92,7 @@ def test_an_answer_outlives_what_a_proxy_says(tmp_path: Path, status: int) -> No
     if what := missing():
         pytest.skip(f"no browser to drive: install {what}")
     path = tmp_path / "s.sqlite"
-    Store(path, StudySite(street_study())).close()
+    Store(path, street_study()).close()
     with ServerProcess(path) as server, proxied(server.url) as proxy, browser() as driver:
         (token,) = Researcher(server.url, server.key).invite(1)
         go_in(driver, f"http://127.0.0.1:{proxy.server_address[1]}", token)

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from xplain.errors import InputError
-from xplain.people.export import plan_of, read_plan, reading
+from xplain.people.export import read, read_plan
+from xplain.people.study.flow import StudyState
 from xplain.people.study.plan import StudyPlan
 
 
@@ -19,5 +20,5 @@ def test_a_database_without_a_plan_is_a_start_for_the_server_and_no_data(tmp_pat
         connection.execute("CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)")
     assert read_plan(path, StudyPlan) is None
     assert read_plan(tmp_path / "none.sqlite", StudyPlan) is None
-    with pytest.raises(InputError, match=r"study\.sqlite"), reading(path) as opened:
-        plan_of(opened, StudyPlan)
+    with pytest.raises(InputError, match=r"study\.sqlite"):
+        read(path, StudyPlan, StudyState)

@@ -22,23 +22,24 @@ from xplain.people.bots import visit
 from xplain.people.collect.bot import Habits, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectRules
-from xplain.people.collect.prepare import assemble, source_of
-from xplain.people.collect.site import CollectSite
+from xplain.people.collect.prepare import assemble, material_of
 from xplain.people.collect.tables import export
+from xplain.people.flow import Flow
 from xplain.people.material import fixed
-from xplain.people.site import Site
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
+from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 from xplain.questions.designs import Adaptive
 
 
-def over_the_pages(path: Path, site: Site[Any], count: int, person: Callable[[int], Bot]) -> None:
+def over_the_pages(
+    path: Path, flow: Flow[Any, Any], count: int, person: Callable[[int], Bot]
+) -> None:
     """Bots take part; the database is closed afterwards."""
-    store = Store(path, site)
+    store = Store(path, flow)
     app = create_app(store, GENEROUS)
     for number, token in enumerate(store.invite(count, "bot")):
         assert visit(Visitor(app.test_client()), person(number), token) == "done"
@@ -51,13 +52,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("labels")
     cfg = composed("collect", [])
     plan = assemble(
-        source_of(cfg), Adaptive(), CollectRules(points=20, **fixed(cfg)["rules"]), fixed(cfg)
+        material_of(cfg), Adaptive(), CollectRules(points=20, **fixed(cfg)["rules"]), fixed(cfg)
     )
 
     def person(number: int) -> Bot:
         return bot(plan, Habits(error=0.05), 1, number)
 
-    over_the_pages(folder / "c.sqlite", CollectSite(Collection(plan)), 24, person)
+    over_the_pages(folder / "c.sqlite", Collection(plan), 24, person)
     export(folder / "c.sqlite", folder)
     return folder
 
@@ -89,7 +90,7 @@ def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
     def person(number: int) -> Bot:
         return StudyBot(plan, FAULTLESS, np.random.default_rng(number))
 
-    over_the_pages(path, StudySite.of(plan), 16, person)
+    over_the_pages(path, Study.of(plan), 16, person)
     main(["study", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
     main(["study", "export", str(path), str(tmp_path / "out")])
@@ -107,7 +108,7 @@ def test_people_as_they_are_are_told_nothing_and_not_tested_on_it(
     types: Path, tmp_path: Path
 ) -> None:
     plan = planned(types, "briefing=none")
-    store = Store(tmp_path / "s.sqlite", StudySite.of(plan))
+    store = Store(tmp_path / "s.sqlite", Study.of(plan))
     visitor = Visitor(create_app(store, GENEROUS).test_client())
     person = StudyBot(plan, FAULTLESS, np.random.default_rng(3))
     facts = {sentence for fact in plan.facts for sentence in (fact.message, fact.belief)}

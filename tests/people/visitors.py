@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from flask.testing import FlaskClient
 from werkzeug.datastructures import MultiDict
 
 from xplain.people.bots import Browser, Page
+from xplain.people.export import read, replayed
+from xplain.people.flow import Participant
 from xplain.people.http import Server
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
@@ -51,7 +55,7 @@ def enter(visitor: Visitor, invitation: str) -> str:
 
 def consent(store: Store, who: str) -> Any:
     """Agrees, straight at the store."""
-    payload = {"agree": 1, "text": store.site.plan.texts.consent_hash}
+    payload = {"agree": 1, "text": store.flow.plan.texts.consent_hash}
     return store.submit(who, 0, "consent", payload)
 
 
@@ -65,3 +69,15 @@ def pages(visitor: Visitor, person: StudyBot, invitation: str) -> Iterator[tuple
             return
         status, html = visitor.post("/study", [*page.hidden.items(), *person.fill(page)[0]])
         assert status == 200
+
+
+def logged(store: Store) -> list[Participant[Any]]:
+    """Everybody with their events, while the store is open."""
+    with tempfile.TemporaryDirectory() as folder:
+        store.snapshot(copy := Path(folder) / "copy.sqlite")
+        return read(copy, store.flow.PLAN, store.flow.STATE)[1]
+
+
+def differences(store: Store) -> list[str]:
+    """What the plan would decide otherwise."""
+    return replayed(store.flow, logged(store))

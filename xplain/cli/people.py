@@ -23,13 +23,13 @@ from xplain.errors import InputError, XplainError, first_line, mapping, one_of, 
 from xplain.experiment.config import composed
 
 if TYPE_CHECKING:
+    from xplain.people.flow import Flow
     from xplain.people.http import Server
-    from xplain.people.site import Site
 
 
-def site(name: str) -> type[Site[Any]]:
-    """The flow's site, imported when it is needed."""
-    return getattr(import_module(f"xplain.people.{name}.site"), f"{name.capitalize()}Site")
+def flow(name: str) -> type[Flow[Any, Any]]:
+    """The flow, imported when it is needed."""
+    return import_module(f"xplain.people.{name}").FLOW
 
 
 def _of_both(
@@ -60,7 +60,7 @@ def serve(name: str, words: list[str]) -> None:
     cfg = configured(name, words)
     # Before the work of a plan: a key that cannot be is refused at once.
     server, path = server_of(cfg), database_of(cfg)
-    kind = site(name)
+    kind = flow(name)
     made = kind.of(running(name, cfg, path, kind))
     outside = server.address and urlsplit(server.address).hostname not in LOOPBACK
     if made.plan.unedited and outside and not server.demo:
@@ -123,7 +123,7 @@ def server_of(cfg: DictConfig) -> Server:
     return typed(Server, "server", given | mapping("server.file", own, "keys of server"))
 
 
-def running(name: str, cfg: DictConfig, path: Path, kind: type[Site[Any]]) -> Any:
+def running(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]) -> Any:
     """The plan in the database, or a new one. Names the keys of ``cfg`` that it does not follow."""
     from xplain.people.export import read_plan
     from xplain.people.material import fixed
@@ -146,7 +146,9 @@ def running(name: str, cfg: DictConfig, path: Path, kind: type[Site[Any]]) -> An
     return plan
 
 
-def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: DictConfig) -> None:
+def run_server(
+    flow: Flow[Any, Any], name: str, server: Server, path: Path, cfg: DictConfig
+) -> None:
     """Serves until it is stopped."""
     from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
 
@@ -181,7 +183,7 @@ def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: Dict
 
         def load(self) -> Any:
             # In the worker: a connection to SQLite must not be carried over a fork.
-            return create_app(Store(path, site), server)
+            return create_app(Store(path, flow), server)
 
     if "platform" in server.entry and not server.ids:
         print(
@@ -190,13 +192,13 @@ def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: Dict
             file=sys.stderr,
         )
     # Opened once before the server starts, so that what is wrong with it is one clear line.
-    store = Store(path, site)
+    store = Store(path, flow)
     key = "as in its settings" if server.key else Keys(store.secret).researcher
     store.close()
     print(
         f"{name}: {server.address or f'http://{host}:{cfg.port}'}/  ·  researcher's page: "
         f"/researcher, key {key}\n"
-        f"{name}: database {path}, plan {site.plan.hash[:16]}",
+        f"{name}: database {path}, plan {flow.plan.hash[:16]}",
         file=sys.stderr,
         flush=True,
     )
@@ -254,7 +256,7 @@ def bots(
     habits = own.Habits(**given.make_context(f"xplain {name} bots", [*flags]).params)
     try:
         researcher = Researcher(url, key)
-        person = partial(own.bot, researcher.plan(site(name).PLAN), habits, seed)
+        person = partial(own.bot, researcher.plan(flow(name).PLAN), habits, seed)
         stages = crowd(researcher, count, at_once, pace, person)
         archive = researcher.archive() if save else b""
     except (RequestException, ConnectionError, TimeoutError) as error:
@@ -277,7 +279,7 @@ def export(name: str, database: Path, folder: Path, identifiers: Path | None) ->
     ``--identifiers`` writes who is who into a file apart: completion codes, and the platform's ids
     where the server keeps them.
     """
-    digest = site(name).export(database, folder)
+    digest = import_module(f"xplain.people.{name}.tables").export(database, folder)
     if identifiers:
         from xplain.people.export import write_identifiers
 
@@ -318,10 +320,10 @@ def erase(name: str, database: Path, reference: str) -> None:
     followed from it.
     """
     if not database.is_file():
-        raise InputError("database", str(database), site(name).PLAN.OF + "'s database")
-    from xplain.people.store import Database
+        raise InputError("database", str(database), flow(name).PLAN.OF + "'s database")
+    from xplain.people.store import Store
 
-    with closing(Database(database)) as opened:
+    with closing(Store(database)) as opened:
         opened.erase(reference)
     print(f"erased {reference}; delete exports and backups that were made before, too")
 
@@ -336,18 +338,16 @@ def replay(name: str, database: Path) -> None:
 
     The database is one that no server has open. Exit code 1 where anything differs.
     """
-    from xplain.people.export import plan_of, reading
+    from xplain.people.export import read, replayed
 
-    kind = site(name)
-    with reading(database) as connection:
-        plan = plan_of(connection, kind.PLAN)
-        found = kind.of(plan).replay(connection)
-    for difference in found.differences:
+    kind = flow(name)
+    plan, people = read(database, kind.PLAN, kind.STATE)
+    differences = replayed(kind.of(plan), people)
+    for difference in differences:
         print(difference, file=sys.stderr)
-    verdict = f"{len(found.differences)} differences" if found.differences else "all equal"
-    erased = f", {found.erased} erased" if found.erased else ""
-    print(f"{found.participants} participants, {found.events} events replayed{erased}: {verdict}")
-    if found.differences:
+    verdict = f"{len(differences)} differences" if differences else "all equal"
+    print(f"{len(people)} participants replayed: {verdict}")
+    if differences:
         sys.exit(1)
 
 
@@ -367,9 +367,7 @@ def habits(name: str, database: Path, stream: str) -> None:
     """
     from xplain.explanation.listening import learned_habits
 
-    module = {"study": "tables", "collect": "listening"}[name]
-    listening = import_module(f"xplain.people.{name}.{module}")
-    listeners = listening.listeners_in(database, stream)
+    listeners = import_module(f"xplain.people.{name}.tables").listeners_in(database, stream)
     found = learned_habits(listeners)
     print(f"{len(listeners)} participants: rates, and how many people have them")
     for key in ("error", "accept", "forget"):

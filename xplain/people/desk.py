@@ -11,6 +11,7 @@ import shutil
 import tempfile
 from collections import Counter
 from datetime import UTC, datetime
+from importlib import import_module
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -43,6 +44,7 @@ from xplain.people.http import (
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
 MOST_INVITATIONS = 500
+MOST_SHOWN = 500
 MOST_BATCHES = 20
 """Batches of invitations that can be looked at again."""
 
@@ -68,17 +70,10 @@ def overview() -> AnyResponse:
     own, here = context(), session()
     if here is None:
         return make_response(render_template("login.html"))
-    site, blinded = own.site, own.server.blinded
-    people = own.store.query(
-        "SELECT id, stream, state, entered, wall FROM seen WHERE NOT erased "
-        "ORDER BY wall DESC LIMIT 500"
-    )
-    counted: Counter[tuple[str, str]] = Counter()
-    for row in own.store.query(
-        "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
-        "FROM seen GROUP BY 1, 2"
-    ):
-        counted[row["stream"], site.flow.part(row["stage"])] += row["number"]
+    flow, blinded, people = own.flow, own.server.blinded, own.store.people()
+    counted = Counter((one.row["stream"], flow.part(one.state.stage)) for one in people)
+    latest = sorted(people, key=lambda one: -one.row["wall"])
+    tables = import_module(f"{flow.PACKAGE}.tables")
     given = own.store.query(
         "SELECT event.wall FROM event JOIN participant ON participant.id = event.participant "
         "WHERE kind = 'labels' AND source = 'protocol' AND stream = 'person' ORDER BY 1"
@@ -87,20 +82,26 @@ def overview() -> AnyResponse:
     entrance = f"{outside.scheme}://{outside.netloc}{url_for('participant.entrance')}"
     return make_response(
         render_template(
-            site.OVERVIEW,
-            **site.glance(own.store.query),
+            "glance.html",
+            **tables.glance(flow, people),
             token=own.keys.form(here),
-            columns=site.about(site.state(), blinded),
-            people=[p | {"about": site.about(site.state(p["state"]), blinded)} for p in people],
+            cells=flow.cells,
+            data=flow.DATA,
+            columns=flow.about(flow.STATE(), blinded),
+            people=[
+                {**one.row, "about": flow.about(one.state, blinded)}
+                for one in latest[:MOST_SHOWN]
+                if not one.row["erased"]
+            ],
             now=own.store.clock.wall(),
-            stages=(*site.flow.stages, *site.flow.STATE.ENDS),
+            stages=(*flow.stages, *flow.STATE.ENDS),
             flow=counted,
             times=[row["wall"] for row in given],
             streams=[name for name in STREAMS if any(one == name for one, _ in counted)],
             entrance=entrance,
             local=outside.hostname in LOOPBACK,
             invitations=own.invitations.get(request.args.get("made", ""), []),
-            plan_hash=site.plan.hash,
+            plan_hash=flow.plan.hash,
             paused=own.store.paused,
             blinded=blinded,
         )
@@ -185,7 +186,7 @@ def export() -> AnyResponse:
         inside.mkdir()
         context().store.snapshot(snapshot)
         if name == "study":
-            context().site.export(snapshot, inside)
+            import_module(f"{context().flow.PACKAGE}.tables").export(snapshot, inside)
         else:
             write_identifiers(snapshot, inside / "identifiers.csv")
             snapshot.rename(inside / snapshot.name)

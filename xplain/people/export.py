@@ -1,35 +1,43 @@
-"""Would this plan decide all of it again? Every participant's events are taken once more, and each
-state that they lead to is compared with the one that was stored."""
+"""A database, read only: its plan, its participants, their tables with the codebook of every
+column, and whether the plan would decide all of it again."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import re
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from filelock import FileLock, Timeout
 
-from xplain.errors import InputError, Refused, one_of
-from xplain.people.flow import Flow, S
+from xplain.errors import InputError, Refused
+from xplain.people.flow import Flow, Participant, S
 from xplain.people.plan import StoredPlan
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Plan = TypeVar("Plan", bound=StoredPlan)
+Row = dict[str, Any]
 STREAMS = ("person", "pilot", "bot")
 """Whose data it is; fixed by the invitation, and never mixed in an analysis."""
+OTHERS = "…"
+"""Ends a column of a codebook that stands for every column beginning with what is before it."""
+_NUMBER = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
+
+# Reading -----------------------------------------------------------------------------------------
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[sqlite3.Connection]:
-    """A read-only connection to a study's database.
+    """A read-only connection to a database.
 
     Raises:
         InputError: it is no study's database.
@@ -47,7 +55,7 @@ def opened(path: Path) -> Iterator[sqlite3.Connection]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """A read-only connection to a study's database that no server has open.
+    """A read-only connection to a database that no server has open.
 
     Raises:
         InputError: there is none, it is in use, or it is no study's database.
@@ -76,49 +84,23 @@ def copied(database: Path, file: Path) -> None:
         raise InputError("file", str(file), "a new file")
     with opened(database) as source, closing(sqlite3.connect(file)) as copy:
         source.backup(copy)
-    for path, mode in ((file, 0o600), (Path(f"{file}.key"), 0o600)):
-        if path != file:
-            path.write_bytes(key.read_bytes())
-        path.chmod(mode)
+    Path(f"{file}.key").write_bytes(key.read_bytes())
+    for path in (file, Path(f"{file}.key")):
+        path.chmod(0o600)
 
 
-def plan_of(connection: sqlite3.Connection, kind: type[Plan]) -> Plan:
-    """The plan that the data was collected under.
+def plan_of(connection: sqlite3.Connection, kind: type[Plan]) -> Plan | None:
+    """The plan that the data was collected under; None where there is none yet.
 
     Raises:
-        InputError: there is none yet, or it is one of another kind or version.
+        InputError: it is one of another kind.
     """
     row = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
-    (_, _, path) = connection.execute("PRAGMA database_list").fetchone()
-    if row is None:
-        raise InputError("database", path, f"a database in which {kind.OF} was started")
-    try:
-        return kind.from_text(row[0])
-    except InputError as error:
-        raise InputError("database", path, error.allowed) from None
-
-
-def rows_of(
-    path: Path, stream: str, kind: type[Plan], query: str
-) -> tuple[Plan, list[sqlite3.Row]]:
-    """The plan, and what a query finds of the people of a stream.
-
-    Args:
-        path: of a database that no server has open, or a snapshot.
-        stream: "person", "pilot" or "bot"; never mixed.
-        kind: class of the plan.
-        query: with one place, for the stream.
-
-    Raises:
-        InputError: it is no such flow's database, or there is no such stream.
-    """
-    one_of("stream", stream, STREAMS)
-    with reading(path) as connection:
-        return plan_of(connection, kind), connection.execute(query, (stream,)).fetchall()
+    return kind.from_text(row[0]) if row else None
 
 
 def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
-    """The plan in a database; None where there is none yet.
+    """The plan in a database, which its server may have open; None where there is none yet.
 
     Raises:
         InputError: the file is no such database.
@@ -126,134 +108,70 @@ def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
     if not path.exists() or not path.stat().st_size:
         return None
     with opened(path) as connection:
-        started = connection.execute("SELECT 1 FROM meta WHERE key = 'plan'").fetchone()
-        return plan_of(connection, kind) if started else None
+        return plan_of(connection, kind)
 
 
-CODEBOOK = {
-    "events": {
-        "participant": "key",
-        "sequence": "order of arrival at the server, 0, 1, …",
-        "source": "protocol (answers), server, shown (first renderings), tab:… (a page's reports)",
-        "source_sequence": "order at the source",
-        "kind": "of the event",
-        "wall": "server's wall clock, seconds since 1970-01-01 UTC",
-        "monotonic": "server's monotonic clock, seconds; comparable where boot is the same",
-        "boot": "id of the machine's boot",
-        "browser": "the page's performance.now, milliseconds since the page began to load",
-        "number": "order of arrival of all participants' events",
-        "state": "JSON: where the participant is after it, with what was decided; empty: as before",
-        "payload": "JSON; of a tab: at = browser's wall clock in ms, what = detail",
-    },
-    "codebook": {
-        "table": "name of the file",
-        "column": "name of the column",
-        "type": "text, whole number, number or JSON",
-        "unit": "s, ms or px; empty where there is none",
-        "meaning": "this text",
-    },
-}
+def read(path: Path, plan: type[Plan], state: type[S]) -> tuple[Plan, list[Participant[S]]]:
+    """The plan, and everybody who was not erased, with their events, in the order in which they
+    came, of a database that no server has open, or of a snapshot.
 
-_WHOLE = {
-    *("eligibility_attempts", "eligible", "steps_labelled", "messages_given", "attempt", "true"),
-    *("inexplicable_transitions", "quiz_score", "timed_out", "window_width", "attention_missed"),
-    *("k", "i", "label", "step", "sequence", "source_sequence", "number", "correct", "ticked"),
-    *("questions_asked", "clip"),
-    *("in_labels", "observers.labels", "attentive", "practice_errors", "cannot_tell", "fast_pages"),
-}
-_JSON = {"belief_before", "belief_after", "action_values", "steps.labels", "payload"}
-_JSON |= {"state"}
-_NUMBERS = {"consistency", "posterior", "unlike", "bits", "cost", "worth"}
-_UNITS = {
-    "s": {"entered", "last_seen", "shown", "seconds", "wall", "monotonic"},
-    "ms": {"browser", "browser_ms"},
-    "px": {"window_width"},
-}
+    Raises:
+        InputError: it is no such flow's database.
+    """
+    with reading(path) as connection:
+        found = plan_of(connection, plan)
+        if found is None:
+            raise InputError("database", str(path), f"a database in which {plan.OF} was started")
+        return found, participants(connection, state)
 
 
-def unit_of(column: str) -> str:
-    """The unit of a column's numbers; "" where they have none."""
-    own = [unit for unit, columns in _UNITS.items() if column in columns]
-    return own[0] if own else "s" if column.endswith("_s") else ""
-
-
-def kind_of(table: str, column: str) -> str:
-    """What a column holds."""
-    column = column.removesuffix("…")
-    names = {column, f"{table}.{column}"}
-    if names & _WHOLE:
-        return "whole number"
-    if names & _JSON:
-        return "JSON"
-    return "number" if names & _NUMBERS or unit_of(column) else "text"
-
-
-def explained(codebook: Mapping[str, Mapping[str, str]]) -> list[dict[str, str]]:
-    """Rows of the codebook as a table."""
-    return [
-        {
-            "table": table,
-            "column": column,
-            "type": kind_of(table, column),
-            "unit": unit_of(column),
-            "meaning": meaning,
-        }
-        for table, columns in codebook.items()
-        for column, meaning in columns.items()
-    ]
-
-
-Row = dict[str, Any]
-Codebook = Mapping[str, Mapping[str, str]]
-"""What every column of every table means."""
-OTHERS = "…"
-"""Ends an entry of a codebook that stands for every column beginning with what is before it."""
-_NUMBER = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
-_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
-
-
-@dataclass(frozen=True)
-class ParticipantRow(Generic[S]):
-    """A row of the participant table, with its state and events in order, payloads decoded."""
-
-    row: Row
-    state: S
-    events: tuple[Row, ...] = ()
-
-    @property
-    def id(self) -> str:
-        """As in every table."""
-        return str(self.row["id"])
-
-    @property
-    def moves(self) -> list[Row]:
-        """The events that changed their state, in order."""
-        return [event for event in self.events if event["state"] and event["kind"] != "enter"]
-
-    def answers(self, kind: str) -> list[Row]:
-        """The accepted answers of a kind, in order."""
-        return [e for e in self.events if e["source"] == "protocol" and e["kind"] == kind]
-
-    def first(self, kind: str) -> Row:
-        """The payload of the first answer of a kind; empty where there is none."""
-        return next((event["payload"] for event in self.answers(kind)), {})
-
-
-def participants(connection: sqlite3.Connection, kind: type[S]) -> list[ParticipantRow[S]]:
-    """Everybody who was not erased, in the order in which they came."""
-    rows = connection.execute("SELECT * FROM seen WHERE NOT erased ORDER BY number").fetchall()
-    events: dict[str, list[Row]] = {row["id"]: [] for row in rows}
+def participants(connection: sqlite3.Connection, state: type[S]) -> list[Participant[S]]:
+    """Everybody who was not erased, with their events, in the order in which they came."""
+    events: dict[str, list[Row]] = {}
     for event in connection.execute("SELECT * FROM event ORDER BY participant, sequence"):
-        if event["participant"] in events:
-            read = dict(event) | {"payload": json.loads(event["payload"])}
-            events[event["participant"]].append(read)
+        known = dict(event) | {"payload": json.loads(event["payload"])}
+        events.setdefault(event["participant"], []).append(known)
+    rows = connection.execute("SELECT * FROM seen WHERE NOT erased ORDER BY number")
     return [
-        ParticipantRow(dict(row), kind.from_text(row["state"]), tuple(events[row["id"]]))
+        Participant(dict(row), state.from_text(row["state"]), tuple(events[row["id"]]))
         for row in rows
     ]
 
 
-def described(name: str, rows: Iterable[Row], codebook: Mapping[str, Any]) -> pd.DataFrame:
+def replayed(flow: Flow[Any, S], people: Iterable[Participant[S]]) -> list[str]:
+    """Would this plan decide all of it again? Where not, a sentence for each difference between the
+    stored states and those that the same events lead to now."""
+    differences = []
+    for one in people:
+        state = one.state.from_text(one.events[0]["state"])
+        for event in [event for event in one.events[1:] if event["state"]]:
+            where = f"{one.id}: event {event['sequence']}"
+            try:
+                state = flow.advance(state, event["kind"], event["payload"])
+            except (Refused, KeyError) as error:
+                differences.append(f"{where}: {error}")
+                break
+            stored, again = json.loads(event["state"]), json.loads(state.text)
+            differences += [
+                f"{where}: {key} is {stored.get(key)}, decided again {again[key]}"
+                for key in again
+                if stored.get(key) != again[key]
+            ]
+    return differences
+
+
+# Tables ------------------------------------------------------------------------------------------
+
+
+def codebook(package: str) -> list[dict[str, str]]:
+    """Every column of the tables of a flow: its table, name, type, unit and meaning. They stand in
+    a file beside the flow; those that every export has are beside this module."""
+    books = [files(one).joinpath("codebook.csv") for one in (package, "xplain.people")]
+    texts = [book.read_text(encoding="utf-8").splitlines() for book in books]
+    return [row for lines in texts for row in csv.DictReader(lines)]
+
+
+def described(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.DataFrame:
     """A table of rows with the columns of its codebook, in that order; those that one entry stands
     for (:data:`OTHERS`) come last, in their own.
 
@@ -264,9 +182,9 @@ def described(name: str, rows: Iterable[Row], codebook: Mapping[str, Any]) -> pd
     import pandas as pd
 
     rows = list(rows)
-    fixed = [column for column in codebook if not column.endswith(OTHERS)]
-    beginnings = tuple(column[: -len(OTHERS)] for column in codebook if column.endswith(OTHERS))
-    others = [column for column in (rows[0] if rows else {}) if column not in codebook]
+    fixed = [column for column in columns if not column.endswith(OTHERS)]
+    beginnings = tuple(column[: -len(OTHERS)] for column in columns if column.endswith(OTHERS))
+    others = [column for column in (rows[0] if rows else {}) if column not in columns]
     unknown = [column for column in others if not column.startswith(beginnings)]
     missing = {column for row in rows for column in {*fixed, *others} ^ row.keys()}
     if unknown or missing:
@@ -282,7 +200,7 @@ def defused(cell: Any) -> Any:
     return f"'{cell}"
 
 
-def seconds(first: Row, last: Row) -> tuple[float | None, str]:
+def seconds(first: Mapping[str, Any], last: Mapping[str, Any]) -> tuple[float | None, str]:
     """From an event to a later one, and by which of the server's clocks: the monotonic one, or the
     wall clock where the machine was restarted in between. None where it cannot be, because the
     wall clock was set back."""
@@ -291,47 +209,39 @@ def seconds(first: Row, last: Row) -> tuple[float | None, str]:
     return (took, clock) if took >= 0 else (None, "impossible")
 
 
-def write(
-    database: Path,
-    folder: Path,
-    plan: type[Plan],
-    state: type[S],
-    tables: Callable[[Plan, list[ParticipantRow[S]]], Mapping[str, Iterable[Row]]],
-    codebook: Codebook,
-) -> tuple[str, Plan, list[ParticipantRow[S]]]:
-    """Writes the tables of a database (better: of a snapshot) into a folder, with the events of
-    everybody who is in them, the codebook and the plan; and SHA-256 of the file of events, to be
-    published with a preregistration.
+Tables = Callable[[Any, list[Participant[Any]]], Mapping[str, Iterable[Row]]]
+"""Rows of every table by name, of the plan and its participants."""
 
-    Args:
-        database: of a flow.
-        folder: to write into.
-        plan, state: classes of its plan and of its states.
-        tables: rows of every table by name, of the plan, the participants and the steps.
-            codebook: of these tables.
+
+def write(
+    folder: Path, package: str, plan: StoredPlan, people: list[Participant[Any]], tables: Tables
+) -> str:
+    """Writes the tables of a flow into a folder, with the events of everybody who did not withdraw,
+    the codebook and the plan; and SHA-256 of the file of events, to be published with a
+    preregistration.
 
     Returns:
-        The hash, the plan, and the participants.
-
-    Raises:
-        InputError: it is no such flow's database.
+        The hash.
     """
-    book = {**codebook, **CODEBOOK}
-    with reading(database) as connection:
-        own, people = plan_of(connection, plan), participants(connection, state)
-        rows = dict(tables(own, people))
-        (stored,) = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
-    rows["codebook"] = explained(book)
+    book, rows = codebook(package), dict(tables(plan, people))
+    rows["codebook"] = book
+    rows["events"] = [
+        {**event, "payload": json.dumps(event["payload"], sort_keys=True)}
+        for one in people
+        for event in one.events
+        if one.state.stage != "withdrawn"
+    ]
     folder.mkdir(parents=True, exist_ok=True)
     for name in rows:
-        table = described(name, rows[name], book[name])
+        columns = [row["column"] for row in book if row["table"] == name]
+        table = described(name, rows[name], columns)
         table.map(defused).to_csv(folder / f"{name}.csv", index=False)
         table.to_parquet(folder / f"{name}.parquet", index=False)
-    text = json.dumps(json.loads(stored), indent=1, ensure_ascii=False)
+    text = json.dumps(json.loads(plan.text), indent=1, ensure_ascii=False)
     (folder / "plan.json").write_text(f"{text}\n", encoding="utf-8")
     digest = hashlib.sha256((folder / "events.csv").read_bytes()).hexdigest()
     (folder / "SHA256SUMS").write_text(f"{digest}  events.csv\n", encoding="ascii")
-    return digest, own, people
+    return digest
 
 
 def write_identifiers(database: Path, file: Path) -> None:
@@ -350,52 +260,3 @@ def write_identifiers(database: Path, file: Path) -> None:
         rows = [dict(row) for row in connection.execute(f"{query} ORDER BY number")]
     table = pd.DataFrame([row | json.loads(row.pop("kept")) for row in rows])
     table.map(defused).to_csv(file, index=False)
-
-
-def events_of(people: Iterable[ParticipantRow[Any]]) -> list[Row]:
-    """Rows of the table of events."""
-    return [
-        event | {"payload": json.dumps(event["payload"], sort_keys=True)}
-        for one in people
-        for event in one.events
-    ]
-
-
-@dataclass
-class Findings:
-    """How many people and events were compared, how many people were erased, and what differs."""
-
-    participants: int = 0
-    events: int = 0
-    erased: int = 0
-    differences: list[str] = field(default_factory=list)
-
-
-def replayed(
-    connection: sqlite3.Connection, flow: Flow[Any, S], latest: int | None = None
-) -> tuple[Findings, list[ParticipantRow[S]]]:
-    """What differs, and everybody who was not erased.
-
-    Args:
-        connection: to the database; its rows are mappings.
-        flow: at work.
-        latest: how many participants, those who came last; None takes all.
-    """
-    people = participants(connection, flow.STATE)[-(latest or 0) :]
-    (erased,) = connection.execute("SELECT sum(erased) FROM participant").fetchone()
-    found = Findings(len(people), erased=erased or 0)
-    for one in people:
-        state = flow.STATE()
-        for event in one.moves:
-            found.events += 1
-            try:
-                state = flow.advance(state, event["kind"], event["payload"])
-            except (Refused, KeyError) as error:
-                found.differences.append(f"{one.id}: event {event['sequence']}: {error}")
-                break
-            stored, again = json.loads(event["state"]), json.loads(state.text)
-            for key in again:
-                if stored.get(key) != again[key]:
-                    what = f"{key} is {stored.get(key)}, decided again {again[key]}"
-                    found.differences.append(f"{one.id}: event {event['sequence']}: {what}")
-    return found, people

@@ -12,13 +12,14 @@ From timed_out they may return to where they were.
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from xplain.errors import Refused
-from xplain.people.plan import LabQuestion
+from xplain.people.plan import LabQuestion, StoredPlan, Way
 from xplain.storage import decode
 
 Form = Any
@@ -39,6 +40,7 @@ class State:
         part: which half of the practice.
         wrong: whether the last answer of a practice or a test was wrong.
         left: the stage at which somebody was timed out.
+        cell: the number of the cell (:attr:`Flow.cells`) that a preview shows; None for people.
     """
 
     ENDS: ClassVar[tuple[str, ...]] = ("declined", "withdrawn", "timed_out")
@@ -48,6 +50,7 @@ class State:
     part: int = 0
     wrong: bool = False
     left: str | None = None
+    cell: int | None = None
 
     @property
     def over(self) -> bool:
@@ -75,11 +78,43 @@ class State:
         return replace(self, accepted=self.accepted + 1, **changes)
 
 
+S = TypeVar("S", bound=State)
+
+
 class Conflict(Refused):
     """An answer to a page that is not open, or another answer to one that was answered."""
 
 
-S = TypeVar("S", bound=State)
+class Full(Refused):
+    """No place is free now."""
+
+
+@dataclass(frozen=True)
+class Participant(Generic[S]):
+    """A row of the view ``seen``, with its state; and, where they were asked for, its events in
+    order, payloads decoded."""
+
+    row: Mapping[str, Any]
+    state: S
+    events: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def id(self) -> str:
+        """As in every table."""
+        return str(self.row["id"])
+
+    def answers(self, kind: str) -> list[dict[str, Any]]:
+        """The accepted answers of a kind, in order."""
+        return [e for e in self.events if e["source"] == "protocol" and e["kind"] == kind]
+
+    def first(self, kind: str) -> Mapping[str, Any]:
+        """The payload of the first answer of a kind; empty where there is none."""
+        return next((event["payload"] for event in self.answers(kind)), {})
+
+
+People = Sequence["Participant[Any]"]
+
+
 F = TypeVar("F", bound="Flow[Any, Any]")
 P = TypeVar("P")
 
@@ -126,27 +161,98 @@ class Stage(Generic[F, S]):
 
 
 @dataclass(frozen=True)
-class Flow(Generic[P, S]):
-    """Stages in their order, with a plan.
+class Flow(ABC, Generic[P, S]):
+    """Stages in their order, with a plan; and what a server needs of it: places, what is drawn,
+    what the researcher's page says. All of it follows from the plan and from people's states.
 
     Attributes:
+        PLAN: class of its plans.
+        PACKAGE: name of the package that has its templates and tables.
+        DATA: what an export holds, in words.
         STATE: the class of its states.
         STAGES: from the consent on.
         plan: the value everything follows from, with ``texts``.
     """
 
+    PLAN: ClassVar[type[StoredPlan]]
+    PACKAGE: ClassVar[str]
+    DATA: ClassVar[str]
     STATE: ClassVar[type[Any]]
     STAGES: ClassVar[tuple[Stage[Any, Any], ...]]
 
     plan: P
 
+    @classmethod
+    @abstractmethod
+    def of(cls, plan: P) -> Self:
+        """A plan at work."""
+
+    # Places --------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def admit(self, person: Participant[S], people: People) -> dict[str, Any]:
+        """What a consent carries from elsewhere.
+
+        Args:
+            person: who consents.
+            people: everybody, in the order in which they came.
+
+        Raises:
+            Full: nobody can be admitted now.
+        """
+
+    def readmit(self, person: Participant[S], people: People) -> dict[str, Any]:
+        """The same of the return of somebody who was silent for too long."""
+        return {}
+
+    @abstractmethod
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
         """What a consent that agrees changes in the state.
 
         Raises:
             Refused: this participant cannot take part.
         """
-        raise NotImplementedError
+
+    def forget(self) -> None:
+        """Drops what is kept in memory to answer sooner: somebody's data was erased."""
+        State.from_text.cache_clear()
+
+    # What a server shows -------------------------------------------------------------------------
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Parts of the plan that a researcher may look at, as a participant meets them."""
+        return ("a participant",)
+
+    @abstractmethod
+    def drawn(self, what: Any) -> tuple[Way | None, int, Sequence[str]]:
+        """What :func:`xplain.people.map_svg.picture` draws for what a template asks for (hashable):
+        the way, how much of it, and names of the items that are off the map."""
+
+    @property
+    def titles(self) -> dict[str, str]:
+        """Of the stages' pages."""
+        return {stage: self.words[stage] for stage in self.stages[:-1]}
+
+    def about(self, state: S, blinded: bool) -> dict[str, str]:
+        """What the researcher's page says of a participant, by column.
+
+        Args:
+            state: of the participant.
+            blinded: whether that may tell who gets what.
+        """
+        step = self.step_of(state)
+        return {"Stage": state.stage.replace("_", " ") + (f", {step}" if step else "")}
+
+    @abstractmethod
+    def step_of(self, state: S) -> str:
+        """How far they are within a stage of several pages; empty elsewhere."""
+
+    def announcement(self) -> str:
+        """What a start of the server says of the plan."""
+        return ""
+
+    # Stages --------------------------------------------------------------------------------------
 
     @property
     def words(self) -> Mapping[str, str]:

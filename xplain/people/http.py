@@ -22,7 +22,7 @@ from itsdangerous import BadSignature, Signer
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError
-from xplain.people.export import ParticipantRow
+from xplain.people.flow import Participant
 from xplain.people.store import LETTERS, Store
 
 MAX_BODY = 64 * 1024
@@ -212,6 +212,11 @@ RESEARCHER = "researcher"
 """The cookie of a researcher who is logged in."""
 
 
+def _need(right: bool, key: str, value: object, allowed: str) -> None:
+    if not right:
+        raise InputError(f"server.{key}", value, allowed)
+
+
 @pydantic.dataclasses.dataclass(frozen=True, config={"strict": True, "extra": "forbid"})
 class Server:
     """How the pages are served; no part of the study's plan.
@@ -268,28 +273,26 @@ class Server:
 
     def __post_init__(self) -> None:
         """Raises InputError: keys that contradict each other, or a file that cannot be read."""
-        if not 1 <= len(self.id_names) <= 3:
-            wanted = "the names of a person's id, and if there are any of a study's and a session's"
-            raise InputError("server.id_names", list(self.id_names), wanted)
-        if self.studies and not self.id_names[1:]:
-            raise InputError("server.studies", list(self.studies), "none: id_names has none")
-        if "platform" in self.entry and not (self.studies or self.ids):
-            wanted = "ids of the studies whose people may come in, or server.ids=FILE with theirs"
-            raise InputError("server.studies", [], wanted)
-        if "open" in self.entry and {"platform", "signed"} & {*self.entry}:
-            # Somebody paid whose link is incomplete would become a pilot, and lose their data.
-            raise InputError("server.entry", list(self.entry), "open without platform and signed")
-        if ("signed" in self.entry) != bool(self.signed_by):
-            wanted = "with server.entry=[signed] a file with the key, else none"
-            raise InputError("server.signed_by", self.signed_by, wanted)
-        if "{id}" in self.completion_url and not self.keep_ids:
-            wanted = "an address without {id}, or server.keep_ids=true"
-            raise InputError("server.completion_url", self.completion_url, wanted)
-        if self.key and len(self.key) < LEAST_KEY:
-            raise InputError("server.key", "…", f"{LEAST_KEY} characters or more, or none")
-        if self.address and not urlsplit(self.address).netloc:
-            wanted = "an address with https:// or http://, such as https://lab.example.org/robots"
-            raise InputError("server.address", self.address, wanted)
+        entry, studies = set(self.entry), list(self.studies)
+        names = "the names of a person's id, and if there are any of a study's and a session's"
+        _need(1 <= len(self.id_names) <= 3, "id_names", list(self.id_names), names)
+        _need(not studies or len(self.id_names) > 1, "studies", studies, "none: id_names has none")
+        listed = "ids of the studies whose people may come in, or server.ids=FILE with theirs"
+        _need("platform" not in entry or bool(studies or self.ids), "studies", [], listed)
+        # Somebody paid whose link is incomplete would become a pilot, and lose their data.
+        paid = "open" in entry and bool({"platform", "signed"} & entry)
+        _need(not paid, "entry", list(self.entry), "open without platform and signed")
+        signs = "with server.entry=[signed] a file with the key, else none"
+        _need(("signed" in entry) == bool(self.signed_by), "signed_by", self.signed_by, signs)
+        kept = self.keep_ids or "{id}" not in self.completion_url
+        without = "an address without {id}, or server.keep_ids=true"
+        _need(kept, "completion_url", self.completion_url, without)
+        long = not self.key or len(self.key) >= LEAST_KEY
+        _need(long, "key", "…", f"{LEAST_KEY} characters or more, or none")
+        whole = "an address with https:// or http://, such as https://lab.example.org/robots"
+        _need(
+            not self.address or bool(urlsplit(self.address).netloc), "address", self.address, whole
+        )
         if self.ids:
             self.listed()
         if self.signed_by:
@@ -327,15 +330,13 @@ class Server:
         wanted = "a file with a public key (PEM or JWKS), or a secret of 32 bytes or more"
         try:
             text = Path(self.signed_by).read_text(encoding="utf-8").strip()
+            keys: list[tuple[Any, list[str]]] = [(text, ["HS256"])]
             if text.startswith("{"):
-                keys = [
-                    (one.key, [one.algorithm_name]) for one in jwt.PyJWKSet.from_json(text).keys
-                ]
+                known = jwt.PyJWKSet.from_json(text).keys
+                keys = [(one.key, [one.algorithm_name]) for one in known]
             elif text.startswith("-----BEGIN PUBLIC KEY"):
                 keys = [(text, ["RS256", "ES256", "EdDSA"])]
-            elif len(text.encode()) >= LEAST_SECRET:
-                keys = [(text, ["HS256"])]
-            else:
+            elif len(text.encode()) < LEAST_SECRET:
                 raise ValueError("neither")
         except (OSError, ValueError, jwt.PyJWTError) as error:
             raise InputError("server.signed_by", self.signed_by, f"{wanted} ({error})") from None
@@ -359,8 +360,8 @@ class Context:
     """
 
     def __init__(self, store: Store, server: Server) -> None:
-        self.store, self.site, self.server = store, store.site, server
-        self.words: Mapping[str, str] = store.site.flow.words
+        self.store, self.flow, self.server = store, store.flow, server
+        self.words: Mapping[str, str] = store.flow.words
         self.keys = Keys(store.secret)
         self.participant_limit = RateLimit(server.requests_per_second, server.burst)
         self.visitor_limit = RateLimit(server.visitors_per_second, server.visitor_burst)
@@ -372,7 +373,7 @@ class Context:
         """The words of a key; what is no key is said as it is."""
         return self.words.get(key, key)
 
-    def code(self, found: ParticipantRow[Any]) -> str:
+    def code(self, found: Participant[Any]) -> str:
         """What a participant shows to be paid: one for each way in which a part can end, so that
         nobody who did not finish has the code of those who did."""
         stage, own = found.state.stage, found.row["code"]
@@ -382,7 +383,7 @@ class Context:
         digest = hashlib.sha256(f"{own} {stage}".encode()).digest()
         return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
 
-    def back(self, found: ParticipantRow[Any], code: str) -> str:
+    def back(self, found: Participant[Any], code: str) -> str:
         """Where a participant may go at the end; "" for nowhere."""
         person = json.loads(found.row["kept"]).get(self.server.id_names[0], "")
         address = self.server.completion_url.replace("{code}", code)

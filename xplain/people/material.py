@@ -13,16 +13,18 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 from PIL import Image, ImageOps
 
-from xplain.domains.base import Domain, Parameter, Scene, cell_name
-from xplain.domains.users.hypotheses import Hypotheses
+from xplain.domains.base import Domain, Parameter, Scene, cell_name, changes_of, transition_features
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
+from xplain.domains.users.setting import Setting, UserType
 from xplain.domains.users.types import TypeSource
 from xplain.errors import InputError, first_line, one_of
 from xplain.experiment.config import CONF
-from xplain.explanation.message_sets import names_of
-from xplain.people.plan import Ahead, Picture, Task, Texts, Told, Way, facts_of
+from xplain.explanation.message_sets import indices, mask_of, names_of
+from xplain.people.plan import Ahead, Clip, Picture, Texts, Told, Way, facts_of
 from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import stream
 
@@ -35,43 +37,142 @@ DRAWN_ROLES = 4
 """Kinds of simulated people where nobody wrote down which there may be."""
 
 
+Transitions = NDArray[np.int64]
+"""Rows of a material, from 0."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class Source(Task):
-    """A task that people can be asked about.
+class Material:
+    """T transitions of a task: of a domain, or of a lab's own table. What people see and are told
+    of them, and how kinds of simulated people label them.
 
     Attributes:
-        hypotheses: T transitions with phrases and features.
-        roles: {name: bitmask of what it holds wrong}, of simulated people.
-        whole, situations, gone, paths: see :class:`xplain.people.collect.plan.CollectPlan`.
-        domain, users: of the task, where there is a model of it.
+        name: of the task.
+        facts: [n] what people may believe incorrectly, with its sentences.
+        types: M kinds of simulated people.
+        clips: [T] the transitions as pages show them; texts not yet in a lab's words.
+        features: [T, F] of them.
+        scene: the map, or None.
+        hypotheses: what people might believe incorrectly of the T transitions.
+        whole: the same of all transitions of a domain; None where these are all.
+        setting: the domain with its models, where traces are drawn from it.
+        transitions: [T, 3] of the domain; None for a table.
     """
 
-    hypotheses: Hypotheses
-    roles: Mapping[str, int]
+    name: str
+    facts: tuple[Parameter, ...]
+    types: tuple[UserType, ...]
+    clips: tuple[Clip, ...]
+    features: NDArray[np.float64]
+    scene: Scene | None = None
+    hypotheses: Hypotheses | None = None
     whole: Hypotheses | None = None
-    situations: Told = ()
-    gone: Told = ()
-    paths: Way = ()
-    domain: Domain | None = None
-    users: TypeSource | None = None
+    setting: Setting | None = None
+    transitions: NDArray[np.int64] | None = None
+
+    @classmethod
+    def of(cls, setting: Setting) -> Material:
+        """Every transition that the robot of a domain can make."""
+        domain, every = setting.domain, setting.reachable
+        return cls(
+            name=domain.name,
+            facts=domain.parameters,
+            types=setting.types,
+            clips=clips_of(domain, [domain.describe(one) for one in every], every),
+            features=transition_features(domain, every),
+            scene=domain.scene,
+            setting=setting,
+            transitions=every,
+        )
+
+    @classmethod
+    def asked(cls, domain: Domain, users: TypeSource, seed: int) -> Material:
+        """The transitions of a domain that differ in features, to ask people about."""
+        whole = hypotheses_of(domain, None)
+        known = whole.told_apart_by_features()
+        assert known.states is not None, "hypotheses of a domain know states"
+        assert known.features is not None, "and features"
+        # Phrases of domains without a map name the action first.
+        named = [
+            next((a for a, name in enumerate(domain.actions) if phrase.startswith(name)), 0)
+            for phrase in known.phrases
+        ]
+        transitions = np.insert(known.states, 1, named, axis=1)
+        return cls(
+            name=domain.name,
+            facts=domain.parameters,
+            types=users.types(domain, stream(seed, "users")),
+            clips=clips_of(domain, known.phrases, transitions),
+            features=known.features,
+            scene=domain.scene,
+            hypotheses=known,
+            whole=whole,
+            transitions=transitions,
+        )
+
+    def labels(self, rows: Transitions) -> NDArray[np.uint8]:
+        """[M, m, 2^n] what each kind of people labels truly."""
+        if self.setting and self.transitions is not None:
+            return self.setting.label_table(self.transitions[rows])
+        known = self.hypotheses
+        assert known is not None, "a table comes with hypotheses"
+        held = [mask_of(one.inaccurate, known.messages) for one in self.types]
+        told = np.arange(1 << len(known.messages))
+        return np.stack([known.labels[known.row(one & ~told)][:, rows].T for one in held])
+
+    def rows_of(self, steps: NDArray[np.int64]) -> Transitions:
+        """The rows of transitions [m, 3]."""
+        assert self.transitions is not None, "transitions of a domain"
+        row_of = {tuple(one): row for row, one in enumerate(self.transitions.tolist())}
+        return np.array([row_of[tuple(step)] for step in steps.tolist()], np.int64)
+
+    def taken(self, trace: Transitions) -> Told:
+        """[m + 1] names of the items that are off the map after each number of steps; or none."""
+        if self.setting is None or self.transitions is None:
+            return ()
+        steps = self.transitions[trace]
+        states = [*steps[:, 0].tolist(), int(steps[-1, 2])]
+        return of_states(self.setting.domain, "gone", states)
 
 
-def own_table(table: Path, facts: str | None, seed: int) -> Source:
-    """One's own transitions, and the sentences of the facts.
+def clips_of(
+    domain: Domain, phrases: Sequence[str], transitions: NDArray[np.int64]
+) -> tuple[Clip, ...]:
+    """What a domain tells of transitions [T, 3]: on its map, if it has one."""
+    begin, cells = transitions[:, 0].tolist(), domain.position
+    situations, gone = (of_states(domain, what, begin) for what in ("situation", "gone"))
+    changes = () if domain.scene else changes_of(domain, transitions)
+    none: Told = ((),) * len(begin)
+    ways: list[Way] = []
+    for before, after in transitions[:, [0, 2]].tolist():
+        a, b = cells(before), cells(after)
+        ways.append(((a, b),) if domain.scene and a is not None and b is not None else ())
+    return tuple(map(Clip, phrases, ways, situations or none, gone or none, changes or none))
+
+
+def own_table(table: Path, facts: str | None, seed: int) -> Material:
+    """A lab's own transitions, and the sentences of the facts.
 
     Raises:
         InputError: a table cannot be read, a fact has no sentences, or an image cannot be shown.
     """
     own = read_transitions(table)
     known = with_features(own.hypotheses)
-    shown = zip(own.images, own.alts, strict=True)
-    pictures = tuple(_picture(table.parent, image, alt) for image, alt in shown)
-    return Source(
+    assert known.features is not None, "just made"
+    shown = zip(own.hypotheses.phrases, own.images, own.alts, strict=True)
+    drawn = drawn_roles(known, seed).items()
+    return Material(
         name=table.stem,
-        hypotheses=known,
         facts=read_facts(facts, known.messages),
-        roles=drawn_roles(known, seed),
-        pictures=pictures if any(pictures) else (),
+        types=tuple(
+            UserType(name, {known.messages[j]: False for j in indices(held)})
+            for name, held in drawn
+        ),
+        clips=tuple(
+            Clip(phrase, picture=_picture(table.parent, image, alt)) for phrase, image, alt in shown
+        ),
+        features=known.features,
+        hypotheses=known,
     )
 
 
@@ -224,22 +325,10 @@ def fixed(cfg: DictConfig) -> dict[str, Any]:
     return {key: value for key, value in plain.items() if key not in NOT_OF_THE_PLAN}
 
 
-def each(sentences: Iterable[Iterable[str]], in_words: InWords) -> Told:
-    """Sentences of several transitions or states, in words."""
-    return tuple(tuple(map(in_words, of_one)) for of_one in sentences)
-
-
 def of_states(domain: Domain, method: str, states: Iterable[int]) -> Told:
     """What a domain's optional method says of states; none where it has no such method."""
     told = getattr(domain, method, None)
     return () if told is None else tuple(tuple(told(int(state))) for state in states)
-
-
-def way_of(domain: Domain, moves: Iterable[Sequence[int]]) -> Way | None:
-    """Of each move from a state to another the cells; None where there is no map of them."""
-    cells = [(domain.position(before), domain.position(after)) for before, after in moves]
-    way = tuple((a, b) for a, b in cells if a is not None and b is not None)
-    return way if domain.scene and len(way) == len(cells) else None
 
 
 def ahead_of(step: Mapping[str, Any], scene: Scene | None, in_words: InWords) -> Ahead:
@@ -262,7 +351,7 @@ def ahead_of(step: Mapping[str, Any], scene: Scene | None, in_words: InWords) ->
 
 
 def parts(
-    kind: str, config: Mapping[str, Any], wording: Mapping[str, Any], task: Task, does: str
+    kind: str, config: Mapping[str, Any], wording: Mapping[str, Any], task: Material, does: str
 ) -> tuple[dict[str, Any], InWords]:
     """Fields of any plan, and what turns a domain's phrases into words.
 
@@ -284,8 +373,6 @@ def parts(
         "domain": task.name,
         "facts": facts_of(worded(task.facts, wording["facts"], in_words)),
         "texts": texts_of(kind, wording, in_words),
-        "changes": each(task.changes, in_words),
-        "pictures": task.pictures,
         "ahead": wording["ahead"]
         and ahead_of(wording["ahead"], scene, lambda phrase: does.format(phrase=in_words(phrase))),
         "scene": scene and named(scene, in_words),

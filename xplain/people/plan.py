@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
@@ -65,8 +65,32 @@ class Picture:
     alt: str = ""
 
 
-Pictures = tuple[Picture | None, ...]
-"""Of several transitions; None where one has no image."""
+@dataclass(frozen=True)
+class Clip:
+    """A transition, as pages show it.
+
+    Attributes:
+        phrase: what the robot does.
+        way: on the map: the cells before and after it; or none.
+        situation: what is so when it begins, as sentences.
+        gone: names of the items that are off the map when it begins.
+        changes: what it changes, for domains without a map.
+        picture: of a lab's own transitions, if there is one.
+    """
+
+    phrase: str
+    way: Way = ()
+    situation: tuple[str, ...] = ()
+    gone: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
+    picture: Picture | None = None
+
+    def worded(self, in_words: Callable[[str], str]) -> Clip:
+        """With all of its texts in other words."""
+        situation, gone, changes = (
+            tuple(map(in_words, told)) for told in (self.situation, self.gone, self.changes)
+        )
+        return Clip(in_words(self.phrase), self.way, situation, gone, changes, self.picture)
 
 
 @dataclass(frozen=True)
@@ -80,23 +104,6 @@ class Ahead:
 
     steps: tuple[str, ...]
     way: Way
-
-
-@dataclass(frozen=True, kw_only=True)
-class Task:
-    """What people are shown of a task; phrases not yet in a lab's words.
-
-    Attributes:
-        name: of the task.
-        facts: [n] of the domain, or of a lab's own: only their sentences tell.
-        scene, changes, pictures: see :class:`StoredPlan`.
-    """
-
-    name: str
-    facts: tuple[Parameter, ...]
-    scene: Scene | None = None
-    changes: Told = ()
-    pictures: tuple[Picture | None, ...] = ()
 
 
 EDIT = "[EDIT"
@@ -270,7 +277,6 @@ class StoredPlan:
     """What any plan has. It is stored as JSON, in which floats survive to the last bit.
 
     Attributes:
-        VERSION: of the stored form; a database of another version is refused.
         OF: what it is the plan of.
         seed: of all that is drawn.
         domain: name of the task.
@@ -279,13 +285,11 @@ class StoredPlan:
         facts: [n], as people meet them.
         scene: the map, or None.
         icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
-        changes: [m] what each transition changes, for domains without a map; or none.
-        pictures: of own transitions, None where one has no image; or none.
+        shown: the transitions that pages show.
         ahead: of the practice; None where the texts have no such step.
         config: the configuration that it was made from, for the record.
     """
 
-    VERSION: ClassVar[int | str]
     OF: ClassVar[str]
 
     seed: int
@@ -295,10 +299,20 @@ class StoredPlan:
     facts: tuple[Fact, ...]
     scene: Scene | None
     icons: Mapping[str, str]
-    changes: Told = ()
-    pictures: tuple[Picture | None, ...] = ()
+    shown: tuple[Clip, ...]
     ahead: Ahead | None = None
     config: Mapping[str, Any]
+
+    @property
+    def changes(self) -> Told:
+        """What each of the shown transitions changes; none on a map."""
+        changes = tuple(clip.changes for clip in self.shown)
+        return changes if any(changes) else ()
+
+    @property
+    def shows_way(self) -> bool:
+        """Whether pages show the robot's way on the map."""
+        return False
 
     @property
     def unedited(self) -> bool:
@@ -313,7 +327,7 @@ class StoredPlan:
     @cached_property
     def text(self) -> str:
         """The plan as canonical JSON."""
-        value = encode(self) | {"version": self.VERSION}
+        value = encode(self) | {"of": self.OF}
         return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
 
     @cached_property
@@ -326,14 +340,9 @@ class StoredPlan:
         """Reads what :attr:`text` wrote.
 
         Raises:
-            InputError: another version of the stored form, or the plan of something else.
+            InputError: the plan of something else.
         """
         value = json.loads(text)
-        if value.pop("version", None) != cls.VERSION:
-            allowed = (
-                f"that of {cls.OF} in the form {cls.VERSION}, which this version of xplain stores; "
-                "one of an earlier form goes on, is exported and replayed with the version that "
-                "began it"
-            )
-            raise InputError("database", "its plan", allowed)
+        if value.pop("of", None) != cls.OF:
+            raise InputError("database", "its plan", f"that of {cls.OF}")
         return decode(cls, value)

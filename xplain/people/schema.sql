@@ -1,10 +1,8 @@
 -- One study or collection, one file. Events are the only state: each has the state that it led to,
 -- with what was decided. Where everybody is, who holds which place, and every table of an export
 -- follow from them. Events are never changed; only the erasure of a participant overwrites theirs.
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;   -- the plan, and its hash
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;   -- the plan; whether paused
 
--- What the researcher switches on and off.
-CREATE TABLE control (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 
 CREATE TABLE participant (
     number INTEGER PRIMARY KEY,

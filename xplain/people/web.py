@@ -8,6 +8,7 @@ import re
 import secrets
 import shutil
 from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
@@ -16,14 +17,13 @@ from flask import (
     Blueprint,
     Flask,
     Response,
-    abort,
     make_response,
     redirect,
     render_template,
     request,
     url_for,
 )
-from jinja2 import ChoiceLoader, FileSystemLoader, pass_context
+from jinja2 import ChoiceLoader, PackageLoader, pass_context
 from markupsafe import Markup
 from pydantic import BaseModel, Field, ValidationError
 from werkzeug.datastructures import MultiDict
@@ -32,9 +32,9 @@ from werkzeug.middleware.proxy_fix import ProxyFix
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import Refused
+from xplain.people import map_svg
 from xplain.people.desk import pages as researcher_pages
-from xplain.people.export import ParticipantRow
-from xplain.people.flow import Conflict, Form
+from xplain.people.flow import Conflict, Flow, Form, Full, Participant
 from xplain.people.http import (
     LOOPBACK,
     MAX_BODY,
@@ -52,7 +52,6 @@ from xplain.people.http import (
     session,
     set_cookie,
 )
-from xplain.people.site import Full
 from xplain.people.store import Gone, Store, Unknown
 
 participant_pages = Blueprint("participant", __name__)
@@ -95,7 +94,7 @@ def enter() -> AnyResponse:
     if not read_cookie(VISITOR):
         return error_page(403, "no_cookies")
     here = urlsplit(request.host_url).hostname in LOOPBACK
-    if own.site.plan.unedited and not (own.server.demo or here):
+    if own.flow.plan.unedited and not (own.server.demo or here):
         return error_page(403, "not_ready")
     if not genuine(read_cookie(VISITOR)):
         return error_page(403, "old_form")
@@ -125,12 +124,15 @@ def enter() -> AnyResponse:
 # The pages of the study ------------------------------------------------------------------------
 
 
-def _current() -> ParticipantRow[Any]:
-    """Whose cookie came along; others get a page that says that they are not known."""
-    try:
-        return context().store.participant(owner() or "")
-    except Unknown:
-        abort(error_page(403, "no_invitation"))
+def _current() -> Participant[Any]:
+    """Whose cookie came along."""
+    return context().store.participant(owner() or "")
+
+
+@participant_pages.app_errorhandler(Unknown)
+def unknown(error: Unknown) -> AnyResponse:
+    """The page for people who are not known."""
+    return error_page(403, "no_invitation")
 
 
 @participant_pages.get("/study")
@@ -140,16 +142,16 @@ def show() -> AnyResponse:
 
 
 def _page(
-    found: ParticipantRow[Any], problem: str = "", status: int = 200, typed: Form | None = None
+    found: Participant[Any], problem: str = "", status: int = 200, typed: Form | None = None
 ) -> Response:
     """The page where somebody is; of a refused form the page that it is of, with what was typed."""
     own = context()
     if typed:
-        found = replace(found, state=own.site.flow.asking(found.state))
+        found = replace(found, state=own.flow.asking(found.state))
     if not found.state.paused:
         own.store.shown(found.id, found.state.accepted, found.state.stage)
     reference = "-".join(re.findall(".{4}", own.store.reference(found.id)))
-    flow, code = own.site.flow, own.code(found)
+    flow, code = own.flow, own.code(found)
     html = render_template(
         "ended.html" if found.state.over else f"{found.state.stage}.html",
         **flow.view(found.state),
@@ -187,7 +189,7 @@ def answer() -> AnyResponse:
             found.id,
             sequence,
             kind,
-            own.site.flow.read(own.store.asked(found, sequence), kind, form),
+            own.flow.read(own.store.asked(found, sequence), kind, form),
             ms if 0 <= ms < 1e10 else None,
         )
     except Full as error:
@@ -208,7 +210,7 @@ def answer() -> AnyResponse:
 def consent() -> AnyResponse:
     """A copy of the consent text to keep."""
     _current()
-    texts = context().site.plan.texts
+    texts = context().flow.plan.texts
     content = "\n\n".join([texts.title, *texts.consent, texts.contact, texts.consent_hash])
     kept = {"Content-Disposition": "attachment; filename=consent.txt"}
     return Response(f"{content}\n", mimetype="text/plain", headers=kept)
@@ -218,8 +220,8 @@ def consent() -> AnyResponse:
 def picture(number: int) -> AnyResponse:
     """An image that belongs to the plan, of a transition."""
     _current()
-    pictures = context().site.pictures
-    found = pictures[number] if number < len(pictures) else None
+    shown = context().flow.plan.shown
+    found = shown[number].picture if number < len(shown) else None
     if found is None:
         return error_page(404, "no_page")
     return Response(base64.b64decode(found.content), mimetype=found.media)
@@ -277,19 +279,19 @@ def create_app(store: Store, server: Server) -> Flask:
     """The application for one open store."""
     app = Flask(__name__)
     # A character takes nine bytes on its way, at most: the page's own limit holds in any language.
-    longest = 9 * sum(question.max_length for question in store.site.plan.lab_questions)
+    longest = 9 * sum(question.max_length for question in store.flow.plan.lab_questions)
     app.config.update(
         MAX_CONTENT_LENGTH=MAX_BODY + longest,
         MAX_FORM_MEMORY_SIZE=MAX_BODY + longest,
         MAX_FORM_PARTS=200,
     )
     own = app.extensions["study"] = Context(store, server)
-    templates = FileSystemLoader(store.site.TEMPLATES)
-    app.jinja_loader = ChoiceLoader([templates, app.jinja_loader])  # type: ignore[list-item]
+    folders = PackageLoader(store.flow.PACKAGE), PackageLoader("xplain.people")
+    app.jinja_loader = ChoiceLoader(folders)
     app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
     app.jinja_env.globals.update(
-        store.site.drawing()
-        | {"texts": store.site.plan.texts, "words": own.words, "mark": own.keys.mark}
+        drawing(store.flow)
+        | {"texts": store.flow.plan.texts, "words": own.words, "mark": own.keys.mark}
         | {"checked": checked, "direction": direction(own.words["language"])}
     )
     app.before_request(_limit)
@@ -305,6 +307,20 @@ def create_app(store: Store, server: Server) -> Flask:
         app.wsgi_app = BelowPath(app.wsgi_app, server.path)  # type: ignore[method-assign]
     app.wsgi_app = ReadToTheEnd(app.wsgi_app)  # type: ignore[method-assign]
     return app
+
+
+def drawing(flow: Flow[Any, Any]) -> dict[str, Any]:
+    """What every template may use of a flow."""
+    plan = flow.plan
+    return {
+        "map": lru_cache(4096)(lambda what: map_svg.picture(plan, *flow.drawn(what))),
+        "ahead": lambda steps: map_svg.picture(plan, plan.ahead.way, steps),
+        "legend": map_svg.legend(plan, plan.shows_way),
+        "about": partial(map_svg.about, plan),
+        "changes": plan.changes,
+        "pictures": [clip.picture for clip in plan.shown],
+        "titles": flow.titles,
+    }
 
 
 def direction(language: str) -> str:

@@ -13,8 +13,8 @@ from xplain.experiment.config import CONF
 from xplain.people.collect.bot import Habits
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan, CollectRules
-from xplain.people.collect.prepare import assemble, domain_source
-from xplain.people.collect.site import CollectSite
+from xplain.people.collect.prepare import assemble
+from xplain.people.material import Material
 from xplain.questions.designs import Adaptive, Battery
 
 FAULTLESS = Habits(error=0.0, mistake=0.0)
@@ -47,7 +47,7 @@ def street_plan(
     users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
     config = {"seed": seed, "briefing": briefing, "wording": words or wording(), "points": points}
     plan = assemble(
-        domain_source(STREET, users, seed),
+        Material.asked(STREET, users, seed),
         design or Adaptive(),
         CollectRules(points=points, **RULES | rules),
         config,
@@ -62,7 +62,7 @@ def at_work(plan: CollectPlan) -> Collection:
 
 def street_collection(*args: Any, **changes: Any) -> Collection:
     """The same, at work."""
-    return CollectSite.of(street_plan(*args, **changes)).flow
+    return Collection.of(street_plan(*args, **changes))
 
 
 def telling() -> Collection:

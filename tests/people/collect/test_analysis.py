@@ -18,7 +18,6 @@ from xplain.people.collect.asking import ATTENTION, CollectState, shared
 from xplain.people.collect.bot import Habits, bot, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.collect.site import CollectSite
 from xplain.people.collect.tables import (
     compared,
     dataset_of,
@@ -26,11 +25,9 @@ from xplain.people.collect.tables import (
     export,
     fact_sets,
     found_types,
-    why_left_out,
 )
-from xplain.people.export import opened, plan_of
+from xplain.people.export import read, replayed
 from xplain.people.store import Store
-from xplain.people.study.site import StudySite
 
 COLLECTION = street_collection()
 
@@ -73,12 +70,12 @@ def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
 
 def test_only_who_finished_and_looked_is_learned_from() -> None:
     done = person(0)
-    assert why_left_out(done) == ""
-    assert why_left_out(with_stage(done, "beliefs")) == ""  # every clip is answered
-    assert why_left_out(with_stage(done, "clips")) == "unfinished"
+    assert done.left_out == ""
+    assert with_stage(done, "beliefs").left_out == ""  # every clip is answered
+    assert with_stage(done, "clips").left_out == "unfinished"
     for end in ("withdrawn", "declined", "timed_out"):
-        assert why_left_out(with_stage(done, end)) == end
-    assert why_left_out(inattentive(done)) == "inattentive"
+        assert with_stage(done, end).left_out == end
+    assert inattentive(done).left_out == "inattentive"
 
 
 def test_the_table_of_labels_holds_every_question_once_and_reads_back(tmp_path: Path) -> None:
@@ -144,18 +141,12 @@ def test_new_types_are_those_of_ewens(people: int) -> None:
     assert expected_new(people, people, 10) == (1.0, 10.0)
 
 
-def test_more_people_of_the_same_types_make_new_types_less_likely() -> None:
-    few, many = expected_new(5, 24, 10), expected_new(5, 240, 10)
-    assert many[0] < few[0] / 5
-    assert many[1] < few[1] / 5
-
-
 Fill = Callable[[Store, int], str]
 
 
 def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:
     """A database in which people answered: all but the last, who withdraws amid the clips."""
-    store, found = Store(path, CollectSite(collection)), []
+    store, found = Store(path, collection), []
     for number in range(count):
         who = store.enter_invited(store.invite(1, "person")[0])
         someone = bot(collection.plan, Habits(mistake=0), 1, number)
@@ -206,19 +197,16 @@ def test_the_export_says_who_gave_which_labels(tmp_path: Path) -> None:
 def test_a_replay_knows_every_clip(tmp_path: Path) -> None:
     path = tmp_path / "c.sqlite"
     filled(path, COLLECTION)
-    with opened(path) as connection:
-        found = CollectSite(COLLECTION).replay(connection)
-        assert plan_of(connection, CollectPlan).hash == COLLECTION.plan.hash
-        sent = "SELECT count(*) FROM event WHERE source = 'protocol'"
-        (events,) = connection.execute(sent).fetchone()
-    assert (found.differences, found.participants, found.events) == ([], 4, events)
-    assert events > 3 * 15 + 5  # a clip each; the last one left when the sixth was on the page
+    plan, people = read(path, CollectPlan, CollectState)
+    assert plan.hash == COLLECTION.plan.hash
+    assert replayed(COLLECTION, people) == []
+    assert len(people) == 4
 
 
 def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
     path = tmp_path / "c.sqlite"
     everybody = filled(path, COLLECTION)
-    store = Store(path, CollectSite(COLLECTION))
+    store = Store(path, COLLECTION)
     states = [store.participant(who).state for who in everybody]
     assert states[0].others == {}
     assert states[1].others == shared([states[0].belief])
@@ -236,11 +224,11 @@ def test_a_studys_database_is_not_a_collections(tmp_path: Path) -> None:
     from xplain.people.export import read_plan
     from xplain.people.study.plan import StudyPlan
 
-    Store(tmp_path / "s.sqlite", StudySite(street_study())).close()
-    with pytest.raises(XplainError, match="another study plan"):
-        Store(tmp_path / "s.sqlite", CollectSite(COLLECTION))
+    Store(tmp_path / "s.sqlite", street_study()).close()
+    with pytest.raises(XplainError, match="another plan"):
+        Store(tmp_path / "s.sqlite", COLLECTION)
     with pytest.raises(InputError, match="that of a collection"):
         export(tmp_path / "s.sqlite", tmp_path / "out")
-    Store(tmp_path / "c.sqlite", CollectSite(COLLECTION)).close()
+    Store(tmp_path / "c.sqlite", COLLECTION).close()
     with pytest.raises(InputError, match="that of a study"):
         read_plan(tmp_path / "c.sqlite", StudyPlan)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan
-from tests.people.kinds import bot_of, filled, site_of
+from tests.people.kinds import bot_of, filled, flow_of
 from xplain.cli.main import main
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
@@ -29,7 +29,7 @@ from xplain.people.collect.asking import (
     shared,
 )
 from xplain.people.collect.bot import Observer, take_part
-from xplain.people.collect.listening import Asked, asked_of, listeners_in
+from xplain.people.collect.tables import Asked, asked_of, listeners_in
 from xplain.people.store import Store
 
 MESSAGES = 3
@@ -67,37 +67,19 @@ def test_what_is_told_explains_a_step_and_is_asked_about_twice_more(held: int, n
     assert all(c.labels == (1,) for c in (*told, *later, *again))  # who never misses nor forgets
 
 
-def test_without_them_all_else_is_as_it_was() -> None:
-    """The questions before them, too, and what is thought of the person."""
-    for number in range(4):
-        without, with_them = (
-            take_part(
-                collection,
-                Observer(collection.plan, 5, bot.Habits(0.1), np.random.default_rng(number)),
-                number,
-                {},
-            )
-            for collection in (street_collection(), COLLECTION)
-        )
-        assert without.answered == with_them.answered[: -3 * MESSAGES]
-        assert without.belief == with_them.belief
-        assert without.questions() == with_them.questions()
-        assert without.consistency == with_them.consistency
-
-
 def test_pages_say_how_long_a_message_holds() -> None:
-    site = site_of("collect")
-    person, state = bot_of(site, 2), CollectState()
-    words, seen = site.plan.texts.words, dict[str, set[bool]]()
+    flow = flow_of("collect")
+    person, state = bot_of(flow, 2), CollectState()
+    words, seen = flow.plan.texts.words, dict[str, set[bool]]()
     consent = {"number": 0, "role": None, "others": {}}
-    state = site.flow.after(CollectState(), **site.flow.admitted(consent))
+    state = flow.after(CollectState(), **flow.admitted(consent))
     while not state.over:
-        view = site.flow.view(state)
+        view = flow.view(state)
         if state.clip:
             seen.setdefault(state.stage, set()).add(view["lasting"])
-        kind, filled_in = site.flow.waits_for(state), person.fill(Page.of_view(view))[0]
+        kind, filled_in = flow.waits_for(state), person.fill(Page.of_view(view))[0]
         form = dict(filled_in)
-        state = site.flow.advance(state, kind, site.flow.read(state, kind, form))
+        state = flow.advance(state, kind, flow.read(state, kind, form))
     assert seen == {"clips": {False}, "listening": {True}}
     assert words["lasts"] != words["only_here"]
 
@@ -208,7 +190,7 @@ def test_the_command_learns_from_a_stream_alone(
     ]
     with pytest.raises(InputError, match="one with answers"):
         listeners_in(path, "bot")
-    Store(tmp_path / "without.sqlite", type(site_of("collect"))(street_collection())).close()
+    Store(tmp_path / "without.sqlite", type(flow_of("collect"))(street_collection())).close()
     with pytest.raises(InputError, match=r"rules\.listening.*nothing was asked again"):
         listeners_in(tmp_path / "without.sqlite")
 

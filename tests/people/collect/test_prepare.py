@@ -15,6 +15,7 @@ from xplain.cli.main import main
 from xplain.cli.people import configured
 from xplain.errors import InputError
 from xplain.experiment.config import CONF
+from xplain.explanation.message_sets import mask_of
 from xplain.people.collect.bot import Habits, crowd, truth_of
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble
@@ -50,10 +51,11 @@ def test_own_transitions_become_a_task(folder: Path) -> None:
     assert known.features is not None
     assert known.features.tolist() == [[0, 0, 1], [1, 0, 1], [0, 1, 0], [0, 0, 1]]
     assert [fact.name for fact in source.facts] == ["cable", "lift", "queue"]
-    assert [picture is not None for picture in source.pictures] == [True, False, False, False]
-    assert source.roles
-    assert all(held in known.essential for held in source.roles.values())
-    assert [picture.alt for picture in source.pictures if picture] == ["A red cable"]
+    assert [clip.picture is not None for clip in source.clips] == [True, False, False, False]
+    assert source.types
+    held = [mask_of(one.inaccurate, known.messages) for one in source.types]
+    assert all(one in known.essential for one in held)
+    assert [clip.picture.alt for clip in source.clips if clip.picture] == ["A red cable"]
     # Who holds one of its facts wrong finds a step inexplicable.
     assert known.labels[known.row(np.array(0b010)), 1] == 0
     assert known.labels[known.row(np.array(0b001)), 1] == 1
@@ -111,7 +113,7 @@ def test_a_list_tells_all_candidates_apart() -> None:
         (["points=3"], "rules.repeats=2"),
         (["transitions=nowhere.csv"], "nowhere.csv"),
         (["facts=f.csv"], "only with transitions"),
-        (["transitions=own.csv", "briefing=assigned"], "facts"),
+        (["transitions=own.csv", "briefing=assigned"], "they name no types"),
         (["database=broken.sqlite"], "not a study's database"),
         (["port=0"], "port=0"),
     ],
@@ -188,13 +190,13 @@ def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> N
     from hydra.utils import instantiate
 
     from xplain.experiment.config import composed
-    from xplain.people.collect.prepare import source_of
+    from xplain.people.collect.prepare import material_of
     from xplain.people.material import fixed
 
     cfg = composed("collect", [f"domain={domain}"])
     config: dict[str, Any] = fixed(cfg)
     rules = CollectRules(points=config["points"], **config["rules"])
-    plan = assemble(source_of(cfg), instantiate(cfg.queries), rules, config)
+    plan = assemble(material_of(cfg), instantiate(cfg.queries), rules, config)
     assert len(plan.roles) == types
     found = [rand_index(plan, 24, 0.05, seed) for seed in range(100, 105)]
     assert min(found) >= 0.9

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.people.collect.stand_in import FAULTLESS, street_collection, telling
-from tests.people.kinds import filled, site_of
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError
 from xplain.people.bots import answer
-from xplain.people.collect import flow
 from xplain.people.collect.asking import (
     ATTENTION,
     QUESTION,
@@ -25,15 +22,11 @@ from xplain.people.collect.asking import (
     CollectState,
     belief,
     schedule,
-    shared,
 )
 from xplain.people.collect.bot import Habits, Observer, take_part
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.plan import CollectPlan
-from xplain.people.collect.site import CollectSite
 from xplain.people.collect.tables import dataset_of
 from xplain.people.flow import CANNOT_TELL
-from xplain.people.store import Store
 from xplain.questions.designs import Adaptive, Battery
 
 COLLECTION = street_collection()
@@ -264,22 +257,6 @@ def test_half_of_a_prior_is_what_others_hold_wrong() -> None:
     np.testing.assert_allclose(prior, expected, atol=1e-12)
 
 
-@given(st.permutations(range(4)))
-def test_what_is_shared_is_a_mean_in_any_order(order: list[int]) -> None:
-    posteriors = [
-        {"0": 0.5, "3": 0.25, "none": 0.25},
-        {"3": 0.9, "none": 0.1},
-        {"3": 1.0, "none": 0.0},
-        {"5": 0.0001, "0": 0.9999, "none": 0.0},
-    ]
-    found = shared([posteriors[i] for i in order])
-    # By hand: 3 has 1/3, 1, 1, 0 of those that some hypothesis fits; 5 is too little to keep.
-    assert found == {"0": round((2 / 3 + 0.9999) / 4, 6), "3": round((1 / 3 + 2) / 4, 6)}
-    assert shared([]) == {}
-    # Whom no hypothesis fits says nothing, though rounding leaves a little of one.
-    assert shared([{"5": 1e-6, "none": 1.0}, {"3": 1.0, "none": 0.0}]) == {"3": 0.5}
-
-
 def test_later_people_need_fewer_questions() -> None:
     """What everybody before holds wrong is believed of the next one sooner."""
     held = 6
@@ -316,13 +293,6 @@ def test_people_as_they_are_get_no_briefing() -> None:
         assert "briefing" not in COLLECTION.view(state)
 
 
-def test_a_plan_is_what_its_text_says() -> None:
-    plan = COLLECTION.plan
-    assert CollectPlan.from_text(plan.text).text == plan.text
-    with pytest.raises(InputError, match="that of a collection"):
-        CollectPlan.from_text('{"version": 1}')
-
-
 @pytest.mark.parametrize(
     ("rules", "key"),
     [
@@ -335,13 +305,6 @@ def test_a_plan_is_what_its_text_says() -> None:
 def test_rules_that_cannot_be_are_named(rules: dict[str, Any], key: str) -> None:
     with pytest.raises(InputError, match=key):
         street_collection(**rules)
-
-
-def test_changed_code_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    filled("collect", tmp_path / "c.sqlite", people=1)
-    monkeypatch.setattr(flow, "derived_seed", lambda *names: 7)
-    with pytest.raises(XplainError, match="decides differently"):
-        Store(tmp_path / "c.sqlite", CollectSite.of(site_of("collect").plan))
 
 
 def test_who_cannot_tell_gives_no_evidence_and_is_not_asked_the_same_again() -> None:

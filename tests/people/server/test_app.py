@@ -12,7 +12,6 @@ from tests.people.visitors import Visitor, enter, field
 from xplain.people.http import GUESSES, Keys, Server
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 
 
@@ -59,7 +58,7 @@ def _only(store: Store) -> str:
 
 
 def test_requests_are_limited_by_participant_and_by_address(tmp_path: Path, study: Study) -> None:
-    store = Store(tmp_path / "s.sqlite", StudySite(study))
+    store = Store(tmp_path / "s.sqlite", study)
     slow = {
         "requests_per_second": 1e-6,
         "visitors_per_second": 1e-6,
@@ -82,7 +81,7 @@ def test_requests_are_limited_by_participant_and_by_address(tmp_path: Path, stud
 
 
 def test_wrong_keys_of_researchers_hold_nobody_back(tmp_path: Path, study: Study) -> None:
-    store = Store(tmp_path / "s.sqlite", StudySite(study))
+    store = Store(tmp_path / "s.sqlite", study)
     app = create_app(store, Server())
     guesser, researcher, newcomer = (app.test_client() for _ in range(3))
     guesses = [guesser.post("/researcher/login", data={"key": f"{n}"}) for n in range(600)]

@@ -10,21 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.people.kinds import ASKING, site_of
+from tests.people.kinds import ASKING, flow_of
 from tests.people.server.test_researcher_pages import logged_in
 from tests.people.study.stand_in import ASK, FAULTLESS, street_study
-from tests.people.visitors import GENEROUS, Visitor, pages
+from tests.people.visitors import GENEROUS, Visitor, differences, pages
 from xplain.people.bots import answer
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import StudyState
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Store]:
-    opened = Store(tmp_path / "s.sqlite", site_of(ASKING))
+    opened = Store(tmp_path / "s.sqlite", flow_of(ASKING))
     yield opened
     opened.close()
 
@@ -33,7 +32,7 @@ def test_a_question_comes_with_the_messages_and_moves_no_progress(store: Store) 
     app, seen = create_app(store, GENEROUS), 0
     for number, token in enumerate(store.invite(6, "bot")):
         person, told, part = (
-            StudyBot(store.site.plan, FAULTLESS, np.random.default_rng(number)),
+            StudyBot(store.flow.plan, FAULTLESS, np.random.default_rng(number)),
             set[str](),
             set[str](),
         )
@@ -56,7 +55,7 @@ def test_a_question_comes_with_the_messages_and_moves_no_progress(store: Store) 
 
 def test_researchers_see_who_is_asked_where_they_are(store: Store) -> None:
     app, (token,) = create_app(store, GENEROUS), store.invite(1, "person")
-    person = StudyBot(store.site.plan, FAULTLESS, np.random.default_rng(0))
+    person = StudyBot(store.flow.plan, FAULTLESS, np.random.default_rng(0))
     for _, page in pages(Visitor(app.test_client()), person, token):
         if page.stage == "asking":
             break
@@ -72,7 +71,7 @@ def test_an_answer_counts_once(store: Store) -> None:
     """Sent twice, from a second tab, or of a question that is over."""
     app, (token,) = create_app(store, GENEROUS), store.invite(1, "person")
     visitor = Visitor(app.test_client())
-    person = StudyBot(store.site.plan, FAULTLESS, np.random.default_rng(0))
+    person = StudyBot(store.flow.plan, FAULTLESS, np.random.default_rng(0))
     for _, page in pages(visitor, person, token):
         if page.stage == "asking":
             break
@@ -86,28 +85,28 @@ def test_an_answer_counts_once(store: Store) -> None:
     assert store.query("SELECT payload FROM event WHERE kind = 'clip'") == [
         {"payload": '{"label": 0}'}
     ]
-    assert store.site.replay(store._connection).differences == []
+    assert differences(store) == []
 
 
 def test_a_start_says_what_questions_are_worth() -> None:
     """By what people who never err cost in the bare flow."""
-    site = StudySite(street_study(ask=ASK))
-    plan, costs = site.plan, dict[str, list[float]]()
+    flow = street_study(ask=ASK)
+    plan, costs = flow.plan, dict[str, list[float]]()
     questions = 0
     for condition, user_type in product(plan.conditions, range(3)):
         person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
         person.user_type = user_type
         start = StudyState(stage="eligibility", user_type=user_type, condition=condition)
-        state, wrong = site.flow.after(start), 0
+        state, wrong = flow.after(start), 0
         while state.stage in ("asking", "evaluation"):
-            kind, payload = answer(site.flow, person, state)
+            kind, payload = answer(flow, person, state)
             wrong += payload.get("labels", []).count(0)
-            state = site.flow.advance(state, kind, payload)
+            state = flow.advance(state, kind, payload)
         questions += len(state.asked)
         paid = len(state.heard) + wrong + 0.1 * len(state.asked)
         costs.setdefault(condition, []).append(paid)
-    said = site.announcement()
+    said = flow.announcement()
     for condition, paid in costs.items():
         assert f"{np.mean(paid):.2f} {condition}" in said
     assert f"({questions / 3:.1f} questions)" in said
-    assert site_of("study").announcement() == ""
+    assert flow_of("study").announcement() == ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import gc
 import io
-import re
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -16,13 +15,12 @@ import pytest
 
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan, telling
 from tests.people.study.stand_in import PLACES
-from tests.people.visitors import GENEROUS, Visitor, enter, field
+from tests.people.visitors import GENEROUS, Visitor, differences, enter, field
 from xplain.people.bots import Page
-from xplain.people.collect.asking import CollectState, belief, schedule
+from xplain.people.collect.asking import CollectState, belief
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.site import CollectSite
-from xplain.people.collect.tables import KnownSoFar
+from xplain.people.collect.tables import KnownSoFar, glance
 from xplain.people.http import Keys
 from xplain.people.plan import Picture
 from xplain.people.store import Store
@@ -38,7 +36,7 @@ def collection() -> Collection:
 
 @pytest.fixture
 def store(tmp_path: Path, collection: Collection) -> Iterator[Store]:
-    opened = Store(tmp_path / "c.sqlite", CollectSite(collection))
+    opened = Store(tmp_path / "c.sqlite", collection)
     yield opened
     opened.close()
 
@@ -47,7 +45,7 @@ def walk(
     visitor: Visitor, store: Store, number: int = 0, **habits: Any
 ) -> Iterator[tuple[str, Page]]:
     """Every page of one observer's way, before it is answered."""
-    person = bot(store.site.plan, replace(FAULTLESS, **habits), 0, number)
+    person = bot(store.flow.plan, replace(FAULTLESS, **habits), 0, number)
     html = enter(visitor, store.invite(1, "person")[0])
     while True:
         page = Page.of_html(html)
@@ -60,21 +58,21 @@ def walk(
 
 
 def agrees(store: Store, collection: Collection) -> None:
-    assert CollectSite(collection).replay(store._connection).differences == []
+    assert differences(store) == []
 
 
 def test_of_the_erased_nothing_stays_in_memory(
     store: Store, browser: Callable[[], Visitor]
 ) -> None:
-    store.site.forget()  # of people of other tests, who may have answered the same
+    store.flow.forget()  # of people of other tests, who may have answered the same
     gc.collect()
     earlier = [one for one in gc.get_objects() if isinstance(one, (Questionnaire, KnownSoFar))]
     known = {id(one) for one in earlier}
     for number in range(2):
         list(walk(browser(), store, number))
-    store.site.glance(store.query)
+    glance(store.flow, store.people())
     gone, kept = store.query("SELECT id, state FROM seen ORDER BY number")
-    state = store.site.state(gone["state"])
+    state = store.flow.STATE.from_text(gone["state"])
     beliefs = {f: p for f, p in state.belief.items() if f != "none"}
     del state
 
@@ -93,18 +91,18 @@ def test_of_the_erased_nothing_stays_in_memory(
     assert remembered() == {"state", "questionnaire", "types"}
     store.erase(store.reference(gone["id"]))
     assert remembered() == set()
-    assert store.site.state(kept["state"]).text == kept["state"]
+    assert store.flow.STATE.from_text(kept["state"]).text == kept["state"]
 
 
 def test_a_clip_shows_just_what_is_told_there(tmp_path: Path) -> None:
     collection = telling()
     plan, told = collection.plan, set()
-    store = Store(tmp_path / "t.sqlite", CollectSite(collection))
+    store = Store(tmp_path / "t.sqlite", collection)
     for html, page in walk(Visitor(create_app(store, GENEROUS).test_client()), store, 1):
         if page.stage != "clips":
             continue
         (row,) = store.query("SELECT state FROM seen")
-        clip = store.site.state(row["state"]).clip
+        clip = store.flow.STATE.from_text(row["state"]).clip
         known = {fact.message: 1 << j for j, fact in enumerate(plan.facts)}
         assert sum(known[sentence] for sentence in page.messages) == clip.told
         assert list(page.steps) == list(clip.transitions)
@@ -158,7 +156,7 @@ def test_the_researcher_sees_labels_types_and_what_more_people_bring(
         assert {"study/labels.csv", "study/observers.csv"} <= set(archive.namelist())
         assert {"study/clips.parquet", "study/events.csv"} <= set(archive.namelist())
         said = sentences_of(archive.extract("study/sentences.yaml", store.path.parent), PLACES)
-    assert said == {fact.name: fact.message for fact in store.site.plan.facts}
+    assert said == {fact.name: fact.message for fact in store.flow.plan.facts}
     _, html = researcher.post(
         "/researcher/invitations",
         [("token", field(html, "token")), ("count", "3"), ("stream", "pilot")],
@@ -166,40 +164,9 @@ def test_the_researcher_sees_labels_types_and_what_more_people_bring(
     assert html.count("?invitation=") == 3
 
 
-def test_the_researcher_s_page_shows_what_there_is_and_how_it_grew(
-    store: Store, browser: Callable[[], Visitor]
-) -> None:
-    researcher = browser()
-    html = researcher.post("/researcher/login", [("key", Keys(store.secret).researcher)])[1]
-    assert "Nobody yet" in html
-    assert "Who is where" not in html  # no table without rows
-    assert "Answers over time" not in html
-    fields = [("token", field(html, "token"))]
-    assert researcher.post("/researcher/preview", [*fields, ("cell", "1")])[0] == 400
-    status, page = researcher.post("/researcher/preview", [*fields, ("cell", "0")])
-    assert (status, Page.of_html(page).stage, "Test run" in page) == (200, "consent", True)
-    list(walk(browser(), store))
-    clips = len(schedule(store.site.plan, 2))
-    html = researcher.get("/researcher")[1]
-    assert f'aria-label="{clips} answers from' in html
-    assert re.search(r"<meter [^>]*value=\"1\"[^>]*></meter> 1</td>", html)
-
-
-def test_a_line_of_labels_rises_to_all_of_them(store: Store) -> None:
-    app = create_app(store, GENEROUS)
-    svg = app.jinja_env.get_template("chart.svg").render(times=[0.0, 60.0, 3600.0])
-    (line,) = re.findall(r'points="([^"]*)"', svg)
-    corners = [tuple(map(float, corner.split(","))) for corner in line.split()]
-    assert corners[0][0] == 0
-    assert corners[-1] == (640, 0)
-    assert [y for _, y in corners] == sorted((y for _, y in corners), reverse=True)
-    assert "01 Jan 00:00" in svg
-    assert "01 Jan 01:00" in svg
-
-
 def test_assigned_briefings_are_balanced_and_shown_again(tmp_path: Path) -> None:
     collection = street_collection(briefing="assigned")
-    store = Store(tmp_path / "a.sqlite", CollectSite(collection))
+    store = Store(tmp_path / "a.sqlite", collection)
     app = create_app(store, GENEROUS)
     for number in range(6):
         for _, page in walk(Visitor(app.test_client()), store, number):
@@ -211,7 +178,7 @@ def test_assigned_briefings_are_balanced_and_shown_again(tmp_path: Path) -> None
     # Each answered as the briefing says, whoever they were before.
     rows = store.query("SELECT state FROM seen")
     for row in rows:
-        state = store.site.state(row["state"])
+        state = store.flow.STATE.from_text(row["state"])
         held = collection.plan.roles[state.role].held
         assert sum(1 << j for j, one in enumerate(state.stated) if one == 1) == held
     agrees(store, collection)
@@ -222,8 +189,8 @@ def test_images_of_own_transitions_are_served(tmp_path: Path) -> None:
     content = b"\x89PNG picture"
     plan = street_plan()
     picture = Picture("image/png", base64.b64encode(content).decode())
-    plan = replace(plan, pictures=(picture, *[None] * (plan.hypotheses.n_transitions - 1)))
-    store = Store(tmp_path / "p.sqlite", CollectSite(Collection(plan)))
+    plan = replace(plan, shown=(replace(plan.shown[0], picture=picture), *plan.shown[1:]))
+    store = Store(tmp_path / "p.sqlite", Collection(plan))
     client = create_app(store, GENEROUS).test_client()
     enter(Visitor(client), store.invite(1, "person")[0])
     reply = client.get("/picture/0")

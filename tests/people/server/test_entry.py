@@ -23,7 +23,7 @@ from xplain.people.export import copied, write_identifiers
 from xplain.people.http import Server
 from xplain.people.plan import typed
 from xplain.people.store import Store
-from xplain.people.study.site import StudySite
+from xplain.people.study.tables import export
 from xplain.people.web import create_app
 
 SECRET = "s" * 40
@@ -33,7 +33,7 @@ ADDRESS = "https://lab.example.org/robots"
 
 @pytest.fixture
 def store(tmp_path: Path) -> Any:
-    opened = Store(tmp_path / "s.sqlite", StudySite(street_study()))
+    opened = Store(tmp_path / "s.sqlite", street_study())
     yield opened
     opened.close()
 
@@ -155,7 +155,7 @@ def test_nothing_in_the_data_says_who_is_who_but_a_file_apart(store: Store, tmp_
     who = store.enter_from_platform(IDS, keep=True)
     (row,) = store.query("SELECT code FROM participant")
     store.snapshot(tmp_path / "copy.sqlite")
-    store.site.export(tmp_path / "copy.sqlite", tmp_path / "data")
+    export(tmp_path / "copy.sqlite", tmp_path / "data")
     for file in (tmp_path / "data").glob("*.csv"):
         assert row["code"] not in file.read_text()
         assert "ann" not in file.read_text().replace("cannot", "")
@@ -170,7 +170,7 @@ def test_a_backup_is_made_while_the_server_runs(store: Store, tmp_path: Path) ->
     copied(store.path, tmp_path / "backup.sqlite")
     with pytest.raises(InputError, match="a new file"):
         copied(store.path, tmp_path / "backup.sqlite")
-    restored = Store(tmp_path / "backup.sqlite", store.site)
+    restored = Store(tmp_path / "backup.sqlite", store.flow)
     assert restored.enter_invited(token) == who  # by the key, which came along
     restored.close()
 
@@ -179,7 +179,7 @@ def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(tmp_path: 
     study = street_study()
     texts = replace(study.plan.texts, consent=("Responsible: [EDIT: your institution].",))
     unedited = replace(study, plan=replace(study.plan, texts=texts))
-    store = Store(tmp_path / "s.sqlite", StudySite(unedited))
+    store = Store(tmp_path / "s.sqlite", unedited)
     for server, host, status in (
         (GENEROUS, "https://lab.example.org", 403),
         (GENEROUS, "http://localhost", 303),

@@ -14,14 +14,13 @@ from urllib.parse import quote, urlencode
 import numpy as np
 import pytest
 
-from tests.people.kinds import bot_of, site_of
+from tests.people.kinds import bot_of, flow_of
 from tests.people.server_process import ServerProcess
-from tests.people.visitors import GENEROUS, Visitor, consent, pages
+from tests.people.visitors import GENEROUS, Visitor, consent, differences, pages
 from xplain.people.bots import Researcher
 from xplain.people.http import Keys
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 
 Send = Callable[[str, str, dict[str, str], bytes], int]
@@ -163,7 +162,7 @@ def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
     for number in range(20):
         (invitation,) = store.invite(1, "bot")
         visitor = Visitor(app.test_client())
-        way = pages(visitor, bot_of(store.site, number), invitation)
+        way = pages(visitor, bot_of(store.flow, number), invitation)
         for index, (_, page) in enumerate(way):
             if index >= number // 2 or not page.hidden:
                 break
@@ -188,7 +187,7 @@ def unharmed(store: Store, who: list[str], before: dict[str, Any]) -> None:
     """Nobody else's data has changed, the file is sound, and every answer was a legal one."""
     assert records(store, who) == before
     assert store.query("PRAGMA integrity_check") == [{"integrity_check": "ok"}]
-    assert store.site.replay(store._connection).differences == []
+    assert differences(store) == []
 
 
 @pytest.mark.parametrize(
@@ -196,7 +195,7 @@ def unharmed(store: Store, who: list[str], before: dict[str, Any]) -> None:
     [("study", 1000), ("collect", 500), pytest.param("collect", 10_000, marks=pytest.mark.slow)],
 )
 def test_hostile_requests_harm_nothing(tmp_path: Path, kind: str, count: int) -> None:
-    store = Store(tmp_path / "s.sqlite", site_of(kind))
+    store = Store(tmp_path / "s.sqlite", flow_of(kind))
     cookies, others = prey(store)
     before = records(store, others)
     app = create_app(store, GENEROUS)
@@ -219,7 +218,7 @@ def test_ten_thousand_hostile_requests_to_the_real_server(
     tmp_path: Path, study: Study, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "s.sqlite"
-    store = Store(path, StudySite(study))
+    store = Store(path, study)
     cookies, others = prey(store)
     before, mark = records(store, others), Keys(store.secret).mark
     store.close()
@@ -252,7 +251,7 @@ def test_ten_thousand_hostile_requests_to_the_real_server(
     with capsys.disabled():
         print(f"\n{dict(sorted(statuses.items()))}")
     assert statuses[499] < 300
-    store = Store(path, StudySite(study))
+    store = Store(path, study)
     unharmed(store, others, before)
     consent(store, store.enter_invited(store.invite(1, "person")[0]))
     store.close()

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from flask import Flask
 
-from tests.people.kinds import KINDS, bot_of, site_of
+from tests.people.kinds import KINDS, bot_of, flow_of
 from tests.people.study.stand_in import SCREENS
-from tests.people.visitors import GENEROUS, Visitor, enter, pages
+from tests.people.visitors import GENEROUS, Visitor, differences, enter, pages
 from xplain.people.bots import Page
 from xplain.people.store import Store
 from xplain.people.web import create_app
@@ -26,7 +26,7 @@ AFTER = {"study": ("quiz", "questions", "done"), "collect": ("beliefs", "questio
 @pytest.fixture(params=KINDS)
 def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
     """Of one of the flows."""
-    opened = Store(tmp_path / f"{request.param}.sqlite", site_of(request.param))
+    opened = Store(tmp_path / f"{request.param}.sqlite", flow_of(request.param))
     yield opened
     opened.close()
 
@@ -38,21 +38,21 @@ def app(store: Store) -> Flask:
 
 def test_the_way_from_entrance_to_code(store: Store, app: Flask) -> None:
     kind, (token,) = store.path.stem, store.invite(1, "person")
-    seen = list(pages(Visitor(app.test_client()), bot_of(store.site, 0), token))
+    seen = list(pages(Visitor(app.test_client()), bot_of(store.flow, 0), token))
     stages = [page.stage for _, page in seen]
     assert stages == [*BEFORE[kind], *STEPS[kind], *AFTER[kind]]
     last = seen[-1][0]
     assert store.participant(store.enter_invited(token)).row["code"] in last
-    for paragraph in store.site.plan.texts.debriefing:
+    for paragraph in store.flow.plan.texts.debriefing:
         assert paragraph.split("'")[0] in last  # debriefed
-    assert store.site.replay(store._connection).differences == []
+    assert differences(store) == []
 
 
 def test_reload_back_second_tab_and_double_click_change_nothing(store: Store, app: Flask) -> None:
     (token,) = store.invite(1, "person")
     one, two, old = Visitor(app.test_client()), Visitor(app.test_client()), []
     stages = []
-    for _, page in pages(one, bot_of(store.site, 0), token):
+    for _, page in pages(one, bot_of(store.flow, 0), token):
         stages.append(page.stage)
         again = Page.of_html(one.get("/study")[1])  # reload
         assert (again.stage, again.steps) == (page.stage, page.steps)
@@ -66,6 +66,6 @@ def test_reload_back_second_tab_and_double_click_change_nothing(store: Store, ap
             other = [(name, choices[-1][0]) for name, choices in page.fields.items()]
             old.append([*page.hidden.items(), *other])
     kinds = [e["kind"] for e in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
-    waits = {one.name: one.kind for one in store.site.flow.STAGES}
+    waits = {one.name: one.kind for one in store.flow.STAGES}
     assert kinds == [waits[stage] for stage in stages[:-1]]
-    assert store.site.replay(store._connection).differences == []
+    assert differences(store) == []

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.people.kinds import site_of
+from tests.people.kinds import flow_of
 from tests.people.study.stand_in import street_study
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.errors import InputError
@@ -18,7 +18,6 @@ from xplain.people.export import defused
 from xplain.people.http import Server
 from xplain.people.plan import LabQuestion, lab_questions, typed
 from xplain.people.store import Store
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 
 ASKED = (
@@ -29,7 +28,7 @@ ASKED = (
 
 
 def test_a_refused_form_keeps_what_was_filled_in(tmp_path: Path) -> None:
-    store = Store(tmp_path / "s.sqlite", StudySite(street_study(before=ASKED, questions=[])))
+    store = Store(tmp_path / "s.sqlite", street_study(before=ASKED, questions=[]))
     app = create_app(store, GENEROUS)
     visitor = Visitor(app.test_client())
     page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
@@ -77,7 +76,7 @@ def test_names_are_unique_over_all_pages() -> None:
 def test_whole_numbers_are_read_as_browsers_let_them_pass(given: str, stored: str) -> None:
     cold = LabQuestion("cold", "How cold?", "number", low=-50, high=50)
     assert cold.read(given) == stored
-    assert cold.problem(stored, site_of("study").flow.words) == ""
+    assert cold.problem(stored, flow_of("study").words) == ""
 
 
 @given(st.text(max_size=40))
@@ -85,12 +84,12 @@ def test_what_a_browser_lets_one_type_is_accepted(text: str) -> None:
     """``maxlength`` counts UTF-16 units, and a line end as one; a form sends line ends as two."""
     asked = LabQuestion("story", "Story", max_length=max(len(text.encode("utf-16-le")) // 2, 1))
     sent = text.replace("\r\n", "\n").replace("\n", "\r\n")
-    assert asked.problem(asked.read(sent), site_of("study").flow.words) == ""
+    assert asked.problem(asked.read(sent), flow_of("study").words) == ""
 
 
 def test_the_longest_answers_of_a_page_fit_into_a_request(tmp_path: Path) -> None:
     essay = {"name": "essay", "label": "Write", "max_length": 8000, "required": True}
-    store = Store(tmp_path / "s.sqlite", StudySite(street_study(before=[essay])))
+    store = Store(tmp_path / "s.sqlite", street_study(before=[essay]))
     visitor = Visitor(create_app(store, GENEROUS).test_client())
     page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
     shown = Page.of_html(visitor.post("/study", [*page.hidden.items(), ("agree", "1")])[1])

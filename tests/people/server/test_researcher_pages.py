@@ -70,10 +70,10 @@ def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
 ) -> None:
     state = consent(store, store.enter_invited(store.invite(1, "person")[0]))
     logged_in(client, store)
-    names = [role.name for role in store.site.plan.roles]
+    names = [role.name for role in store.flow.plan.roles]
     hidden = {"Type": names[state.user_type], "Condition": state.condition}
-    assert store.site.about(state, blinded=False) == store.site.about(state, True) | hidden
-    assert hidden.keys().isdisjoint(store.site.about(state, blinded=True))
+    assert store.flow.about(state, blinded=False) == store.flow.about(state, True) | hidden
+    assert hidden.keys().isdisjoint(store.flow.about(state, blinded=True))
     cell = re.compile(rf"<td>({'|'.join([*names, 'personalized', 'conformant'])})</td>")
     assert cell.search(client.get("/researcher").text)
     blind = create_app(store, replace(GENEROUS, blinded=True)).test_client()
@@ -90,9 +90,9 @@ def test_places_are_counted_by_type_and_condition_or_by_stream_alone(
     visit(browser(), person(), done)
     for token in (under_way, also):
         consent(store, store.enter_invited(token))
-    held = store.site.holders(store.query("SELECT stream, state FROM seen"))
-    rules, cells = store.site.plan.rules, store.site.plan.cells
-    names = [role.name for role in store.site.plan.roles]
+    held = store.flow.holders(store.people())
+    rules, cells = store.flow.plan.rules, store.flow.plan.cells
+    names = [role.name for role in store.flow.plan.roles]
     for blinded in (False, True):
         client = create_app(store, replace(GENEROUS, blinded=blinded)).test_client()
         logged_in(client, store)
@@ -157,7 +157,7 @@ def test_links_come_from_the_configured_address_not_from_the_request(store: Stor
 
 
 def test_any_type_and_condition_can_be_looked_at(store: Store, app: Flask) -> None:
-    plan = store.site.plan
+    plan = store.flow.plan
     for cell, (user_type, condition) in enumerate(plan.cells):
         client = app.test_client()
         token = logged_in(client, store)
@@ -169,7 +169,7 @@ def test_any_type_and_condition_can_be_looked_at(store: Store, app: Flask) -> No
         assert store.participant(who).row["stream"] == "pilot"
         bad = client.post("/researcher/preview", data={"token": token, "cell": "99"})
         assert bad.status_code == 400
-    assert store.site.holders(store.query("SELECT stream, state FROM seen")) == {}
+    assert store.flow.holders(store.people()) == {}
 
 
 def test_a_pause_lets_nobody_new_in_and_whoever_has_begun_go_on(

@@ -57,15 +57,6 @@ def test_what_is_signed_is_good_for_one_purpose_one_owner_and_one_server() -> No
     assert "kkkk" not in repr(keys)
 
 
-def test_after_a_long_silence_no_more_than_the_burst_is_allowed() -> None:
-    now = [0.0]
-    limit = RateLimit(5.0, 40.0, lambda: now[0])
-    for silence in (0.0, 1.0, 3600.0, 1e6):
-        now[0] += silence
-        allowed = sum(limit.allows("a") for _ in range(200))
-        assert allowed == (min(40, 5 * silence) if silence else 40)
-
-
 @pytest.mark.parametrize(("sent", "left"), [(0, 0), (3, 0), (16, 0), (20, 4)])
 def test_a_body_is_read_to_its_end_where_it_is_not_too_large(sent: int, left: int) -> None:
     """In bodies of the largest size that a page may send."""

@@ -17,18 +17,16 @@ from filelock import FileLock
 
 from tests.people.server.test_fuzz import records
 from tests.people.study.stand_in import FAULTLESS, street_plan, street_study
-from tests.people.visitors import GENEROUS, Visitor, consent
+from tests.people.visitors import GENEROUS, Visitor, consent, differences, logged
 from xplain.errors import InputError, Refused, XplainError
 from xplain.people.bots import visit
 from xplain.people.export import read_plan
-from xplain.people.flow import Conflict
-from xplain.people.http import Context, Keys, Server
-from xplain.people.site import Full
-from xplain.people.store import MAX_TAB_EVENTS, Clock, Database, Gone, Store, Unknown
+from xplain.people.flow import Conflict, Full
+from xplain.people.http import Context, Server
+from xplain.people.store import MAX_TAB_EVENTS, Clock, Gone, Store, Unknown
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 
 
@@ -49,14 +47,14 @@ def time() -> Time:
 
 def places(store: Store, own: str = "person") -> dict[int, str]:
     """Who holds or has used up which place of a stream."""
-    rows = store.query("SELECT id, stream, state FROM seen WHERE stream = ?", (own,))
-    return {position: row["id"] for row in rows for _, position in store.site.holders([row])}
+    people = store.people("stream = ?", own)
+    return {one.state.place: one.id for one in people if one.state.place is not None}
 
 
 @pytest.fixture
 def store(tmp_path: Path, study: Study, time: Time) -> Iterator[Store]:
     """One whose time is told."""
-    opened = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+    opened = Store(tmp_path / "s.sqlite", study, time.clock())
     yield opened
     opened.close()
 
@@ -144,7 +142,7 @@ def test_a_refusal_leaves_the_database_as_it_was(
 ) -> None:
     time = Time()
     path = tmp_path / "s.sqlite"
-    store = Store(path, StudySite(study), time.clock())
+    store = Store(path, study, time.clock())
     silent, who = (store.enter_invited(token) for token in store.invite(2, "person"))
     consent(store, silent)
     consent(store, store.enter_from_platform(ids_of("P", "S", "X"), keep=True))
@@ -154,25 +152,14 @@ def test_a_refusal_leaves_the_database_as_it_was(
         refused(store, who)
     assert whole(store) == before
     store.close()
-    store = Store(path, StudySite(study), time.clock())  # nor did anything reach the disk
+    store = Store(path, study, time.clock())  # nor did anything reach the disk
     assert whole(store) == before
     store.close()
 
 
-def test_who_finds_no_place_leaves_the_database_as_it_was(store: Store) -> None:
-    places = len(store.site.plan.cells) * store.site.plan.rules.per_cell
-    everybody = [store.enter_invited(token) for token in store.invite(places + 1, "person")]
-    for who in everybody[:-1]:
-        consent(store, who)
-    before = whole(store)
-    with pytest.raises(Full):
-        consent(store, everybody[-1])
-    assert whole(store) == before
-
-
 def test_everybody_gets_an_order_of_questions_of_their_own(tmp_path: Path, study: Study) -> None:
     def orders(name: str) -> list[dict[str, tuple[int, ...]]]:
-        store = Store(tmp_path / name, StudySite(study))
+        store = Store(tmp_path / name, study)
         found = []
         for token in store.invite(10, "person"):
             state = consent(store, store.enter_invited(token))
@@ -204,22 +191,10 @@ def test_the_same_answer_from_many_threads_counts_once(store: Store) -> None:
 def test_places_are_blocks_with_every_cell_once(store: Store, study: Study) -> None:
     size = len(study.plan.cells)
     most = size * study.plan.rules.per_cell
-    cells = [store.site.cell("person", position) for position in range(most)]
+    cells = [store.flow.cell("person", position) for position in range(most)]
     for block in range(study.plan.rules.per_cell):
         assert sorted(cells[block * size : (block + 1) * size]) == sorted(study.plan.cells)
     assert cells[:size] != cells[size : 2 * size]  # an order drawn for each block
-
-
-def test_the_log_says_which_place_somebody_got(store: Store) -> None:
-    for token in store.invite(3, "person"):
-        who = store.enter_invited(token)
-        consent(store, who)
-        (event,) = store.query(
-            "SELECT payload FROM event WHERE participant = ? AND kind = 'consent'", (who,)
-        )
-        said = json.loads(event["payload"])
-        assert places(store)[said["position"]] == who
-        assert (said["user_type"], said["condition"]) == store.site.cell("person", said["position"])
 
 
 def test_only_completion_uses_a_place_up(store: Store, time: Time, study: Study) -> None:
@@ -250,7 +225,7 @@ def test_who_sets_the_clock_times_nobody_out(tmp_path: Path, study: Study) -> No
     """Within a boot of the machine the monotonic clock counts, and the wall clock after one."""
     wall, monotonic, path = [1e9], [50.0], tmp_path / "s.sqlite"
     clock = Clock(lambda: wall[0], lambda: monotonic[0], "boot")
-    store = Store(path, StudySite(study), clock)
+    store = Store(path, study, clock)
     who = store.enter_invited(store.invite(1, "person")[0])
     consent(store, who)
     for jump in (1e6, -2e6):
@@ -261,7 +236,7 @@ def test_who_sets_the_clock_times_nobody_out(tmp_path: Path, study: Study) -> No
     store.submit(who, 1, "return", {})
     store.close()
     monotonic[0] = 2.0
-    store = Store(path, StudySite(study), replace(clock, boot="another"))
+    store = Store(path, study, replace(clock, boot="another"))
     wall[0] += 1799
     assert store.time_out_stale() == 0
     wall[0] += 600
@@ -274,7 +249,7 @@ def test_cells_are_balanced_in_spite_of_drop_outs(tmp_path: Path) -> None:
         rules={"per_cell": 4, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
     )
     time = Time()
-    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+    store = Store(tmp_path / "s.sqlite", study, time.clock())
     app = create_app(store, GENEROUS)
     stages: Counter[str] = Counter()
     for number in range(400):
@@ -301,7 +276,7 @@ def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
     consent(store, store.enter_open())
     assert places(store) == {}
     assert [*places(store, "bot")] == [*range(40)]
-    cells = Counter(store.site.cell("bot", position) for position in range(40))
+    cells = Counter(store.flow.cell("bot", position) for position in range(40))
     assert max(cells.values()) - min(cells.values()) <= 1
 
 
@@ -355,7 +330,7 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
         before.condition,
     )
     (position,) = [position for position, who in places(store).items() if who == away]
-    assert store.site.cell("person", position) == (state.user_type, state.condition)
+    assert store.flow.cell("person", position) == (state.user_type, state.condition)
     # The log says which place they hold now.
     said = "SELECT payload FROM event WHERE participant = ? AND kind = 'return'"
     returned = [json.loads(row["payload"]) for row in store.query(said, (away,))]
@@ -368,7 +343,7 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     consent(store, other)  # takes the only place, which was theirs
     with pytest.raises(Full):
         store.submit(away, 2, "return", {})
-    assert StudySite(study).replay(store._connection).differences == []
+    assert differences(store) == []
 
 
 def states_in_memory() -> set[str]:
@@ -378,7 +353,7 @@ def states_in_memory() -> set[str]:
 
 def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, study: Study) -> None:
     path = tmp_path / "s.sqlite"
-    store = Store(path, StudySite(study))
+    store = Store(path, study)
     app = create_app(store, GENEROUS)
     someone = [StudyBot(study.plan, FAULTLESS, np.random.default_rng(n)) for n in range(2)]
     for person, token in zip(someone, store.invite(2, "person"), strict=True):
@@ -386,7 +361,7 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     (gone, said), (kept, _) = (
         tuple(row.values()) for row in store.query("SELECT id, state FROM seen ORDER BY number")
     )
-    store.site.state(said)
+    store.flow.STATE.from_text(said)
     assert said in states_in_memory()
     store.from_tab(gone, "a" * 16, [(0, "visible", 1.0, {"what": "whatnobodyelsesaid"})])
     (place,) = [position for position, who in places(store).items() if who == gone]
@@ -403,27 +378,12 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     states = store.query("SELECT state FROM event WHERE participant = ? AND state > ''", (gone,))
     assert states == [{"state": '{"stage": "erased"}'}]
     assert place not in places(store)
-    found = StudySite(study).replay(store._connection)
-    assert (found.differences, found.participants) == ([], 1)
+    assert differences(store) == [] != logged(store)
     with pytest.raises(InputError, match="reference"):
         store.erase(store.reference(gone))
     store.close()
     content = b"".join(file.read_bytes() for file in tmp_path.glob("s.sqlite*"))
     assert b"whatnobodyelsesaid" not in content
-
-
-def test_each_is_erased_alone_and_afterwards_nothing_can_be_changed(
-    tmp_path: Path, study: Study
-) -> None:
-    store = Store(tmp_path / "s.sqlite", StudySite(study))
-    people = [store.enter_invited(token) for token in store.invite(3, "person")]
-    for who in people[:2]:
-        store.erase(store.reference(who))
-        with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
-            do("UPDATE event SET kind = 'other' WHERE participant = ?", (who,))
-    erased = store.query("SELECT id FROM participant WHERE erased ORDER BY number")
-    assert [row["id"] for row in erased] == people[:2]
-    store.close()
 
 
 @pytest.mark.parametrize("beyond", [False, True])
@@ -495,21 +455,21 @@ def test_a_database_has_one_process_and_one_plan(
     tmp_path: Path, study: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "s.sqlite"
-    store = Store(path, StudySite(study))
+    store = Store(path, study)
     acquire = FileLock.acquire
     with monkeypatch.context() as patch:
         patch.setattr(FileLock, "acquire", lambda lock, timeout: acquire(lock, timeout=0.1))
         with pytest.raises(XplainError, match="another process"):
-            Store(path, StudySite(study))
+            Store(path, study)
     assert path.stat().st_mode & 0o077 == 0
     assert path.with_name("s.sqlite.key").stat().st_mode & 0o077 == 0
     stored = read_plan(path, StudyPlan)
     assert stored is not None
     assert stored.hash == study.plan.hash
     store.close()
-    with pytest.raises(XplainError, match="another study plan"):
-        Store(path, StudySite(street_study(seed=4)))
-    Store(path, StudySite(study)).close()
+    with pytest.raises(XplainError, match="another plan"):
+        Store(path, street_study(seed=4))
+    Store(path, study).close()
     assert street_plan(seed=4).hash != study.plan.hash
 
 
@@ -519,49 +479,11 @@ def test_a_damaged_or_foreign_file_is_named(tmp_path: Path, study: Study) -> Non
     with pytest.raises(XplainError, match=r"s\.sqlite"):
         read_plan(path, StudyPlan)
     with pytest.raises(XplainError, match=r"s\.sqlite") as error:
-        Store(path, StudySite(study))
+        Store(path, study)
     # Once it is mended it can be used, though whoever keeps the error keeps what was open.
     path.unlink()
-    Store(path, StudySite(study)).close()
+    Store(path, study).close()
     assert "cannot be used" in str(error.value)
-
-
-def test_a_database_that_is_refused_is_let_go(
-    tmp_path: Path, study: Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, refused = tmp_path / "s.sqlite", []
-    with monkeypatch.context() as patched:
-        patched.setattr(Database, "_check", lambda self: refused.append(self) or 1 / 0)
-        with pytest.raises(ZeroDivisionError) as error:
-            Store(path, StudySite(study))
-    Store(path, StudySite(study)).close()
-    assert error.value is not None  # nor did it go with the error
-    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
-        refused[0].query("SELECT 1")
-
-
-def test_state_survives_a_restart(tmp_path: Path, study: Study) -> None:
-    store = Store(tmp_path / "s.sqlite", StudySite(study))
-    (token,) = store.invite(1, "person")
-    who = store.enter_invited(token)
-    state = consent(store, who)
-    cookie = Keys(store.secret).cookie(who)
-    store.close()
-    store = Store(tmp_path / "s.sqlite", StudySite(study))
-    assert store.participant(who).state == state
-    assert Keys(store.secret).cookie(who) == cookie  # cookies stay valid
-    assert store.enter_invited(token) == who
-    store.close()
-
-
-def test_previews_show_the_cell_that_was_chosen_and_take_no_place(
-    store: Store, study: Study
-) -> None:
-    cells = study.plan.cells
-    for chosen in (len(cells) - 1, 0, 0, 2):
-        state = consent(store, store.enter_preview(chosen))
-        assert (state.user_type, state.condition) == cells[chosen]
-    assert places(store, "pilot") == {}
 
 
 def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time: Time) -> None:
@@ -572,7 +494,7 @@ def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time
     assert store.submit(who, 1, "read", {}).accepted == 2
     kinds = [event["kind"] for event in store.log(who)]
     assert kinds[-3:] == ["time_out", "return", "read"]
-    assert store.site.replay(store._connection).differences == []
+    assert differences(store) == []
 
 
 def test_an_acknowledged_answer_is_the_one_that_is_kept(store: Store) -> None:
@@ -635,10 +557,10 @@ def test_who_comes_back_finds_the_place_of_somebody_who_is_silent_now(
 def test_a_database_whose_key_is_lost_is_refused(tmp_path: Path, study: Study) -> None:
     """Another key would make every cookie, invitation and reference worthless."""
     path = tmp_path / "s.sqlite"
-    Store(path, StudySite(study)).close()
+    Store(path, study).close()
     path.with_name("s.sqlite.key").unlink()
     with pytest.raises(InputError, match=r"database=.*s\.sqlite\.key is missing"):
-        Store(path, StudySite(study))
+        Store(path, study)
     assert not path.with_name("s.sqlite.key").exists()
 
 
@@ -646,7 +568,7 @@ def test_of_who_declines_the_decision_alone_is_kept(store: Store) -> None:
     who = store.enter_from_platform(ids_of("unique-person-id", "S", "X"), keep=True)
     store.shown(who, 0, "consent")
     store.from_tab(who, "a" * 16, [(0, "visible", 1.0, {"at": 1.0, "what": "seen-by-them"})])
-    agreed = {"agree": 0, "text": store.site.plan.texts.consent_hash, "width": 4321}
+    agreed = {"agree": 0, "text": store.flow.plan.texts.consent_hash, "width": 4321}
     assert store.submit(who, 0, "consent", agreed).stage == "declined"
     kept = whole(store)
     for told in ("unique-person-id", "seen-by-them", "4321"):
@@ -654,4 +576,4 @@ def test_of_who_declines_the_decision_alone_is_kept(store: Store) -> None:
     (row,) = store.query("SELECT external, session, kept FROM participant")
     assert row == {"external": None, "session": None, "kept": "{}"}
     assert [e["kind"] for e in store.log(who)] == ["enter", "erased", "erased", "consent"]
-    assert store.site.replay(store._connection).differences == []
+    assert differences(store) == []

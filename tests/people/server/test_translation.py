@@ -19,9 +19,8 @@ from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.errors import InputError
 from xplain.people.bots import Page
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.site import CollectSite
 from xplain.people.store import Store
-from xplain.people.study.site import StudySite
+from xplain.people.study.flow import Study
 from xplain.people.web import create_app
 
 PLACES = ("bridge", "market", "school", "tunnel")
@@ -81,19 +80,19 @@ def in_the_language(english: dict[str, Any]) -> dict[str, Any]:
     return own | LANGUAGE | {"words": words, "questions": QUESTIONS}
 
 
-def foreign_study(**changes: Any) -> StudySite:
+def foreign_study(**changes: Any) -> Study:
     texts = in_the_language(CONFIG["wording"])
     texts["rewards"] = translated(texts["rewards"])
     del texts["questions"]  # a study's are beside its texts
     plan = street_plan(
         wording=texts, before=QUESTIONS[1:2], questions=[QUESTIONS[0], *QUESTIONS[2:]], **changes
     )
-    return StudySite.of(plan)
+    return Study.of(plan)
 
 
-def foreign_collection(briefing: str) -> CollectSite:
+def foreign_collection(briefing: str) -> Collection:
     words = in_the_language(wording())
-    return CollectSite(Collection(collect_stand_in.street_plan(briefing=briefing, words=words)))
+    return Collection(collect_stand_in.street_plan(briefing=briefing, words=words))
 
 
 @pytest.fixture(params=["study", "asking", "none", "assigned"])
@@ -101,13 +100,13 @@ def foreign(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Store]:
     """A study, one that asks all, or a collection without or with a briefing, in the made-up
     language."""
     if request.param == "study":
-        site: Any = foreign_study()
+        flow: Any = foreign_study()
     elif request.param == "asking":
         own = {"asking": CONFIG["conditions"]["personalized"]}
-        site = foreign_study(ask=ASK, conditions=own)
+        flow = foreign_study(ask=ASK, conditions=own)
     else:
-        site = foreign_collection(request.param)
-    store = Store(tmp_path / "s.sqlite", site)
+        flow = foreign_collection(request.param)
+    store = Store(tmp_path / "s.sqlite", flow)
     yield store
     store.close()
 
@@ -121,7 +120,7 @@ def left_over(html: str) -> set[str]:
 
 def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
     visitor = Visitor(create_app(foreign, GENEROUS).test_client())
-    person, (token,) = bot_of(foreign.site, 0), foreign.invite(1, "bot")
+    person, (token,) = bot_of(foreign.flow, 0), foreign.invite(1, "bot")
     code = {foreign.participant(foreign.enter_invited(token)).row["code"]}
     for path in ("/", "/nowhere", "/study"):
         assert left_over(visitor.get(path)[1]) == set()
@@ -140,18 +139,18 @@ def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
             if status == 400:
                 assert left_over(answer) == set(), page.stage
         html = visitor.post("/study", [*page.hidden.items(), *person.fill(page)[0]])[1]
-    assert {foreign.site.flow.part(one) for one in stages} == {*foreign.site.flow.stages}
-    assert ("asking" in stages) == ("asking" in getattr(foreign.site.plan, "conditions", ()))
+    assert {foreign.flow.part(one) for one in stages} == {*foreign.flow.stages}
+    assert ("asking" in stages) == ("asking" in getattr(foreign.flow.plan, "conditions", ()))
 
 
 def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Store) -> None:
     """However a part ends; and in the other language, again."""
-    app, texts, codes = create_app(foreign, GENEROUS), foreign.site.plan.texts, set()
-    first = foreign.site.flow.stages[1]
-    for ending in (*foreign.site.flow.STATE.ENDS, "done"):
+    app, texts, codes = create_app(foreign, GENEROUS), foreign.flow.plan.texts, set()
+    first = foreign.flow.stages[1]
+    for ending in (*foreign.flow.STATE.ENDS, "done"):
         (token,) = foreign.invite(1, "bot")
         who = foreign.enter_invited(token)
-        at = replace(foreign.site.state(), stage=ending, left=first)
+        at = replace(foreign.flow.STATE(), stage=ending, left=first)
         with foreign.transaction() as do:
             foreign.record(do, who, "server", None, "moved", {}, state=at.text)
         visitor = Visitor(app.test_client())
@@ -173,7 +172,7 @@ def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Sto
             page = Page.of_html(html)
             again = visitor.post("/study", list(page.hidden.items()))[1]
             assert Page.of_html(again).stage == "task"
-    assert len(codes) == len(foreign.site.flow.STATE.ENDS)
+    assert len(codes) == len(foreign.flow.STATE.ENDS)
     _, copy = visitor.get("/consent.txt")
     assert all(paragraph in copy for paragraph in texts.consent)
     assert texts.consent_hash in copy

@@ -18,13 +18,12 @@ from xplain.domains.mdp import MDP
 from xplain.domains.users.setting import Setting, UserType
 from xplain.experiment.config import CONF
 from xplain.explanation.label_table import LabelTable
+from xplain.people.material import Material
 from xplain.people.plan import Ahead
 from xplain.people.study.bot import Habits
 from xplain.people.study.flow import Study
-from xplain.people.study.plan import Clip, StudyPlan
-from xplain.people.study.prepare import conditions_of, drafted
-from xplain.people.study.site import StudySite
-from xplain.people.study.task import MayAsk, OfDomain
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.prepare import MayAsk, conditions_of, drafted
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
 """Of a participant who errs, forgets and leaves nowhere."""
@@ -155,18 +154,21 @@ def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
     labels = setting.label_table(trace)
     config = CONFIG | changes
     config["conditions"] = conditions_of(config)
-    seen, p = OfDomain(setting).seen(trace), 0.02 + 0.96 * labels
+    material, p = Material.of(setting), 0.02 + 0.96 * labels
+    rows = material.rows_of(trace)
     clips = None
     if "asking" in config["conditions"]:  # the robot makes no other steps than those of the trace
-        ways = [(step,) for step in seen.path or ()] or [()] * len(trace)
         told = [("Qthen <Qso> & Qso.",), (), (), ()]
         clips = MayAsk(
-            tuple(map(Clip, seen.trace, ways, told)),
+            tuple(
+                replace(material.clips[row], situation=so)
+                for row, so in zip(rows, told, strict=True)
+            ),
             LabelTable.dense(p),
             LabelTable.dense(labels),
             np.eye(len(trace), dtype=bool),
         )
-    plan = drafted(seen, p, config, may_ask=clips)
+    plan = drafted(material, rows, p, config, asks=clips)
     return StudyPlan.from_text(replace(plan, ahead=AHEAD if map_shown else None).text)
 
 
@@ -176,4 +178,4 @@ ASK = {"kinds": ["clips"], "cost": 0.1, "most": 10, "when": "anytime", "clips": 
 
 def street_study(**changes: Any) -> Study:
     """The same, at work."""
-    return StudySite.of(street_plan(**changes)).flow
+    return Study.of(street_plan(**changes))

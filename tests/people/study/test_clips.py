@@ -12,8 +12,11 @@ from tests.people.study.stand_in import english_words
 from xplain.domains.base import cell_name
 from xplain.experiment.pipeline import draw_trace
 from xplain.explanation.asking import Pool
-from xplain.people.study.site import StudySite
-from xplain.people.study.task import OfDomain
+from xplain.explanation.label_table import LabelTable
+from xplain.people.map_svg import picture
+from xplain.people.material import Material, Transitions
+from xplain.people.study import prepare
+from xplain.people.study.flow import Study
 
 
 def test_clips_are_steps_of_the_robot_as_its_map_shows_them(
@@ -21,10 +24,14 @@ def test_clips_are_steps_of_the_robot_as_its_map_shows_them(
 ) -> None:
     """On the map and with what was done before, each with what the types think of it."""
     setting = setting_of("domain=rescue")
-    domain, task = setting.domain, OfDomain(setting)
-    monkeypatch.setattr(OfDomain, "table", lambda _, learned, steps: setting.true_labels(steps))
+    domain, task = setting.domain, Material.of(setting)
+
+    def truth(material: Material, learned: object, rows: Transitions) -> LabelTable:
+        return setting.true_labels(setting.reachable[rows])
+
+    monkeypatch.setattr(prepare, "learned_table", truth)
     trace = draw_trace(setting, 20, 0, 0)
-    asked = task.may_ask(None, trace, Pool(clips=40))  # type: ignore[arg-type]
+    asked = prepare.may_ask(task, None, task.rows_of(trace), Pool(clips=40))  # type: ignore[arg-type]
     made = {}
     for step in setting.reachable.tolist():
         begin, _, end = step
@@ -40,13 +47,13 @@ def test_clips_are_steps_of_the_robot_as_its_map_shows_them(
         assert (told[:, q] == setting.label_table(step[None])[:, 0]).all()
         off += not asked.shows[q].any()
     assert off  # not of the trace alone
-    picture = StudySite.picture
     plan = SimpleNamespace(
         scene=domain.scene,
         icons={},
+        shown=asked.clips,
         clips=asked.clips,
         texts=SimpleNamespace(words=english_words()),
     )
     for q, clip in enumerate(asked.clips):
-        drawn = picture(SimpleNamespace(plan=plan), ("clip", q))  # type: ignore[arg-type]
+        drawn = picture(plan, *Study.drawn(SimpleNamespace(plan=plan), ("clip", q)))  # type: ignore[arg-type]
         assert cell_name(*clip.way[0][1]) in drawn

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from tests.people.study.stand_in import FAULTLESS
-from tests.people.visitors import GENEROUS, Visitor, pages
+from tests.people.visitors import GENEROUS, Visitor, differences, pages
 from xplain.cli.people import configured
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
@@ -22,9 +22,9 @@ from xplain.learning.labelers import FittedLabeler
 from xplain.learning.saved import LearnedTypes, SavedTable
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
+from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 
 
@@ -103,7 +103,7 @@ def test_the_plan_is_what_the_table_says(lab: Path) -> None:
     assert plan.trace == tuple(f"Step {row} & <more>" for row in rows)
     assert (plan.scene, plan.path, plan.ahead, plan.changes) == (None, None, None, ())
     assert plan.problem.type_names == ("cable?", "lift?", "queue?")
-    assert [picture and picture.alt for picture in plan.pictures] == [
+    assert [clip.picture and clip.picture.alt for clip in plan.shown] == [
         "A red cable" if row == 0 else None for row in rows
     ]
     assert [fact.message for fact in plan.facts] == [f"The {fact} is so." for fact in FACTS]
@@ -122,11 +122,11 @@ def test_the_plan_is_what_the_table_says(lab: Path) -> None:
 
 
 def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path: Path) -> None:
-    site = StudySite.of(plan_of())
-    store = Store(tmp_path / "s.sqlite", site)
+    flow = Study.of(plan_of())
+    store = Store(tmp_path / "s.sqlite", flow)
     visitor = Visitor(create_app(store, GENEROUS).test_client())
     (token,) = store.invite(1, "person")
-    person = StudyBot(site.plan, FAULTLESS, np.random.default_rng(0))
+    person = StudyBot(flow.plan, FAULTLESS, np.random.default_rng(0))
     seen = list(pages(visitor, person, token))
     assert [page.stage for _, page in seen] == [
         *("consent", "briefing", "briefing", "training", "training", *["evaluation"] * 5),
@@ -141,7 +141,7 @@ def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path
         for address, _ in images:
             reply = visitor.client.get(address)
             assert (pixels(reply.data), reply.mimetype) == (pixels(PIXEL), "image/png")
-    assert site.replay(store._connection).differences == []
+    assert differences(store) == []
     store.close()
 
 
@@ -159,7 +159,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
     questions = plan.problem.questions
     trace = [row - 1 for row in TRACE]
     assert questions.shows.tolist() == [[row == step for step in trace] for row in rows]
-    store = Store(tmp_path / "s.sqlite", StudySite.of(plan))
+    store = Store(tmp_path / "s.sqlite", Study.of(plan))
     app, asked = create_app(store, GENEROUS), 0
     for number, token in enumerate(store.invite(9, "person")):
         visitor = Visitor(app.test_client())
@@ -174,7 +174,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
             for address, _ in images:
                 assert pixels(visitor.client.get(address).data) == pixels(PIXEL)
     assert asked
-    assert store.site.replay(store._connection).differences == []
+    assert differences(store) == []
     store.close()
 
 

@@ -18,18 +18,13 @@ from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.explanation.belief import Persistent
-from xplain.interaction.episode import explain
-from xplain.interaction.explainees import SimulatedUser
 from xplain.people.bots import visit
-from xplain.people.material import named, phrases_of
+from xplain.people.material import Material, named, phrases_of
 from xplain.people.store import Store
-from xplain.people.study import prepare
 from xplain.people.study.bot import StudyBot
+from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.policies import difference
-from xplain.people.study.prepare import needed, study_plan
-from xplain.people.study.site import StudySite
-from xplain.people.study.task import OfDomain
+from xplain.people.study.prepare import needed, study_plan, traces_of
 from xplain.people.web import create_app
 
 
@@ -38,7 +33,7 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
     cfg = composed("study", ["seed=0", "trace.candidates=40"])
     plan = study_plan(cfg)
     assert study_plan(cfg).hash == plan.hash  # same configuration, same study
-    assert StudySite.of(plan).flow.belief == Persistent("learned")
+    assert Study.of(plan).belief == Persistent("learned")
     assert (len(plan.roles), plan.problem.trade_off) == (5, 1.0)
     assert set(plan.conditions) == {"personalized", "conformant"}
     rates = plan.problem.habits.error
@@ -83,8 +78,8 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
     assert "four rooms" in plan.texts.introduction[0]
     for role in plan.roles:
         assert len(role.quiz) == 4
-    study = StudySite.of(plan).flow
-    store = Store(tmp_path / "s.sqlite", StudySite(study))
+    study = Study.of(plan)
+    store = Store(tmp_path / "s.sqlite", study)
     client = Visitor(create_app(store, GENEROUS).test_client())
     person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
     assert visit(client, person, store.invite(1, "bot")[0]) == "done"
@@ -101,16 +96,17 @@ def trace_rules(**changes: object) -> dict[str, object]:
 
 def test_a_trace_has_the_steps_that_are_asked_for() -> None:
     setting = street()
-    assert len(OfDomain(setting).traces(trace_rules(min_steps=4), 20, 0)[0]) == 4
+    assert len(traces_of(Material.of(setting), trace_rules(min_steps=4), 20, 0)[0]) == 4
     with pytest.raises(InputError, match=r"trace\.min_steps=5: 4 steps or fewer"):
-        OfDomain(setting).traces(trace_rules(min_steps=5), 20, 0)
+        traces_of(Material.of(setting), trace_rules(min_steps=5), 20, 0)
 
 
 def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
     setting = setting_of("domain=four_rooms", "users.count=3")
-    ranked = OfDomain(setting).traces(trace_rules(candidates=80), 40, 0)
+    ranked = traces_of(Material.of(setting), trace_rules(candidates=80), 40, 0)
     facts = [
-        sum(needed(of_type).bit_count() for of_type in setting.label_table(one)) for one in ranked
+        sum(needed(of_type).bit_count() for of_type in setting.label_table(setting.reachable[one]))
+        for one in ranked
     ]
     assert facts == sorted(facts, reverse=True)
     lengths = [[len(o) for o, own in zip(ranked, facts, strict=True) if own == f] for f in {*facts}]
@@ -124,29 +120,13 @@ def test_a_trace_starts_where_it_is_told_to() -> None:
     domain = setting.domain
     here = domain.position(int(domain.starts[0]))
     assert here is not None
-    anywhere = OfDomain(setting).traces(trace_rules(), 20, 0)
-    told = OfDomain(setting).traces(trace_rules(start=list(here)), 20, 0)
+    anywhere = traces_of(Material.of(setting), trace_rules(), 20, 0)
+    told = traces_of(Material.of(setting), trace_rules(start=list(here)), 20, 0)
     assert [one.tolist() for one in told] == [one.tolist() for one in anywhere]  # one start
-    (elsewhere,) = {domain.position(int(s)) for s in told[0][-1:, 2]} - {here}
+    (elsewhere,) = {domain.position(int(s)) for s in setting.reachable[told[0]][-1:, 2]} - {here}
     assert elsewhere is not None
     with pytest.raises(InputError, match=r"trace\.start"):
-        OfDomain(setting).traces(trace_rules(start=list(elsewhere)), 20, 0)
-
-
-def test_conditions_that_say_the_same_differ_by_nothing() -> None:
-    plan = street_plan()
-    same = dict.fromkeys(("personalized", "conformant"), plan.conditions["conformant"])
-    assert difference(street_plan(conditions=same)) == 0
-    # Conformant tells everybody all four facts, personalized each of three types its own two.
-    given = [
-        explain(
-            plan.problem, policy, SimulatedUser.of(labels), StudySite.of(plan).flow.belief
-        ).n_messages
-        for policy in StudySite.of(plan).flow.policies.values()
-        for labels in plan.true_labels
-    ]
-    expected = np.abs(np.subtract(given[:3], given[3:])).mean()
-    assert difference(plan) == pytest.approx(expected)
+        traces_of(Material.of(setting), trace_rules(start=list(elsewhere)), 20, 0)
 
 
 def test_a_study_whose_conditions_are_alike_is_refused() -> None:
@@ -173,7 +153,7 @@ def test_the_first_trace_on_which_the_conditions_differ_is_taken(
         tried.append(plan.trace)
         return 0.0 if len(tried) < 3 else 1.0
 
-    monkeypatch.setattr(prepare, "difference", gap)
+    monkeypatch.setattr(Study, "difference", gap)
     assert study_plan(cfg).trace == tried[2]
     assert len(set(tried)) == 3
 

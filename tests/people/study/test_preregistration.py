@@ -10,7 +10,6 @@ from tests.people.study.stand_in import CONFIG, street_plan, street_study
 from xplain.cli.main import main
 from xplain.people.store import Store
 from xplain.people.study.analysis import document
-from xplain.people.study.site import StudySite
 
 RULES = {"per_cell": 7, "max_attempts": 3, "timeout_minutes": 45, "recall": True, "min_width": 900}
 CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["red", "blue"]}
@@ -50,7 +49,7 @@ def test_the_command_reads_a_study_that_was_started(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = street_study()
-    Store(tmp_path / "s.sqlite", StudySite(study)).close()
+    Store(tmp_path / "s.sqlite", study).close()
     main(["study", "preregister", str(tmp_path / "s.sqlite"), "--out", str(tmp_path / "p.md")])
     assert (tmp_path / "p.md").read_text() == document(study.plan)
     with pytest.raises(SystemExit):

@@ -103,6 +103,13 @@ class CollectState(core.State):
         return [clip for clip in self.answered if clip.purpose == QUESTION]
 
     @property
+    def left_out(self) -> str:
+        """Why their labels are not learned from; "" where they are."""
+        if self.stage not in FINISHED:
+            return self.stage if self.over else "unfinished"
+        return "inattentive" if self.attentive is False else ""
+
+    @property
     def attentive(self) -> bool | None:
         """Whether nobody can say that they did not look: the obvious step was not called sensible;
         None before it was seen."""

@@ -29,12 +29,15 @@ from xplain.people.flow import (
     Flow,
     Form,
     LookingAhead,
+    Participant,
+    People,
     Practice,
     QuestionStage,
     Stage,
     choices,
     small,
 )
+from xplain.people.plan import Way
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derived_seed, stream
 
@@ -154,6 +157,9 @@ class Collection(Flow[CollectPlan, CollectState]):
     before and not all of them are taken anew. Nothing that is computed depends on it.
     """
 
+    PLAN = CollectPlan
+    PACKAGE = "xplain.people.collect"
+    DATA = "Labels for xplain discover, observers and every answer as CSV tables"
     STATE: ClassVar = CollectState
     STAGES: ClassVar = (
         Consent("consent", "consent"),
@@ -166,13 +172,66 @@ class Collection(Flow[CollectPlan, CollectState]):
         QuestionStage("questions", "answers"),
     )
 
+    @classmethod
+    def of(cls, plan: CollectPlan) -> Collection:
+        """The plan alone decides."""
+        return cls(plan)
+
+    def admit(self, person: Participant[CollectState], people: People) -> dict[str, Any]:
+        """The participant's number, the role whose briefing they get, and what those asked before
+        hold wrong: the posteriors of the finished ones of the same stream, whose numbers are kept.
+        """
+        own = [one for one in people if one.row["stream"] == person.row["stream"]]
+        kept = {
+            one.row["number"]: one.state.belief
+            for one in own
+            if self.plan.design.from_others and not one.state.left_out
+        }
+        number = person.row["number"]
+        shared = asking.shared([*kept.values()])
+        consent = {"number": number, "role": None, "after": [*kept], "others": shared}
+        if not self.plan.assigned:
+            return consent
+        # The role that fewest have who have not left; ties at random.
+        there = [one.state.role for one in own if one.state.stage not in ("withdrawn", "timed_out")]
+        counts = [there.count(role) for role in range(len(self.plan.roles))]
+        fewest = [role for role, count in enumerate(counts) if count == min(counts)]
+        rng = stream(self.plan.seed, "roles", number)
+        return consent | {"role": int(rng.choice(fewest))}
+
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
         """The number, whose briefing they get, and what others hold wrong."""
         return {key: payload[key] for key in ("number", "role", "others")}
 
+    def forget(self) -> None:
+        """Questionnaires and types found too: they are made again."""
+        super().forget()
+        self.kept.cache_clear()
+        self.found.clear()
+
+    def drawn(self, what: tuple[int, ...]) -> tuple[Way | None, int, Sequence[str]]:
+        """A clip's transitions; without any, the robot where it covers nothing."""
+        shown, scene = self.plan.shown, self.plan.scene
+        if scene is None:
+            return None, 0, ()
+        if what:
+            return tuple(shown[t].way[0] for t in what), len(what), shown[what[0]].gone
+        taken = {cell for item in scene.items for cell in item.cells}
+        ways = [clip.way for clip in shown]
+        return next((way for way in ways if way[0][0] not in taken), ways[0]), 0, ()
+
+    def step_of(self, state: CollectState) -> str:
+        """Of the clips."""
+        return f"page {len(state.answered) + 1}" if state.clip else ""
+
     def briefing(self, state: CollectState) -> dict[str, Any]:
         """What they were told, if anything."""
         return {} if state.role is None else {"briefing": self.plan.roles[state.role].briefing}
+
+    @cached_property
+    def found(self) -> dict[tuple[str, ...], Any]:
+        """The types found in the labels of some people, kept by their ids."""
+        return {}
 
     @cached_property
     def blank(self) -> Questionnaire:
@@ -220,7 +279,7 @@ def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int
 def _clip(plan: CollectPlan, clip: AskedClip) -> dict[str, Any]:
     told = [plan.facts[j].message for j in indices(clip.told)]
     if clip.purpose == ATTENTION:  # with a picture where other pages have one
-        picture = [t for t, one in enumerate(plan.pictures) if one][:1]
+        picture = [t for t, one in enumerate(plan.shown) if one.picture][:1]
         shown = {"told": told, "steps": [plan.attention], "transitions": (), "situation": ()}
         return shown | {"illustrated": picture}
     steps = clip.transitions
@@ -229,5 +288,5 @@ def _clip(plan: CollectPlan, clip: AskedClip) -> dict[str, Any]:
         "steps": [f"{plan.subject} {plan.hypotheses.phrases[t]}".strip() for t in steps],
         "transitions": steps,
         "illustrated": steps,
-        "situation": plan.situations[steps[0]] if plan.situations else (),
+        "situation": plan.shown[steps[0]].situation,
     }

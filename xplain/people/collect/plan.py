@@ -7,7 +7,7 @@ from typing import Annotated
 
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError, Positive, Range, Whole, checks, whole_number
-from xplain.people.plan import StoredPlan, Told, Way
+from xplain.people.plan import StoredPlan
 from xplain.questions.designs import Adaptive
 
 
@@ -86,13 +86,10 @@ class CollectPlan(StoredPlan):
         questions: the list that everybody is asked, as (transition, message set); empty where
             each question depends on the answers before.
         design: of these adaptive questions; of a list, how its answers are weighed.
-        situations: [T] what is so when the transition begins, as sentences; or none.
-        gone: [T] names of the items that are on the map no more when it begins; or none.
-        paths: [T] on the map; or none.
+        shown: [T] the transitions.
         attention: the obvious step that does not make sense.
     """
 
-    VERSION = "collect 3"
     OF = "a collection of labels"
 
     example: Example
@@ -104,7 +101,4 @@ class CollectPlan(StoredPlan):
     subject: str
     questions: tuple[tuple[int, int], ...]
     design: Adaptive
-    situations: Told
-    gone: Told
-    paths: Way
     attention: str

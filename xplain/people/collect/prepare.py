@@ -7,14 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from hydra.utils import instantiate
-from numpy.typing import NDArray
 from omegaconf import DictConfig
 
-from xplain.domains.base import Domain, changes_of
-from xplain.domains.users.hypotheses import hypotheses_of
-from xplain.domains.users.types import TypeSource
 from xplain.errors import InputError, one_of
 from xplain.explanation.message_sets import mask_of
 from xplain.people.collect.plan import (
@@ -23,10 +18,10 @@ from xplain.people.collect.plan import (
     CollectRules,
     Example,
 )
-from xplain.people.material import Source, each, fixed, of_states, own_table, parts, way_of
-from xplain.people.plan import Fact, Told, lab_questions
+from xplain.people.material import Material, fixed, own_table, parts
+from xplain.people.plan import Fact, lab_questions
 from xplain.questions.designs import Adaptive, Battery, battery
-from xplain.randomness import derived_seed, run_seed, stream
+from xplain.randomness import derived_seed, run_seed
 
 
 def collect_plan(cfg: DictConfig) -> CollectPlan:
@@ -44,73 +39,39 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
     if isinstance(design, Adaptive) and design.in_turn:
         raise InputError("queries.in_turn", True, "false: people are asked as they come")
     one_of("briefing", config["briefing"], ("none", "assigned"))
-    source = source_of(cfg)
-    if config["briefing"] == "assigned" and source.domain is None:
+    if config["briefing"] == "assigned" and cfg.transitions is not None:
         raise InputError(
             "briefing", "assigned", "none for one's own transitions: they name no types"
         )
-    plan = assemble(source, design, rules, config)
+    plan = assemble(material_of(cfg), design, rules, config)
     # What is stored is what runs, from the first participant on.
     return CollectPlan.from_text(plan.text)
 
 
-def source_of(cfg: DictConfig) -> Source:
-    """The task: a domain of conf/domain/, or a table of one's own transitions."""
+def material_of(cfg: DictConfig) -> Material:
+    """The task: a domain of conf/domain/, or a table of a lab's own transitions."""
     if cfg.transitions is not None:
         return own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
     if cfg.facts is not None:
         raise InputError("facts", cfg.facts, "only with transitions=TABLE; a domain has sentences")
-    return domain_source(instantiate(cfg.domain), instantiate(cfg.users), cfg.seed)
-
-
-def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
-    """What a domain knows of itself."""
-    whole = hypotheses_of(domain, None)
-    known = whole.told_apart_by_features()
-    types = users.types(domain, stream(seed, "users"))
-    names = known.messages
-    assert known.states is not None, "hypotheses of a domain know states"
-    assert whole.states is not None, "the same"
-    paths = way_of(domain, known.states.tolist())
-    return Source(
-        name=domain.name,
-        hypotheses=known,
-        whole=whole,
-        facts=domain.parameters,
-        roles={one.name: mask_of(one.inaccurate, names) for one in types},
-        situations=of_states(domain, "situation", known.states[:, 0]),
-        gone=of_states(domain, "gone", known.states[:, 0]),
-        paths=paths or (),
-        changes=() if paths else _changes(domain, known.states, known.phrases),
-        scene=domain.scene if paths else None,
-        domain=domain,
-        users=users,
-    )
-
-
-def _changes(domain: Domain, states: NDArray[np.int64], phrases: Sequence[str]) -> Told:
-    """What each transition changes; the phrases of such domains name the action first."""
-    actions = [
-        next((a for a, name in enumerate(domain.actions) if phrase.startswith(name)), 0)
-        for phrase in phrases
-    ]
-    return changes_of(domain, np.column_stack([states[:, 0], actions, states[:, 1]]))
+    return Material.asked(instantiate(cfg.domain), instantiate(cfg.users), cfg.seed)
 
 
 def assemble(
-    source: Source, design: Adaptive | Battery, rules: CollectRules, config: Mapping[str, Any]
+    material: Material, design: Adaptive | Battery, rules: CollectRules, config: Mapping[str, Any]
 ) -> CollectPlan:
     """A plan from its parts.
 
     Raises:
         XplainError: a part contradicts another.
     """
-    known, wording = source.hypotheses, config["wording"]
-    if rules.listening > len(source.facts):
-        most = f"at most one message a fact: {len(source.facts)}"
+    known, wording = material.hypotheses, config["wording"]
+    assert known is not None, "people are asked by hypotheses"
+    if rules.listening > len(material.facts):
+        most = f"at most one message a fact: {len(material.facts)}"
         raise InputError("rules.listening", rules.listening, most)
-    subject = wording["words"]["robot"] if source.domain else ""
-    own, in_words = parts("collect", config, wording, source, f"{subject} {{phrase}}")
+    subject = wording["words"]["robot"] if material.transitions is not None else ""
+    own, in_words = parts("collect", config, wording, material, f"{subject} {{phrase}}")
     known = replace(known, phrases=tuple(map(in_words, known.phrases)))
     listed: tuple[tuple[int, int], ...] = ()
     if isinstance(design, Battery):
@@ -123,16 +84,17 @@ def assemble(
         example=Example(**wording["example"]),
         rules=rules,
         asked=lab_questions(wording["questions"])[0],
-        roles=tuple(_role(name, held, own["facts"]) for name, held in source.roles.items()),
+        roles=tuple(
+            _role(one.name, mask_of(one.inaccurate, known.messages), own["facts"])
+            for one in material.types
+        ),
         assigned=config["briefing"] == "assigned",
         hypotheses=known,
-        whole=source.whole,
+        whole=material.whole,
         subject=subject,
         questions=listed,
         design=design if isinstance(design, Adaptive) else Adaptive(),
-        situations=each(source.situations, in_words),
-        gone=each(source.gone, in_words),
-        paths=source.paths,
+        shown=tuple(clip.worded(in_words) for clip in material.clips),
         attention=wording["attention"],
     )
 

@@ -11,84 +11,32 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from xplain.explanation.message_sets import names_of
+from xplain.domains.users.hypotheses import Hypotheses
+from xplain.errors import InputError, one_of
+from xplain.explanation.belief import after_forgetting, after_message
+from xplain.explanation.habits import Habits
+from xplain.explanation.message_sets import indices, names_of, subsets
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import write_table
 from xplain.learning.evidence import Evidence
 from xplain.learning.mixture.labeler import KnownAnswers
 from xplain.learning.mixture.likelihood import KnownTransitions
-from xplain.people.collect.asking import FINISHED, STATED, CollectState
+from xplain.people.collect.asking import ATTENTION, HEEDED, STATED, AskedClip, CollectState, prior
+from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.export import STREAMS, ParticipantRow, Row, events_of, seconds, write
-from xplain.people.flow import CANNOT_TELL
-
-CODEBOOK = {
-    "labels": {
-        "observer": "who answered; the key of observers.csv",
-        "messages": "what they had been told on that page, joined by ;",
-        "label": "1 = the step made sense to them, 0 = it did not",
-        "…": "every other column is a feature of the robot's step",
-    },
-    "observers": {
-        "observer": "random id",
-        "stream": "person, pilot or bot; decided by the invitation, never changed",
-        "stage": "where they are or how it ended: done, declined, withdrawn, timed_out",
-        "in_labels": "1 if their labels are in labels.csv (or labels_STREAM.csv)",
-        "left_out": "why not: unfinished, withdrawn, timed_out, declined, or inattentive (the "
-        "obvious step made sense to them)",
-        "labels": "number of their labels",
-        "cannot_tell": "steps of which they could not tell whether they make sense",
-        "attentive": "1 if the obvious step made no sense to them; empty if it was not reached",
-        "consistency": "share of the labels of repeated questions that were as before, 0 … 1",
-        "likeliest": "facts that they most probably hold wrong, by their own answers, joined by ;",
-        "posterior": "probability of that, 0 … 1",
-        "unlike": "probability that none of the hypotheses fits them, 0 … 1",
-        "role": "whose briefing they got; empty for people as they are",
-        "clips_s": "seconds from the first clip's page to the last clip's answer, server's clock",
-        "clock": "by which that is: monotonic, or wall where the machine was restarted in between; "
-        "impossible where the wall clock was set back, and the time is left out",
-        "label_s": "median seconds a label, page shown to answer, server's clock",
-        "fast_pages": "pages answered in less than a second a step, which nobody can have read",
-        "practice_errors": "answers of the practice that were not as expected",
-        "entered": "server's wall clock, seconds since 1970-01-01 UTC",
-        "entry": "invitation, platform, open or preview",
-        "consent_hash": "SHA-256 of the consent text agreed to (or declined)",
-        "stated_…": "of each fact what they say they thought: accurate, inaccurate or unsure",
-        "answer_…": "answers to the lab's own questions, as given; a text that a spreadsheet would "
-        "run is preceded by '",
-    },
-    "clips": {
-        "observer": "key",
-        "number": "order on their pages, 1, 2, …",
-        "purpose": "question, repeat (of an earlier question) or attention (the obvious step); at "
-        "the end told (the messages hold from then on), later (its step with nothing said), again "
-        "(said again)",
-        "steps": "what the robot did, as shown, joined by |",
-        "messages": "what they were told on the page, joined by ;",
-        "labels": "1 = made sense, 0 = did not, 2 = they cannot tell; one a step, joined by ;",
-        "bits": "information that the answer was expected to give about what they hold wrong",
-        "seconds": "page shown to answer, server's clock",
-        "browser_ms": "milliseconds since the page began to load, browser's clock; empty without "
-        "JavaScript",
-    },
-}
+from xplain.people.export import STREAMS, Row, read, seconds, write
+from xplain.people.flow import CANNOT_TELL, Participant, People
 
 CONCENTRATION = 1.0
 """Of the process over types; that of ``clusterer=dirichlet``."""
 SURE = 0.95
 """Posterior above which it is known what somebody holds wrong."""
-
-
-def why_left_out(state: CollectState) -> str:
-    """Why a participant's labels are not learned from; "" where they are."""
-    if state.stage not in FINISHED:
-        return state.stage if state.over else "unfinished"
-    return "inattentive" if state.attentive is False else ""
 
 
 def dataset_of(plan: CollectPlan, people: Mapping[str, CollectState]) -> Dataset:
@@ -194,6 +142,30 @@ def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar
     )
 
 
+def glance(collection: Collection, people: People) -> dict[str, Any]:
+    """Labels so far, the types that are in them, and what more people would bring, for the
+    researcher's page: of people, or of bots while there are none."""
+    plan, found = collection.plan, collection.found
+    whose = "person" if any(one.row["stream"] == "person" for one in people) else "bot"
+    states = {one.id: one.state for one in people if one.row["stream"] == whose}
+    kept = {who: state for who, state in states.items() if not state.left_out}
+    key = tuple(kept)
+    if key not in found:
+        found.clear()  # people only get more
+        found[key] = found_types(plan, list(kept.values()))
+    left_out = [state.left_out for state in states.values()]
+    return {
+        "of": whose,
+        "labels": sum(len(c.labels) for s in kept.values() for c in s.questions()),
+        "finished": len(kept),
+        "left_out": {why: left_out.count(why) for why in sorted({*left_out} - {""})},
+        "found": found[key],
+        "compared": compared(plan, list(kept.values())),
+        "facts": {fact.name: fact.message for fact in plan.facts},
+        "planned": plan.rules.people,
+    }
+
+
 def compared(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dict[str, int]]:
     """By fact, of the people ("of") who had an opinion at the end: how many said that they hold it
     wrong ("said"), of how many their answers say so ("inferred"), and of how many both are the same
@@ -239,7 +211,7 @@ def expected_new(types: int, people: int, more: int) -> tuple[float, float]:
 
 FAST = 1.0
 """Seconds a step below which nobody has read it."""
-Participant = ParticipantRow[CollectState]
+Person = Participant[CollectState]
 
 
 def export(database: Path, folder: Path) -> str:
@@ -248,10 +220,11 @@ def export(database: Path, folder: Path) -> str:
     Raises:
         InputError: it is no collection's database.
     """
-    digest, plan, people = write(database, folder, CollectPlan, CollectState, tables, CODEBOOK)
+    plan, people = read(database, CollectPlan, CollectState)
+    digest = write(folder, Collection.PACKAGE, plan, people, tables)
     for stream in STREAMS:
         own = [one for one in people if one.row["stream"] == stream]
-        if kept := {one.id: one.state for one in own if not why_left_out(one.state)}:
+        if kept := {one.id: one.state for one in own if not one.state.left_out}:
             name = "labels.csv" if stream == "person" else f"labels_{stream}.csv"
             write_table(dataset_of(plan, kept), folder / name)
     (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
@@ -260,24 +233,23 @@ def export(database: Path, folder: Path) -> str:
     return digest
 
 
-def tables(plan: CollectPlan, people: list[Participant]) -> dict[str, Iterable[Row]]:
+def tables(plan: CollectPlan, people: list[Person]) -> dict[str, Iterable[Row]]:
     """Rows of every table but the labels, by name. Answers of people who withdrew are left out."""
     stayed = [one for one in people if one.state.stage != "withdrawn"]
     return {
         "observers": [_observer(plan, one) for one in people],
         "clips": [row for one in stayed for row in _clips(plan, one)],
-        "events": events_of(stayed),
     }
 
 
-def _timed(one: Participant) -> list[tuple[Row, Row | None]]:
+def _timed(one: Person) -> list[tuple[Row, Row | None]]:
     """Each answer to a clip, and when its page was first shown."""
     shown = {e["source_sequence"]: e for e in one.events if e["source"] == "shown"}
     return [(answer, shown.get(answer["source_sequence"])) for answer in one.answers("labels")]
 
 
-def _observer(plan: CollectPlan, one: Participant) -> Row:
-    state, why = one.state, why_left_out(one.state)
+def _observer(plan: CollectPlan, one: Person) -> Row:
+    state, why = one.state, one.state.left_out
     withdrawn = state.stage == "withdrawn"
     facts = {f: p for f, p in state.belief.items() if f != "none" and not withdrawn}
     best = max(facts, key=lambda f: facts[f], default=None)
@@ -322,7 +294,7 @@ def _observer(plan: CollectPlan, one: Participant) -> Row:
     }
 
 
-def _clips(plan: CollectPlan, one: Participant) -> Iterator[Row]:
+def _clips(plan: CollectPlan, one: Person) -> Iterator[Row]:
     known = plan.hypotheses
     for number, (clip, (answer, shown)) in enumerate(
         zip(one.state.answered, _timed(one), strict=True)
@@ -339,3 +311,98 @@ def _clips(plan: CollectPlan, one: Participant) -> Iterator[Row]:
             "seconds": seconds(shown, answer)[0] if shown else None,
             "browser_ms": answer["browser"],
         }
+
+
+# How people listened ---------------------------------------------------------------------------
+#
+# On most pages messages hold for that page alone. At the end (``rules.listening``) they hold from
+# then on: a step that made no sense is shown with the message that explains it, some pages later
+# with nothing said, and then with the message said again. A label of 0 at first was a message
+# missed, a label that falls back one forgotten, unless the person erred: an exact filter over
+# (facts believed incorrectly, habits, messages known now) weighs it, as in an explanation.
+
+FACT_SETS = 64
+"""The likeliest of a person, by their answers to all questions; others are left out."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The pages of one person.
+
+    Attributes:
+        known: labels of people who hold some facts wrong.
+        held: [N] fact sets that may be the person's, as bitmasks.
+        prior: [N] how likely each is before any answer.
+        clips: all pages but the obvious step, in order, with their labels.
+    """
+
+    known: Hypotheses
+    held: NDArray[np.int64]
+    prior: NDArray[np.float64]
+    clips: Sequence[AskedClip]
+
+    def posterior(self, habits: Habits) -> NDArray[np.float64]:
+        """[F] how likely each habit is to be the person's."""
+        weight = np.outer(self.prior, habits.prior).ravel()
+        lasting = [clip for clip in self.clips if clip.purpose in HEEDED]
+        for clip in self.clips:
+            if clip.purpose not in HEEDED:
+                weight = self._through([clip], weight, habits)
+                weight /= weight.sum()
+        found = self._through(lasting, weight, habits).reshape(-1, len(habits)).sum(axis=0)
+        return np.asarray(found / found.sum())
+
+    def _through(
+        self, clips: Sequence[AskedClip], weight: NDArray[np.float64], habits: Habits
+    ) -> NDArray[np.float64]:
+        """The weights [N F] of (fact set, habit), times what pages tell on which what is said holds
+        from page to page; nothing is known before."""
+        told = sorted({j for clip in clips for j in indices(clip.told)})
+        relevant = np.tile(np.array(told, np.int64), (len(weight), 1))
+        accept, lose = (np.tile(rate, len(self.held)) for rate in (habits.accept, habits.forget))
+        table = self.known.row(self.held & ~subsets(told)[:, None])
+        belief = np.zeros((len(table), len(weight)))
+        belief[0] = weight
+        for clip in clips:
+            for j in indices(clip.told):
+                belief = after_message(belief, relevant, j, accept)
+            judged = clip.judged
+            for transition, label in zip(judged.transitions, judged.labels, strict=True):
+                one = habits.answered(self.known.labels[table, transition].astype(float))
+                belief = belief * (one if label else 1 - one)
+            belief = after_forgetting(belief.ravel(), lose).reshape(belief.shape)
+        return np.asarray(belief.sum(axis=0))
+
+
+def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
+    """The people of a stream whose labels count, but for those whom no hypothesis fits.
+
+    Args:
+        database: of a collection that no server has open, or a snapshot.
+        stream: "person", "pilot" or "bot"; never mixed.
+
+    Raises:
+        InputError: it is no collection's database, there is no such stream, or nothing was told
+            that holds from page to page.
+    """
+    one_of("stream", stream, STREAMS)
+    plan, people = read(database, CollectPlan, CollectState)
+    states = [one.state for one in people if one.row["stream"] == stream]
+    if not plan.rules.listening:
+        wanted = "1 or more at the start of the collection: nothing was asked again"
+        raise InputError("rules.listening", 0, wanted)
+    kept = [state for state in states if not state.left_out and state.belief["none"] < 0.5]
+    if not kept:
+        raise InputError("database", str(database), f"one with answers (stream {stream})")
+    return [asked_of(plan, state) for state in kept]
+
+
+def asked_of(plan: CollectPlan, state: CollectState) -> Asked:
+    """The pages of somebody who came to the end of them."""
+    known = plan.hypotheses
+    before = np.bincount(known.classes, prior(plan, state.others))
+    shares = {int(facts): share for facts, share in state.belief.items() if facts != "none"}
+    held = np.array(sorted(shares, key=lambda facts: -shares[facts])[:FACT_SETS])
+    own = before[known.classes[known.row(held)]]
+    clips = tuple(clip for clip in state.answered if clip.purpose != ATTENTION)
+    return Asked(known, held, own / own.sum(), clips)

@@ -25,9 +25,8 @@ from scipy import special, stats
 
 from xplain.errors import InputError, one_of
 from xplain.people.export import STREAMS
-from xplain.people.study.flow import ENDS
+from xplain.people.study.flow import ENDS, Study
 from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED, StudyPlan
-from xplain.people.study.policies import difference
 from xplain.randomness import derived_seed
 
 CONDITIONS = (CONFORMANT, PERSONALIZED)
@@ -436,7 +435,7 @@ def document(plan: StudyPlan) -> str:
         plan=plan,
         asks=asks,
         asked=plan.problem.questions,
-        difference=difference(plan),
+        difference=Study.of(plan).difference(),
         primary=MEASURES,
         secondary=secondary,
         direction=DIRECTION,

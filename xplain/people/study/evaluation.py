@@ -30,6 +30,8 @@ from xplain.people.study.plan import StudyPlan, StudyRole
 from xplain.solvers.base import Policy, messages_of
 
 ENDS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out")
+EVALUATING = ("evaluation", "asking")
+"""Stages whose pages are the evaluation."""
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,24 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, count
 from typing import Any, ClassVar
 
+import numpy as np
+from hydra.utils import instantiate
+
 from xplain.errors import Refused
+from xplain.explanation.label_table import LabelTable, joined
+from xplain.interaction.episode import Episode, explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.people.flow import (
     Briefing,
     Consent,
     Form,
+    Full,
     LookingAhead,
+    Participant,
+    People,
     Practice,
     QuestionStage,
     Stage,
@@ -27,8 +37,18 @@ from xplain.people.flow import (
     choices,
     small,
 )
-from xplain.people.study.evaluation import ENDS, Asking, Evaluation, Explaining, StudyState
-from xplain.people.study.plan import StudyPlan
+from xplain.people.plan import Way
+from xplain.people.study.evaluation import (
+    ENDS,
+    EVALUATING,
+    Asking,
+    Evaluation,
+    Explaining,
+    StudyState,
+)
+from xplain.people.study.plan import ASKING, StudyPlan
+from xplain.randomness import derived_seed, stream
+from xplain.solvers.base import CachedPolicy
 
 __all__ = ["ENDS", "Study", "StudyState"]
 _WIDTH = re.compile(r"[1-9][0-9]{1,4}\Z")
@@ -149,8 +169,13 @@ class LastQuestions(QuestionStage["Study", StudyState]):
 
 @dataclass(frozen=True)
 class Study(Explaining):
-    """A plan with its policies at work."""
+    """A plan with its policies at work. Places are permuted blocks of every type and condition.
+    Somebody holds a place from the consent on, gives it back by dropping out, timing out or not
+    being eligible, and uses it up by completing: all of this is in their states."""
 
+    PLAN = StudyPlan
+    PACKAGE = "xplain.people.study"
+    DATA = "CSV and Parquet tables"
     STATE: ClassVar = StudyState
     STAGES: ClassVar = (
         StudyConsent("consent", "consent"),
@@ -165,6 +190,19 @@ class Study(Explaining):
         LastQuestions("questions", "answers"),
     )
 
+    @classmethod
+    def of(cls, plan: StudyPlan) -> Study:
+        """With policies made from the conditions' configurations."""
+        seed = derived_seed(plan.seed, "solver")
+        policies = {
+            condition: instantiate(solver).plan(plan.problem_of(condition), seed)
+            for condition, solver in plan.conditions.items()
+        }
+        if ASKING in policies:
+            # Which of two questions that are as good comes first must not depend on rounding.
+            policies[ASKING] = CachedPolicy(policies[ASKING])
+        return cls(plan, policies, instantiate(plan.belief))
+
     def view(self, state: StudyState) -> dict[str, Any]:
         """At an end for good also which of the sentences that they were told are not true."""
         view = super().view(state)
@@ -175,9 +213,56 @@ class Study(Explaining):
         return view | {"untrue": [(role.briefing[j], facts[j].message) for j in untrue]}
 
     def advance(self, state: StudyState, kind: str, payload: Mapping[str, Any]) -> StudyState:
-        """Who returns has the place that was free."""
+        """A participant who returns has the place that was free."""
         after = super().advance(state, kind, payload)
         return replace(after, **payload) if kind == "return" else after
+
+    # Places --------------------------------------------------------------------------------------
+
+    def cell(self, stream_name: str, position: int) -> tuple[int, str]:
+        """Type and condition of a place: in each block every cell once, in a seeded order."""
+        block, place = divmod(position, len(self.plan.cells))
+        rng = stream(self.plan.seed, "slots", stream_name, block)
+        return self.plan.cells[int(rng.permutation(len(self.plan.cells))[place])]
+
+    def holders(self, people: People) -> dict[tuple[str, int], StudyState]:
+        """{(stream, position): state} of everybody who holds a place or has used it up."""
+        return {
+            (one.row["stream"], one.state.place): one.state
+            for one in people
+            if one.state.place is not None
+        }
+
+    def admit(self, person: Participant[StudyState], people: People) -> dict[str, Any]:
+        """The first free place of the person's stream, and the orders of questions. A preview
+        takes no place."""
+        own, number, cell, position = person.row["stream"], person.row["number"], None, None
+        if person.state.cell is None:
+            position = self._free(own, people)
+            cell = self.cell(own, position)
+        user_type, condition = cell or self.plan.cells[person.state.cell or 0]
+        role, rng = self.plan.roles[user_type], stream(self.plan.seed, "orders", own, number)
+        tests = {"eligibility": role.eligibility, "quiz": role.quiz}
+        orders = {name: rng.permutation(len(test)).tolist() for name, test in tests.items()}
+        place = {"position": position, "user_type": user_type, "condition": condition}
+        return place | {"orders": orders}
+
+    def readmit(self, person: Participant[StudyState], people: People) -> dict[str, Any]:
+        """A place like the one that they lost: of the same type and condition."""
+        state = person.state
+        if state.position is None:
+            return {}
+        return {"position": self._free(person.row["stream"], people, state)}
+
+    def _free(self, own: str, people: People, like: StudyState | None = None) -> int:
+        """The first free place of a stream: any, or of the type and condition of a state. People
+        find none where all are taken; pilots and bots always find one."""
+        held, most = self.holders(people), self.plan.rules.per_cell * len(self.plan.cells)
+        for position in range(most) if own == "person" else count():
+            fits = like is None or self.cell(own, position) == (like.user_type, like.condition)
+            if fits and (own, position) not in held:
+                return position
+        raise Full("full")
 
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
         """The place and the orders of questions, where the window is wide enough."""
@@ -187,3 +272,73 @@ class Study(Explaining):
         orders = {name: tuple(order) for name, order in payload["orders"].items()}
         place = {key: payload[key] for key in ("position", "user_type", "condition")}
         return place | {"orders": orders}
+
+    # What a server shows -------------------------------------------------------------------------
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """One for every type under every condition."""
+        return tuple(f"{self.plan.roles[t].name}, {condition}" for t, condition in self.plan.cells)
+
+    def drawn(self, what: int | tuple[str, int]) -> tuple[Way | None, int, Sequence[str]]:
+        """The map after a number of steps, or with one clip."""
+        plan = self.plan
+        if isinstance(what, tuple):
+            clip = plan.clips[what[1]]
+            return clip.way or None, 1, clip.gone
+        return plan.path, what, plan.taken[what] if plan.taken else ()
+
+    @property
+    def titles(self) -> dict[str, str]:
+        """Also of questions in between."""
+        return super().titles | {"asking": self.words["asking"]}
+
+    def about(self, state: StudyState, blinded: bool) -> dict[str, str]:
+        """Also type and condition."""
+        role = "" if state.user_type is None else self.plan.roles[state.user_type].name
+        hidden = {} if blinded else {"Type": role, "Condition": state.condition or ""}
+        return super().about(state, blinded) | hidden
+
+    def step_of(self, state: StudyState) -> str:
+        """Of the evaluation."""
+        before = "before " if state.stage == "asking" else ""
+        return f"{before}step {state.step + 1}" if state.stage in EVALUATING else ""
+
+    # What to expect ------------------------------------------------------------------------------
+
+    def announcement(self) -> str:
+        """Where some are asked, what that is worth to people who never err."""
+        if ASKING not in self.plan.conditions:
+            return ""
+        met = self.faultless().items()
+        costs = ", ".join(f"{np.mean([o.cost for o in every]):.2f} {name}" for name, every in met)
+        asked = np.mean([one.n_questions for name, every in met if name == ASKING for one in every])
+        return (
+            f"study: λ · messages + inexplicable labels + κ · questions of people who never err: "
+            f"{costs} ({asked:.1f} questions)\n"
+        )
+
+    def faultless(self) -> dict[str, list[Episode]]:
+        """What people who never err meet under each condition, one of each kind."""
+        plan, found = self.plan, {}
+        of_clips = () if plan.clip_labels is None else (plan.clip_labels,)
+        tables = [
+            joined([LabelTable.dense(one[None]), *(clips.of_types([i]) for clips in of_clips)])
+            for i, one in enumerate(plan.true_labels)
+        ]
+        for condition, policy in self.policies.items():
+            problem = plan.problem_of(condition)
+            found[condition] = [
+                explain(problem, policy, SimulatedUser(labels), self.belief) for labels in tables
+            ]
+        return found
+
+    def difference(self) -> float:
+        """How many messages (and questions) more or fewer a faultless participant gets under one
+        condition than under another, on average over the types; of the two conditions that are
+        most alike."""
+        given = [
+            [(one.n_messages, one.n_questions) for one in met] for met in self.faultless().values()
+        ]
+        gaps = [np.abs(np.subtract(a, b)).sum(axis=1).mean() for a, b in combinations(given, 2)]
+        return float(min(gaps, default=np.inf))

@@ -17,7 +17,7 @@ from xplain.errors import Count, Positive, Whole, checks
 from xplain.explanation.asking import Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.people.plan import LabQuestion, Picture, StoredPlan, Told, Way
+from xplain.people.plan import Clip, LabQuestion, StoredPlan, Told, Way
 
 PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
 """Names of conditions that something hangs on: the policy of the last may ask before it speaks."""
@@ -77,27 +77,6 @@ class Training:
     message: str
 
 
-@dataclass(frozen=True)
-class Clip:
-    """One step of the task that may be asked about, on the trace or off it.
-
-    Attributes:
-        phrase: what the robot does.
-        way: on the map: the cells before and after it; or none.
-        situation: what is so when it begins, as sentences.
-        gone: names of the items that are off the map when it begins.
-        changes: what it changes, for domains without a map.
-        picture: of own transitions, if there is one.
-    """
-
-    phrase: str
-    way: Way = ()
-    situation: tuple[str, ...] = ()
-    gone: tuple[str, ...] = ()
-    changes: tuple[str, ...] = ()
-    picture: Picture | None = None
-
-
 @checks("rules")
 @dataclass(frozen=True, kw_only=True)
 class StudyRules:
@@ -129,12 +108,10 @@ class StudyPlan(StoredPlan):
         roles: [N].
         kinds: [M] facts that each kind of simulated people holds wrong, where participants come as
             they are: then there is one role, which nobody is briefed for. None otherwise.
-        trace: [m] what the robot does, as phrases.
-        path: [m] on the map, or None without a map.
+        shown: [m + Q] the trace, then what the condition ASKING may ask about.
         taken: [m + 1] names of the items that are off the map after each number of steps; or none.
         problem: label probabilities and costs behind the policies; with the questions that the
             condition ASKING may ask.
-        clips: [Q] what these questions show.
         clip_labels: of the M kinds as in ``true_labels``, what they would answer; None for none.
         true_labels: [M, m, 2^n] uint8, what a faultless participant would answer: of the M = N
             roles, or of the kinds.
@@ -142,7 +119,6 @@ class StudyPlan(StoredPlan):
         belief: configuration of the belief update.
     """
 
-    VERSION = 4
     OF = "a study"
 
     training: Training
@@ -151,15 +127,33 @@ class StudyPlan(StoredPlan):
     before: tuple[LabQuestion, ...] = ()
     roles: tuple[StudyRole, ...]
     kinds: tuple[tuple[int, ...], ...] = ()
-    trace: tuple[str, ...]
-    path: Way | None
     taken: Told = ()
     problem: Problem
-    clips: tuple[Clip, ...] = ()
     clip_labels: LabelTable | None = None
     true_labels: NDArray[np.uint8]
     conditions: Mapping[str, Mapping[str, Any]]
     belief: Mapping[str, Any]
+
+    @property
+    def trace(self) -> tuple[str, ...]:
+        """[m] what the robot does, as phrases."""
+        return tuple(clip.phrase for clip in self.shown[: self.n_steps])
+
+    @property
+    def clips(self) -> tuple[Clip, ...]:
+        """[Q] what the questions show."""
+        return self.shown[self.n_steps :]
+
+    @property
+    def path(self) -> Way | None:
+        """[m] on the map, or None without a map."""
+        way = tuple(move for clip in self.shown[: self.n_steps] for move in clip.way)
+        return way if len(way) == self.n_steps else None
+
+    @property
+    def shows_way(self) -> bool:
+        """On a map a trace is shown."""
+        return self.path is not None
 
     @property
     def lab_questions(self) -> tuple[LabQuestion, ...]:
@@ -173,7 +167,7 @@ class StudyPlan(StoredPlan):
     @property
     def n_steps(self) -> int:
         """m, the number of transitions of the trace."""
-        return len(self.trace)
+        return int(self.true_labels.shape[1])
 
     @property
     def wrong(self) -> tuple[tuple[int, ...], ...]:

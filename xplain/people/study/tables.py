@@ -5,159 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from xplain.errors import InputError, one_of
 from xplain.explanation.listening import Explained
 from xplain.explanation.message_sets import names_of
-from xplain.people.export import (
-    STREAMS,
-    ParticipantRow,
-    Row,
-    events_of,
-    participants,
-    plan_of,
-    reading,
-    seconds,
-    write,
-)
-from xplain.people.flow import CANNOT_TELL
-from xplain.people.study.flow import StudyState
+from xplain.people.export import STREAMS, Row, read, seconds, write
+from xplain.people.flow import CANNOT_TELL, Participant, People
+from xplain.people.study.evaluation import EVALUATING
+from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
 
-_COMPARISON = {
-    "measure": "of participants.csv",
-    "n_…": "participants, by condition",
-    "mean_…": "by condition",
-    "sd_…": "standard deviation, by condition",
-    "student_…": "t, df, p of Student's test; p_holm corrected for the three measures",
-    "welch_…": "t, df, p of Welch's test",
-    "hedges_g": "standardized difference, the first condition less the second",
-    "g_low": "lower end of its 95 % interval",
-    "g_high": "upper end",
-    "permutation_p": "of a permutation test within types",
-}
-
-CODEBOOK = {
-    "participants": {
-        "participant": "random id; the key of every table",
-        "stream": "person, pilot or bot; decided by the invitation, never changed",
-        "entry": "invitation, platform, open or preview",
-        "stage": "where they are or how it ended: done, declined, ineligible, withdrawn, timed_out",
-        "type": "user type whose knowledge they were given",
-        "condition": "explanation technique",
-        "eligibility_attempts": "eligibility tests taken",
-        "eligible": "1 if the test was passed",
-        "steps_labelled": "steps of the trace with a label",
-        "messages_given": "messages that the robot gave (of the policy, until the last step), each "
-        "counted once",
-        "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: "
-        "measure 2",
-        "cannot_tell": "transitions of which they could not tell, at the last step",
-        "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
-        "interaction_time_s": "seconds, server's clock, first rendering of step 1, or of a "
-        "question before it, to the last accepted label; paper: measure 1",
-        "clock": "by which that is: monotonic, or wall where the machine was restarted in between; "
-        "impossible where the wall clock was set back, and the time is left out",
-        "hidden_s": "seconds of it in which no page of the study was visible (browser's clock); "
-        "empty without JavaScript",
-        "visible_time_s": "interaction_time_s less hidden_s",
-        "entered": "server's wall clock, seconds since 1970-01-01 UTC",
-        "last_seen": "server's wall clock, seconds since 1970-01-01 UTC",
-        "consent_hash": "SHA-256 of the consent text agreed to (or declined)",
-        "timed_out": "times that they were silent for too long, and came back or not",
-        "window_width": "of the window at the consent, CSS pixels; empty without JavaScript",
-        "attention_missed": "attention checks after the quiz that were answered wrongly",
-        "messages_again…": "how often it said one of the messages again; only where it may",
-        "questions_asked…": "steps that they were asked about in between; only where a condition "
-        "asks",
-        "cost…": "λ · messages + inexplicable labels of all steps + κ · questions, as the plan has "
-        "these costs; what the policies plan for; only where a condition asks",
-    },
-    "steps": {
-        "participant": "key",
-        "k": "step of the evaluation, 0 … m − 1",
-        "transition": "what the robot did, as shown",
-        "given_before": "messages on the page before this step, joined by ;",
-        "messages": "messages that were said at this step, for the first time or again, joined by "
-        ";",
-        "belief_before": "probability of each user type (JSON list), before the step",
-        "belief_after": "the same after the labels of the step",
-        "action_values": "the policy's value of each next message set (JSON, bitmask: value; "
-        "0 = explain at once; larger is better)",
-        "labels": "labels of transitions 0 … k (JSON list), as in the table of labels",
-        "seconds": "from the first rendering of the step to its accepted labels, server's clock",
-    },
-    "pages": {
-        "participant": "key",
-        "sequence": "number of the answer that the page was for",
-        "stage": "which page",
-        "step": "k, of the evaluation's pages; of a question that of the step after it",
-        "shown": "first rendering, server's wall clock, seconds since 1970-01-01 UTC",
-        "seconds": "until its answer was accepted, server's clock; empty if it never was",
-        "browser_ms": "the same by the page's performance.now when the answer was sent",
-    },
-    "labels": {
-        "participant": "key",
-        "k": "step at which the label was given",
-        "i": "transition that was labelled, 0 … k",
-        "transition": "what the robot did, as shown",
-        "messages_shown": "all messages on the page, joined by ;",
-        "label": "1 = makes sense, 0 = makes no sense, 2 = they cannot tell",
-    },
-    "questions": {
-        "participant": "key",
-        "number": "0, 1, … of the participant's questions",
-        "k": "step of the evaluation that came next",
-        "clip": "number of the step asked about, in the plan's list of clips",
-        "transition": "what the robot does in it, as shown",
-        "situation": "what is so before it, as shown; may be empty",
-        "messages_shown": "all messages on the page, joined by ;",
-        "worth": "by how much the policy expected the question to lower cost (discounted, the "
-        "question's own cost taken off); empty where the policy does not tell",
-        "belief_before": "probability of each user type (JSON list), before the answer",
-        "belief_after": "the same after it; empty if it was not answered",
-        "label": "as in the table of labels; empty if it was not answered",
-        "seconds": "from the first rendering of the page to its accepted answer, server's clock",
-    },
-    "eligibility": {
-        "participant": "key",
-        "attempt": "1, 2, …",
-        "fact": "parameter asked about",
-        "question": "as shown",
-        "answer": "as chosen",
-        "correct": "1 if it is what the participant had been told",
-    },
-    "quiz": {
-        "participant": "key",
-        "fact": "parameter that the statement is about",
-        "statement": "as shown",
-        "true": "1 if it is true of the robot",
-        "ticked": "1 if the participant ticked it",
-        "correct": "1 if ticked = true",
-    },
-    "table2": _COMPARISON | {"paper_…": "what the paper has there"},
-    "asking": _COMPARISON,
-    "flow": {
-        "stage": "reached, or how it ended; then reasons of leaving somebody out",
-        "all": "participants",
-        "conformant": "of that condition",
-        "personalized": "of that condition",
-        "asking…": "of that condition, where there is one",
-    },
-    "answers": {
-        "participant": "key",
-        "question": "name in the configuration",
-        "answer": "as given; empty if left out",
-    },
-}
-
-Participant = ParticipantRow[StudyState]
+Person = Participant[StudyState]
 SLEEP = 2.0
 """Seconds by which a device's clock runs ahead of a page's own after a sleep."""
-EVALUATING = ("evaluation", "asking")
-"""Stages whose pages are the evaluation."""
 
 
 def export(database: Path, folder: Path) -> str:
@@ -166,13 +29,32 @@ def export(database: Path, folder: Path) -> str:
     Raises:
         InputError: it is no study's database.
     """
-    return write(database, folder, StudyPlan, StudyState, tables, CODEBOOK)[0]
+    plan, people = read(database, StudyPlan, StudyState)
+    return write(folder, Study.PACKAGE, plan, people, tables)
 
 
-def steps_of(one: Participant) -> list[Row]:
+def glance(study: Study, people: People) -> dict[str, Any]:
+    """Which places are left, for the researcher's page."""
+    held, plan, rows = study.holders(people), study.plan, []
+    for own in sorted({"person", *(name for name, _ in held)}):
+        for user_type, condition in plan.cells:
+            inside = [
+                one.stage == "done"
+                for (name, _), one in held.items()
+                if (name, one.user_type, one.condition) == (own, user_type, condition)
+            ]
+            free = plan.rules.per_cell - len(inside) if own == "person" else None
+            rows.append(
+                {"stream": own, "user_type": user_type, "condition": condition}
+                | {"completed": sum(inside), "held": inside.count(False), "free": free}
+            )
+    return {"slots": rows, "roles": plan.roles}
+
+
+def steps_of(one: Person) -> list[Row]:
     """What was decided at each step of somebody's evaluation, and their labels of it."""
     steps: dict[int, Row] = {}
-    for event in one.moves:
+    for event in (e for e in one.events if e["state"]):
         state = StudyState.from_text(event["state"])
         if event["kind"] == "labels":
             k = len(event["payload"]["labels"]) - 1
@@ -192,7 +74,7 @@ def steps_of(one: Participant) -> list[Row]:
     return list(steps.values())
 
 
-def tables(plan: StudyPlan, people: list[Participant]) -> dict[str, Iterable[Row]]:
+def tables(plan: StudyPlan, people: list[Person]) -> dict[str, Iterable[Row]]:
     """Rows of every table by name. Answers of participants who withdrew are left out."""
     everybody, people = people, [one for one in people if one.state.stage != "withdrawn"]
     steps = [step for one in sorted(people, key=lambda one: one.id) for step in steps_of(one)]
@@ -220,11 +102,10 @@ def tables(plan: StudyPlan, people: list[Participant]) -> dict[str, Iterable[Row
             for event in one.answers(kind)
             for name, value in event["payload"].items()
         ],
-        "events": events_of(people),
     }
 
 
-def _participant(plan: StudyPlan, one: Participant) -> Row:
+def _participant(plan: StudyPlan, one: Person) -> Row:
     person, state, consent = one.row, one.state, one.first("consent")
     finished = state.stage in ("quiz", "questions", "done")
     cost = _cost(plan, one) if finished else None
@@ -277,7 +158,7 @@ def _labels(plan: StudyPlan, step: Row) -> Iterator[Row]:
         }
 
 
-def _cost(plan: StudyPlan, one: Participant) -> float:
+def _cost(plan: StudyPlan, one: Person) -> float:
     """λ · messages + inexplicable labels of all steps + κ · questions."""
     problem, asked = plan.problem, len(one.state.asked)
     messages = problem.communication(1 << j for j in one.state.heard)
@@ -286,7 +167,7 @@ def _cost(plan: StudyPlan, one: Participant) -> float:
     return cost + problem.questions.limits.cost * asked
 
 
-def _questions(plan: StudyPlan, one: Participant, shown: Sequence[Row]) -> Iterator[Row]:
+def _questions(plan: StudyPlan, one: Person, shown: Sequence[Row]) -> Iterator[Row]:
     names, state = plan.problem.message_names, one.state
     took = {page["sequence"]: page["seconds"] for page in shown if page["participant"] == one.id}
     answers = [event["source_sequence"] for event in one.answers("clip")]
@@ -308,7 +189,7 @@ def _questions(plan: StudyPlan, one: Participant, shown: Sequence[Row]) -> Itera
         }
 
 
-def _eligibility(plan: StudyPlan, one: Participant) -> Iterator[Row]:
+def _eligibility(plan: StudyPlan, one: Person) -> Iterator[Row]:
     for attempt, event in enumerate(one.answers("eligibility"), 1):
         questions = plan.roles[one.state.slot_type].eligibility
         answers = event["payload"]["answers"]
@@ -323,7 +204,7 @@ def _eligibility(plan: StudyPlan, one: Participant) -> Iterator[Row]:
             }
 
 
-def _quiz(plan: StudyPlan, one: Participant) -> Iterator[Row]:
+def _quiz(plan: StudyPlan, one: Person) -> Iterator[Row]:
     for event in one.answers("quiz"):
         for i, statement in enumerate(plan.roles[one.state.slot_type].quiz):
             ticked = i in event["payload"]["chosen"]
@@ -434,7 +315,8 @@ def _passed(first: Row, last: Row) -> tuple[float, float]:
 
 
 def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
-    """What was said to each participant of a stream, and what they answered; as far as they came.
+    """What was said to each participant of a stream, and what they answered, as far as they came
+    (``study habits``).
 
     Args:
         database: of a study that no server has open, or a snapshot.
@@ -444,9 +326,7 @@ def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
         InputError: it is no study's database, or there is no such stream.
     """
     one_of("stream", stream, STREAMS)
-    with reading(database) as connection:
-        plan = plan_of(connection, StudyPlan)
-        everybody = participants(connection, StudyState)
+    plan, everybody = read(database, StudyPlan, StudyState)
     own = [steps_of(one) for one in everybody if one.row["stream"] == stream]
     labelled = [[step for step in steps if step["labels"]] for steps in own]
     if not any(labelled):

@@ -13,7 +13,6 @@ from xplain.people.bots import visit
 from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 
 
@@ -22,7 +21,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[b
     """A snapshot of 24 bots, some of whom leave, one person, one who only looked in; and the
     server's secret."""
     folder = tmp_path_factory.mktemp("collected")
-    store = Store(folder / "study.sqlite", StudySite(study))
+    store = Store(folder / "study.sqlite", study)
     app = create_app(store, GENEROUS)
 
     def take_part(number: int, habits: Habits, token: str) -> None:

@@ -17,7 +17,6 @@ from xplain.people.bots import visit
 from xplain.people.store import Store
 from xplain.people.study.analysis import MEASURES, analyses, document
 from xplain.people.study.bot import Habits, StudyBot
-from xplain.people.study.site import StudySite
 from xplain.people.web import create_app
 
 
@@ -25,15 +24,15 @@ def test_costs_and_questions_are_those_of_the_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Counted again from tables that know nothing of the states."""
-    site = StudySite(street_study(ask=ASK | {"cost": 0.25}, **{"lambda": 1.5}))
+    flow = street_study(ask=ASK | {"cost": 0.25}, **{"lambda": 1.5})
     path, out = tmp_path / "s.sqlite", tmp_path / "out"
-    store = Store(path, site)
+    store = Store(path, flow)
     app = create_app(store, GENEROUS)
     for number, token in enumerate(store.invite(36, "bot")):
         habits = Habits(label_noise=0.1, leaving=0.02)
         visit(
             Visitor(app.test_client()),
-            StudyBot(site.plan, habits, np.random.default_rng(number)),
+            StudyBot(flow.plan, habits, np.random.default_rng(number)),
             token,
         )
     store.close()

@@ -3,34 +3,28 @@
 from __future__ import annotations
 
 import io
-import itertools
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.collections import PathCollection
-from matplotlib.figure import Figure
 from rich.console import Console
 from scipy import stats
 
 from tests.people.study.analysis.completed import completed
 from xplain.cli.main import main
 from xplain.errors import InputError
-from xplain.people.export import described
+from xplain.people.export import codebook, described
 from xplain.people.study.analysis import (
     CONDITIONS,
-    MEASURES,
-    TITLES,
     Analysis,
     analyse,
-    draw,
     exclusions,
     paper_table,
     save,
     show,
 )
-from xplain.people.study.tables import CODEBOOK, export
+from xplain.people.study.tables import export
 
 
 def test_streams_are_never_mixed(
@@ -75,38 +69,14 @@ def _both(analysis: Analysis, measure: str) -> list[pd.Series[float]]:
     ]
 
 
-def test_each_figure_on_the_terminal_stands_under_its_heading(analysis: Analysis) -> None:
-    console = Console(width=260, record=True, file=io.StringIO())
-    show(analysis, console)
-    lines = console.export_text().splitlines()
-    first = itertools.takewhile(lambda line: not line.startswith("│"), lines)
-    above = [[part.strip() for part in line.split("┃")] for line in first if "┃" in line]
-    headings = [" ".join(parts).strip() for parts in zip(*above, strict=True)]
-    for measure in MEASURES:
-        (line,) = (line for line in lines if line.startswith(f"│ {TITLES[measure]} "))
-        cells = dict(zip(headings, (c.strip() for c in line.split("│")), strict=True))
-        a, b = _both(analysis, measure)
-        assert cells["Conformant mean (SD), n"] == f"{a.mean():.2f} ({a.std():.2f}), {len(a)}"
-        assert cells["Personalized mean (SD), n"] == f"{b.mean():.2f} ({b.std():.2f}), {len(b)}"
-        student, welch = stats.ttest_ind(a, b), stats.ttest_ind(a, b, equal_var=False)
-        assert _number(cells["Student's p"]) == pytest.approx(student.pvalue, abs=1e-3)
-        assert _number(cells["Welch's p"]) == pytest.approx(welch.pvalue, abs=1e-3)
-        assert _number(cells["p, Holm"]) >= _number(cells["Student's p"])
-        paper = paper_table()[measure]
-        assert cells["Paper: means, p"].startswith(f"{paper['conformant']:g}, ")
-
-
-def _number(p: str) -> float:
-    return float(p.removeprefix("<"))
-
-
 def test_the_file_has_each_measure_with_its_figures(analysis: Analysis, tmp_path: Path) -> None:
     save(analysis, tmp_path / "new" / "folder")
     table = pd.read_csv(tmp_path / "new" / "folder" / "table2.csv", index_col="measure")
     assert list(table.index) == list(analysis.measures.index)
     for name in ("table2", "flow"):
         written = pd.read_csv(tmp_path / "new" / "folder" / f"{name}.csv")
-        described(name, written.to_dict("records"), CODEBOOK[name])  # refuses others
+        columns = [row["column"] for row in codebook("xplain.people.study") if row["table"] == name]
+        described(name, written.to_dict("records"), columns)  # refuses others
     for measure in table.index:
         of, (a, b) = table.loc[measure], _both(analysis, measure)
         assert (of["n_conformant"], of["n_personalized"]) == (len(a), len(b))
@@ -124,27 +94,6 @@ def test_the_file_has_each_measure_with_its_figures(analysis: Analysis, tmp_path
     for measure, paper in paper_table().items():
         assert table.loc[measure, "paper_p_value"] == paper["p_value"]
         assert table.loc[measure, "student_p_holm"] >= table.loc[measure, "student_p"]
-
-
-def test_the_picture_shows_everybody_and_the_means(
-    analysis: Analysis, tmp_path: Path, drawn: list[Figure]
-) -> None:
-    draw(analysis, tmp_path / "measures.png")
-    for column, measure in enumerate(MEASURES):
-        axis, paper = drawn[0].axes[column], paper_table()[measure]
-        dots = [c for c in axis.collections if isinstance(c, PathCollection)]
-        assert [label.get_text() for label in axis.get_xticklabels()] == list(CONDITIONS)
-        groups = zip(CONDITIONS, _both(analysis, measure), dots, axis.containers, strict=True)
-        for x, (condition, values, cloud, interval) in enumerate(groups):
-            spread = np.asarray(cloud.get_offsets())
-            assert sorted(spread[:, 1]) == sorted(values)
-            assert np.abs(spread[:, 0] - x).max() < 0.2  # nearer than the other condition
-            mean, _, (bar,) = interval.lines
-            assert mean.get_ydata()[0] == pytest.approx(values.mean())
-            ends = stats.t.interval(0.95, len(values) - 1, values.mean(), stats.sem(values))
-            assert np.asarray(bar.get_segments()[0])[:, 1] == pytest.approx(ends)
-            stars = [line.get_ydata()[0] for line in axis.lines if line.get_marker() == "*"]
-            assert stars[x] == paper[condition]
 
 
 def test_the_terminal_tells_where_everybody_went(analysis: Analysis) -> None:

@@ -6,8 +6,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import stats
 
 from xplain.people.study.analysis import (
@@ -33,15 +31,6 @@ def test_none_of_the_papers_p_values_survives_the_correction() -> None:
     assert adjusted == pytest.approx([0.072, 0.072, 0.072])
 
 
-@given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
-def test_holm_lies_between_plain_and_bonferroni(p: list[float]) -> None:
-    adjusted = holm(p)
-    assert (adjusted >= np.array(p)).all()
-    assert (adjusted <= np.minimum(1, len(p) * np.array(p)) + 1e-12).all()
-    order = np.argsort(p, kind="stable")
-    assert (np.diff(adjusted[order]) >= 0).all()
-
-
 def test_hedges_interval_holds_the_truth_as_often_as_it_says() -> None:
     rng, delta, hits, rounds = np.random.default_rng(1), 0.7, 0, 600
     for _ in range(rounds):
@@ -64,14 +53,6 @@ def test_hedges_is_unbiased_and_mirrors() -> None:
     # Zero lies on the interval's edge exactly when the test's p is .05.
     critical = float(stats.t.isf(0.025, 36))
     assert hedges(critical, 19, 19)[1] == pytest.approx(0, abs=1e-9)
-
-
-@given(st.floats(-300, 300), st.integers(2, 200), st.integers(2, 200))
-@settings(max_examples=100, deadline=None)
-def test_hedges_interval_exists_for_any_t(t: float, n: int, m: int) -> None:
-    g, low, high = hedges(t, n, m)
-    assert low <= g <= high or abs(t) > 20  # far out the factor pulls g below the median
-    assert low < high
 
 
 def test_permutation_test_is_the_share_of_all_arrangements() -> None:
@@ -104,27 +85,6 @@ def test_figures_of_two_groups_by_hand() -> None:
     assert found["hedges_g"] == pytest.approx(2 / 2.5**0.5 / (2**0.5 * np.pi**0.5 / 2))
     unequal = compare([0.0, 9.0], [1.0, 2.0, 2.0, 1.0], ["a"] * 2, ["a"] * 4, 0)
     assert unequal["hedges_g"] == pytest.approx(hedges(unequal["student_t"], 2, 4)[0])
-
-
-def test_the_unit_does_not_matter_to_a_permutation() -> None:
-    """Differences that are equal stay so where tenths cannot be told exactly."""
-    rng = np.random.default_rng(9)
-    for seed in range(20):
-        x, y = rng.integers(0, 4, (2, 8)).astype(float)
-        strata = np.array(["a", "b"] * 4)
-        whole, tenths = (
-            stratified_permutation(x * unit, y * unit, strata, strata, seed, 500)
-            for unit in (1, 0.1)
-        )
-        assert whole == tenths
-
-
-def test_permutation_p_is_never_zero() -> None:
-    # Of 20 arrangements two are as extreme; of none drawn, the one observed is.
-    x, y, strata = np.array([7.0, 8, 9]), np.array([1.0, 2, 3]), np.array(["a"] * 3)
-    exact = stratified_permutation(x, y, strata, strata, seed=0, permutations=40_000)
-    assert exact == pytest.approx(0.1, abs=0.006)
-    assert stratified_permutation(x, y, strata, strata, seed=0, permutations=0) == 1.0
 
 
 def test_permutation_test_does_not_take_a_type_for_an_effect() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from xplain.people.export import ParticipantRow
+from xplain.people.flow import Participant
 from xplain.people.study.flow import StudyState
 from xplain.people.study.tables import hidden, interaction, pages
 
@@ -142,7 +142,7 @@ def test_every_page_has_its_place_and_the_time_until_its_answer() -> None:
 def test_what_was_answered_is_taken_from_the_protocol_s_events() -> None:
     consent = event("protocol", "consent", -5) | {"payload": {"text": "a1b2", "width": 1280}}
     forged = event("tab:a", "consent", -6, text="c3")
-    one = ParticipantRow({}, StudyState(), (forged, consent, *LABELS))
+    one = Participant({}, StudyState(), (forged, consent, *LABELS))
     assert one.first("consent") == {"text": "a1b2", "width": 1280}
     assert one.answers("labels") == [LABELS[1], LABELS[3]]
     assert one.first("answers") == {}

@@ -17,8 +17,7 @@ from xplain.explanation.label_table import LabelTable, joined
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Slips
 from xplain.people.study.bot import StudyBot
-from xplain.people.study.flow import Study, StudyState
-from xplain.people.study.policies import difference
+from xplain.people.study.flow import Study
 from xplain.people.study.prepare import conditions_of
 from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
@@ -170,12 +169,5 @@ def test_what_cannot_be_asked_is_refused(changes: dict[str, Any], said: str) -> 
 
 def test_conditions_may_differ_by_questions_alone_and_have_to() -> None:
     """Questions too dear to be asked make the third condition the first again."""
-    assert difference(street_plan(ask=ASK)) >= 1
-    assert difference(street_plan(ask=ASK | {"cost": 9.0})) == 0
-
-
-def test_a_state_with_questions_comes_back_from_its_text(asking: Study) -> None:
-    state = at_evaluation(asking, 1, "asking")
-    state = asking.advance(state, "clip", {"label": 0})
-    assert state.asked
-    assert StudyState.from_text(state.text) == state
+    assert Study.of(street_plan(ask=ASK)).difference() >= 1
+    assert Study.of(street_plan(ask=ASK | {"cost": 9.0})).difference() == 0

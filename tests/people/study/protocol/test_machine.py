@@ -227,18 +227,6 @@ def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) 
         assert sorted(texts) == sorted(s.text for s in study.plan.roles[user_type].quiz)
 
 
-def test_persistent_belief_is_taken_from_the_configuration(study: Study) -> None:
-    other = street_study(belief={"_target_": "xplain.explanation.belief.Persistent"})
-    final = []
-    for one, belief in ((study, Independent()), (other, Persistent())):
-        user = SimulatedUser.of(one.plan.true_labels[0])
-        offline = explain(one.plan.problem, one.policies["personalized"], user, belief)
-        *_, state = evaluated(one, 0, "personalized")
-        assert state.belief == tuple(offline.beliefs[-1].tolist())
-        final.append(state.belief)
-    assert final[0] != final[1]
-
-
 CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["red", "blue"]}
 RATING = {"name": "robots", "label": "I know robots", "kind": "scale", "low": 1, "high": 7}
 RULES = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
@@ -280,16 +268,6 @@ def test_a_plan_may_refuse_narrow_windows() -> None:
             agreed(study, width=width)
     assert agreed(study, width=900).stage == "briefing"
     assert agreed(street_study(), width=390).stage == "briefing"
-
-
-def test_messages_stay_in_the_order_in_which_they_came(study: Study) -> None:
-    for user_type, condition in study.plan.cells:
-        told: list[str] = []
-        for state in [*evaluated(study, user_type, condition)][:-1]:
-            view = study.view(state)
-            assert view["old"] == told
-            told += view["new"]
-            assert len(told) == state.given.bit_count()
 
 
 def test_who_cannot_tell_is_told_as_if_nothing_was_answered() -> None:

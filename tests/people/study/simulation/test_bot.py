@@ -6,12 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from tests.people.study.stand_in import FAULTLESS
-from tests.people.visitors import GENEROUS, Visitor, pages
-from xplain.people.bots import Page
-from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
-from xplain.people.study.flow import StudyState
-from xplain.people.web import create_app
 
 
 def test_a_message_that_was_missed_is_taken_in_when_it_is_said_again(
@@ -39,19 +34,3 @@ def test_what_is_lost_after_a_step_counts_at_the_next(person: Callable[..., Stud
     assert not any(someone.known >> j & 1 for j in someone.plan.wrong[someone.user_type])
     forgotten, _ = someone.labels(count, len(facts), [])
     assert forgotten == truth[:, 0].tolist() != right
-
-
-def test_pages_tell_what_is_said_now_as_views_do(
-    store: Store, person: Callable[..., StudyBot]
-) -> None:
-    """Over HTTP as in the bare flow."""
-    app, flow = create_app(store, GENEROUS), store.site.flow
-    (token,) = store.invite(1, "bot")
-    seen = 0
-    for _, page in pages(Visitor(app.test_client()), person(), token):
-        (row,) = store.query("SELECT state FROM seen")
-        view = Page.of_view(flow.view(StudyState.from_text(row["state"])))
-        if page.stage == "evaluation":
-            assert list(page.new) == list(view.new)
-            seen += len(page.new)
-    assert seen
