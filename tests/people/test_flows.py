@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -50,6 +52,16 @@ def at(kind: str, kind_of_event: str) -> Any:
     """The first state that waits for such an event."""
     flow = flow_of(kind)
     return next(state for state in states(kind) if flow.waits_for(state) == kind_of_event)
+
+
+@kinds
+def test_a_flow_knows_no_web_no_store_no_configuration(kind: str) -> None:
+    script = f"import sys, xplain.people.{kind}.flow; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    outer = {"flask", "werkzeug", "sqlite3", "hydra", "omegaconf", "gunicorn", "requests", "lxml"}
+    assert not outer & set(done.stdout.split())
 
 
 @kinds

@@ -190,7 +190,7 @@ def test_the_command_learns_from_a_stream_alone(
     ]
     with pytest.raises(InputError, match="one with answers"):
         listeners_in(path, "bot")
-    Store(tmp_path / "without.sqlite", type(flow_of("collect"))(street_collection())).close()
+    Store(tmp_path / "without.sqlite", street_collection()).close()
     with pytest.raises(InputError, match=r"rules\.listening.*nothing was asked again"):
         listeners_in(tmp_path / "without.sqlite")
 

@@ -23,7 +23,6 @@ from xplain.people.material import Material, named, phrases_of
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import needed, study_plan, traces_of
 from xplain.people.web import create_app
 
@@ -149,8 +148,8 @@ def test_the_first_trace_on_which_the_conditions_differ_is_taken(
     cfg = composed("study", ["seed=0", "observers.points=50", "trace.candidates=20"])
     tried: list[tuple[str, ...]] = []
 
-    def gap(plan: StudyPlan) -> float:
-        tried.append(plan.trace)
+    def gap(study: Study) -> float:
+        tried.append(study.plan.trace)
         return 0.0 if len(tried) < 3 else 1.0
 
     monkeypatch.setattr(Study, "difference", gap)

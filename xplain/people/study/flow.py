@@ -16,7 +16,6 @@ from itertools import combinations, count
 from typing import Any, ClassVar
 
 import numpy as np
-from hydra.utils import instantiate
 
 from xplain.errors import Refused
 from xplain.explanation.label_table import LabelTable, joined
@@ -193,6 +192,8 @@ class Study(Explaining):
     @classmethod
     def of(cls, plan: StudyPlan) -> Study:
         """With policies made from the conditions' configurations."""
+        from hydra.utils import instantiate  # a flow at work knows no configuration
+
         seed = derived_seed(plan.seed, "solver")
         policies = {
             condition: instantiate(solver).plan(plan.problem_of(condition), seed)
