@@ -71,9 +71,9 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.learning.data.observers import Observed, SimulatedObservers
 from xplain.learning.data.queries import Independent, Queries
-from xplain.learning.known_types import References, learn_references
+from xplain.learning.labelers import Labeler
 from xplain.learning.mixture.labeler import HypothesisTrainer
-from xplain.learning.user_types import UserTypes, label_table
+from xplain.learning.user_types import UserTypes, label_table, learn_perfect, oracle_labelers
 from xplain.questions.designs import Adaptive, Battery
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
@@ -200,8 +200,8 @@ def row_of(
         types = clusterer(labeler=trainer).find(observed, seed)
         none = _none(observed, types, hypotheses_of(domain, path), error)
         given = trainer.given(observed)
-        everyone = given.fit(observed.dataset, seed)
-        references = learn_references(observed, given, seed, everyone, types.by_observers)
+        perfect = learn_perfect(observed, given, seed, types.by_observers)
+        oracle = oracle_labelers(perfect, observed)
     assert observed.truth is not None
     alike = setting.distinct[observed.truth]
     row = dict(zip(KEY, (name, way, points, error, people, seed), strict=True))
@@ -210,9 +210,9 @@ def row_of(
         "found": types.clustering.n_types,
         "ari": float(adjusted_rand_score(alike, types.clustering.assignment)),
         "none": none,
-        "accuracy": _accuracy(setting, references),
+        "accuracy": _accuracy(setting, oracle),
     }
-    return row | _costs(setting, types, references, traces, seed)
+    return row | _costs(setting, types, oracle, traces, seed)
 
 
 def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: float) -> float:
@@ -235,16 +235,16 @@ def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: f
     return float(np.mean(said))
 
 
-def _accuracy(setting: Setting, references: References) -> float:
+def _accuracy(setting: Setting, oracle: tuple[Labeler, ...] | None) -> float:
     """Labels predicted right, of all transitions and message sets, true types given."""
-    assert references.oracle is not None
+    assert oracle is not None
     features = transition_features(setting.domain, setting.reachable)
-    table = label_table(references.oracle, features, setting.reachable).array(setting.n_messages)
+    table = label_table(oracle, features, setting.reachable).array(setting.n_messages)
     return float(((table >= 0.5) == setting.label_table(setting.reachable)).mean())
 
 
 def _costs(
-    setting: Setting, types: Any, references: References, traces: int, seed: int
+    setting: Setting, types: Any, oracle: tuple[Labeler, ...] | None, traces: int, seed: int
 ) -> dict[str, float]:
     """Mean costs: QMDP with what was learned, with true types and labels (as they are, and with a
     confidence of .975, as people err), the learned oracle, the clairvoyant."""
@@ -253,10 +253,9 @@ def _costs(
     for index in range(traces):
         trace = draw_trace(setting, 40, seed, index)
         features, labels = transition_features(setting.domain, trace), setting.label_table(trace)
-        assert references.oracle is not None
+        assert oracle is not None
         learned, perfect = (
-            label_table(labelers, features, trace).array(n)
-            for labelers in (types.labelers, references.oracle)
+            label_table(labelers, features, trace).array(n) for labelers in (types.labelers, oracle)
         )
         truth = labels.astype(np.float64)
         tables = {"qmdp": learned, "true": truth, "true_975": 0.95 * truth + 0.025}

@@ -23,7 +23,7 @@ from xplain.explanation.belief import Independent
 from xplain.interaction.explainees import Exact
 from xplain.interaction.metrics import Record
 from xplain.learning.data.observers import FileObservers
-from xplain.learning.known_types import TrueLabels
+from xplain.learning.user_types import TrueLabels
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate as policy_value

@@ -12,7 +12,6 @@ from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.classes import SHRINKAGE, answer_classes
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import held_out
-from xplain.learning.user_types import Single
 
 
 def answered(labels: np.ndarray, asked: np.ndarray | None = None) -> Dataset:
@@ -108,18 +107,6 @@ def test_answers_without_types_support_none() -> None:
         assert known.types > known.question_mean - 0.02  # and cost next to nothing
         verdicts.append(known.verdict)
     assert all("not" in verdict for verdict in verdicts)
-
-
-def test_one_type_cannot_gain_over_itself() -> None:
-    data, *_ = people(0)
-    known = held_out(data, Single(), LabelerTrainer(), 0)
-    assert known.types == known.one_type
-    tenths = known.calibration
-    assert all(0 <= one.said <= 1 for one in tenths)
-    said, ones, labels = np.array([(one.said, one.ones, one.labels) for one in tenths]).T
-    off = 4 * np.sqrt(labels.sum()) / 2  # standard errors
-    assert said @ labels == pytest.approx(ones @ labels, abs=off)  # right on the whole
-    assert known.gain[1] <= 0 or known.one_type < known.question_mean
 
 
 def test_the_order_of_rows_and_the_process_do_not_matter() -> None:

@@ -6,14 +6,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from xplain.errors import InputError
 from xplain.learning.answers import (
     RATE_PRIOR,
     RATES,
     AnswerModel,
     CellAnswers,
-    ErrorRates,
-    QuestionErrors,
     answered,
     learned,
     truth,
@@ -21,9 +18,9 @@ from xplain.learning.answers import (
 
 
 def test_an_answer_is_what_is_thought_but_for_slips_guesses_and_errors():
-    found = answered(np.array([0.1]), np.array([0.3]), np.array([0.0, 0.2]))
-    assert found[0, 1] == pytest.approx([0.9, 0.8 * 0.9 + 0.2 * 0.1])
-    assert found[0, 0] == pytest.approx([0.3, 0.8 * 0.3 + 0.2 * 0.7])
+    found = answered(np.array([0.1]), np.array([0.3]))
+    assert found[0, 1] == pytest.approx(0.9 * (1 - RATES) + 0.1 * RATES)
+    assert found[0, 0] == pytest.approx(0.3 * (1 - RATES) + 0.7 * RATES)
 
 
 def simulated(seed, errors, slips, people=20, each=40, types=4, sure=0.9995):
@@ -46,7 +43,7 @@ def simulated(seed, errors, slips, people=20, each=40, types=4, sure=0.9995):
 
 
 def mean_rate(model):
-    return model.person[:-1] @ model.errors.rates
+    return model.person[:-1] @ RATES
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -54,15 +51,15 @@ def test_who_errs_and_who_does_not_is_told_apart(seed):
     model, error = simulated(seed, [0.0, 0.3], [0.0] * 60)
     assert mean_rate(model)[error == 0].max() < 0.05
     assert mean_rate(model)[error == 0.3].min() > 0.15
-    assert model.errors.prior[:2].sum() == pytest.approx(0.5, abs=0.15)
-    assert model.errors.prior[3:].sum() == pytest.approx(0.45, abs=0.15)
+    assert model.prior[:2].sum() == pytest.approx(0.5, abs=0.15)
+    assert model.prior[3:].sum() == pytest.approx(0.45, abs=0.15)
     assert model.slip.max() < 0.06
 
 
 @pytest.mark.parametrize("error", [0.05, 0.15])
 def test_errors_that_all_share_are_slips(error):
     model, _ = simulated(1, [error], [0.0] * 60, people=60)
-    assert model.errors.prior.argmax() == 0
+    assert model.prior.argmax() == 0
     assert (model.slip[-1] + model.guess[-1]) / 2 == pytest.approx(error, abs=0.03)
     assert model.habits.error @ model.habits.prior == pytest.approx(error, abs=0.03)
     assert mean_rate(model).mean() < 0.02
@@ -109,27 +106,25 @@ def test_a_person_is_judged_as_by_the_sum_over_all_truths():
     for f in product((0, 1), repeat=5):
         chance = np.prod(np.where(np.array(f) == 1, prior, 1 - prior))
         for i, j in product(range(5), repeat=2):
-            rate = np.array([model.errors.rates[i], model.errors.rates[j]])[person]
+            rate = RATES[[i, j]][person]
             thought = np.array(f)[cell]
             one = np.where(thought == 1, 1 - model.slip[cell], model.guess[cell])
             one = one * (1 - rate) + (1 - one) * rate
-            share = model.errors.prior[i] * model.errors.prior[j]
+            share = model.prior[i] * model.prior[j]
             joint[i, j] += share * chance * np.prod(np.where(label == 1, one, 1 - one))
     joint /= joint.sum()
     assert model.person[0] == pytest.approx(joint.sum(axis=1), abs=2e-3)
     assert model.person[1] == pytest.approx(joint.sum(axis=0), abs=2e-3)
-    assert np.array_equal(model.person[2], model.errors.prior)
 
 
 def test_what_is_said_of_an_answer_is_a_mean_over_the_persons_rates():
-    rates = ErrorRates.of([0.0, 0.4], [0.75, 0.25])
-    person = np.array([[1.0, 0.0], [0.0, 1.0], [0.75, 0.25]])
-    model = AnswerModel(np.array([0.1, 0.2]), np.array([0.05, 0.2]), rates, person)
+    person = np.array([[1.0, 0, 0, 0, 0], [0, 0, 0, 0, 1], [0.75, 0, 0, 0.25, 0]])
+    model = AnswerModel(np.array([0.1, 0.2]), np.array([0.05, 0.2]), person)
     question, who, label = np.array([0, 0, -1]), np.array([0, 1, -1]), np.array([1, 0, 1])
     expected = [
         [0.05, 0.9],
-        [0.6 * 0.95 + 0.4 * 0.05, 0.6 * 0.1 + 0.4 * 0.9],
-        [0.75 * 0.2 + 0.25 * (0.6 * 0.2 + 0.4 * 0.8), 0.75 * 0.8 + 0.25 * (0.6 * 0.8 + 0.4 * 0.2)],
+        [0.65 * 0.95 + 0.35 * 0.05, 0.65 * 0.1 + 0.35 * 0.9],
+        [0.75 * 0.2 + 0.25 * (0.8 * 0.2 + 0.2 * 0.8), 0.75 * 0.8 + 0.25 * (0.8 * 0.8 + 0.2 * 0.2)],
     ]
     assert np.exp(model.log_given(question, who, label)) == pytest.approx(np.array(expected))
     assert model.wrong(question[:1], who[:1]) == pytest.approx((0.1 + 0.05) / 2)
@@ -146,30 +141,5 @@ def test_what_is_taken_without_answers_is_mostly_no_error():
     assert RATES[0] == 0
     assert RATE_PRIOR.argmax() == 0
     nobody = learned(CellAnswers(*np.zeros((4, 0), dtype=np.int64)), np.zeros(0), 3, 2)
-    assert nobody.errors.prior == pytest.approx(RATE_PRIOR)
+    assert nobody.prior == pytest.approx(RATE_PRIOR)
     assert nobody.slip == pytest.approx(nobody.slip[-1])
-
-
-@pytest.mark.parametrize(
-    ("rates", "prior"),
-    [([0.1, 0.0], [0.5, 0.5]), ([0.0, 0.5], [0.5, 0.5]), ([0.0], [0.9]), ([0.0, 0.1], [1.0])],
-)
-def test_rates_that_are_none_are_refused(rates, prior):
-    with pytest.raises(InputError, match=r"rates|prior"):
-        ErrorRates.of(rates, prior)
-
-
-def test_slips_and_guesses_that_are_none_are_refused():
-    errors = QuestionErrors(
-        np.array([0.1, 0.2, 0.3]),
-        np.array([0.01, 0.02, 0.03]),
-        ErrorRates(RATES, RATE_PRIOR),
-        np.array([[1.0, 0.0], [2.0, 0.0]]),
-    )
-    for slips, guesses in (
-        ([0.1, 0.2], [0.1, 0.2]),
-        ([0.6] * 3, [0.5] * 3),
-        ([0.0] * 3, [0.1] * 3),
-    ):
-        with pytest.raises(InputError, match=r"slip"):
-            QuestionErrors(np.array(slips), np.array(guesses), errors.errors, errors.features)

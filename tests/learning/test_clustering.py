@@ -1,107 +1,24 @@
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
 from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.data.observers import Observed
-from xplain.learning.labelers import FittedLabeler, Labeler, LabelerTrainer
-from xplain.learning.paper import Agglomerative, Elbow, KMeans, Partitioner, disagreements
+from xplain.learning.labelers import Labeler, LabelerTrainer
+from xplain.learning.paper import Agglomerative, Elbow, KMeans
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import (
     AskedOnce,
-    Clusterer,
-    Perfect,
-    Single,
     UserTypes,
     label_table,
     learn_types,
-    with_none_of_these,
 )
-
-
-class ClustererSuite:
-    """What every clusterer must hold; inherit it and name yours."""
-
-    clusterer: Clusterer
-    needs_truth = False
-
-    def test_one_cluster_number_an_observer_by_first_appearance(self) -> None:
-        dataset, truth = made(np.random.default_rng(1), [[0, 1], [2]], shared=True)
-        found = self.clusterer.cluster(Observed(dataset, truth), 3)
-        assert found.assignment.shape == (len(dataset.observers),)
-        firsts = list(dict.fromkeys(found.assignment.tolist()))
-        assert firsts == list(range(found.n_types))
-
-    def test_same_seed_same_clusters(self) -> None:
-        dataset, truth = made(np.random.default_rng(2), [[0], [1], [2, 3]], noise=0.1)
-        again = [
-            self.clusterer.cluster(Observed(dataset, truth), 4).assignment.tolist()
-            for _ in range(2)
-        ]
-        assert again[0] == again[1]
-
-    def test_the_truth_is_used_by_those_who_say_so_only(self) -> None:
-        dataset, truth = made(np.random.default_rng(3), [[0], [1, 2]], shared=True)
-        if self.needs_truth:
-            with pytest.raises(InputError, match="clusterer"):
-                self.clusterer.cluster(Observed(dataset), 0)
-        else:
-            found = [
-                self.clusterer.cluster(Observed(dataset, known), 0).assignment.tolist()
-                for known in (truth, None, truth[::-1])
-            ]
-            assert found[0] == found[1] == found[2]
-
-
-class FindsClearTypes(ClustererSuite):
-    """Those who look at the data also find types that are easy to tell apart."""
-
-    def test_clear_types_are_found(self) -> None:
-        for seed in range(3):
-            rng = np.random.default_rng(seed)
-            dataset, truth = made(rng, [[0, 1], [2], [1, 3]], shared=True, size=300)
-            found = self.clusterer.cluster(Observed(dataset), seed)
-            assert adjusted_rand_score(truth, found.assignment) == 1
-
-    def test_people_who_never_disagree_are_one_type(self) -> None:
-        dataset, _ = made(np.random.default_rng(5), [[1]], per_type=5, shared=True)
-        assert self.clusterer.cluster(Observed(dataset), 0).n_types == 1
-
-
-class TestKMeans(FindsClearTypes):
-    clusterer = Elbow(KMeans())
-
-
-class TestAgglomerative(FindsClearTypes):
-    clusterer = Elbow(Agglomerative())
-
-
-class TestPerfect(ClustererSuite):
-    clusterer = Perfect()
-    needs_truth = True
-
-
-class TestSingle(ClustererSuite):
-    clusterer = Single()
-
-
-@pytest.mark.parametrize("partition", [KMeans(), Agglomerative(), Agglomerative("single")])
-def test_partitions_keep_equal_vectors_together(partition: Partitioner) -> None:
-    rng = np.random.default_rng(0)
-    vectors = rng.integers(0, 2, size=(30, 3)).astype(np.uint8)
-    for k in range(1, 12):
-        groups = partition.partition(vectors, k, 0)
-        assert len(set(groups.tolist())) <= k
-        for vector in np.unique(vectors, axis=0):
-            assert len(set(groups[(vectors == vector).all(axis=1)].tolist())) == 1
-    assert len(set(groups.tolist())) == len(np.unique(vectors, axis=0))
 
 
 def test_k_means_counts_every_observer() -> None:
@@ -124,19 +41,6 @@ def test_linkages_join_by_nearest_or_farthest_members() -> None:
         assert (groups == groups[0]).tolist() == [one == 0 for one in expected]
 
 
-def test_curve_holds_the_disagreements_up_to_as_many_clusters_as_observers(
-    rng: np.random.Generator,
-) -> None:
-    dataset, truth = made(rng, [[0], [1]], shared=True)
-    found = Elbow(KMeans()).cluster(Observed(dataset), 0)
-    assert found.curve is not None
-    # Two types that need a message each: together they disagree, apart never again.
-    assert found.curve.tolist() == [*disagreements(dataset, [np.zeros_like(truth)]), *[0] * 5]
-    assert found.curve[0] > 0
-    assert found.vectors is not None
-    assert found.vectors.tolist() == np.array([0b01, 0b10])[truth].tolist()
-
-
 def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> None:
     dataset, truth = made(rng, [[0], [1], [2]], per_type=2, size=400)
     truth = np.array([0, 0, 0, 0, 1, 1])
@@ -149,17 +53,6 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
     assert table.shape == (2, len(dataset.features), 16)
     # The last type needs message 2 at transition 2, whatever else is said.
     assert (table[1, 2] > 0.5).tolist() == [bool(h & 4) for h in range(16)]
-
-
-@pytest.mark.parametrize("weight", [float("nan"), -0.5])
-def test_a_weight_of_none_of_these_below_0_is_refused(
-    rng: np.random.Generator, weight: float
-) -> None:
-    dataset, truth = made(rng, [[0], [1]], per_type=1)
-    given = Clustering(truth, "test", "given")
-    types = learn_types(dataset, given, LabelerTrainer(), 0)
-    with pytest.raises(InputError, match="none_of_these"):
-        with_none_of_these(types, dataset, weight)
 
 
 @pytest.mark.parametrize(
@@ -208,27 +101,6 @@ def test_known_labelers_are_not_fitted_again(rng: np.random.Generator) -> None:
     assert found.labelers[0] is perfect.labelers[0]
 
 
-def test_labelers_are_asked_once_of_each_transition(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    dataset, truth = made(rng, [[0], [1]])
-    types = learn_types(dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0)
-    asked = []
-    table = FittedLabeler.table
-    monkeypatch.setattr(
-        FittedLabeler, "table", lambda own, rows, n: asked.append(len(rows)) or table(own, rows, n)
-    )
-    once, n = AskedOnce(), dataset.n_messages
-    for rows in ([0, 1, 0], [1, 2], [2, 0]):
-        features, transitions = dataset.features[rows], np.zeros((len(rows), 3), np.int64)
-        both = types.labelers[::-1]
-        found = once.label_table(both, features, transitions).array(n)
-        assert np.array_equal(found, label_table(both, features).array(n))
-    assert len(np.unique(dataset.features[:3], axis=0)) == 3
-    # Two labelers: three transitions once through the memory, every row without it.
-    assert sum(asked) == 2 * 3 + 2 * 7
-
-
 @dataclass(frozen=True)
 class ByTransition:
     """A labeler whose table depends on the transition itself, and on ``own``. It looks at the
@@ -236,6 +108,7 @@ class ByTransition:
 
     own: float
     n_messages: int
+    asked: list[int] = field(default_factory=list)
 
     def entries(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64]
@@ -245,6 +118,7 @@ class ByTransition:
         return np.asarray(np.cos(score[:, None] + np.arange(4)) ** 2)
 
     def table(self, features: NDArray[np.float64], transitions: NDArray[np.int64]) -> LabelTable:
+        self.asked.append(len(features))
         both = LabelTable.by_type([[0, 1]], self.entries(features, transitions)[None])
         n = self.n_messages
         return both.over([range(n)]) if n <= DENSE else both
@@ -256,12 +130,13 @@ def test_transitions_that_share_their_features_are_told_apart_when_asked_once(n:
     rng = np.random.default_rng(4)
     dataset, _ = made(rng, [[0]], n=n)
     labelers: Any = (ByTransition(0.1, n), LabelerTrainer().fit(dataset, 0), ByTransition(0.7, n))
+    others = replace(labelers[0], asked=[]), *labelers[1:]
     features = np.repeat(dataset.features[:3], 4, axis=0)  # four transitions of each
     transitions = rng.permutation(36).reshape(12, 3)
     once = AskedOnce()
     for rows in ([0, 1, 4, 1], [1, 2, 3, 5], [*range(12)], [11, 0, 7]):
         known = features[rows], transitions[rows]
-        found, expected = once.label_table(labelers, *known), label_table(labelers, *known)
+        found, expected = once.label_table(labelers, *known), label_table(others, *known)
         for given in (0, 1, 3, (1 << n) - 1):
             one, other = (
                 table.label_probabilities(len(rows), given) for table in (found, expected)
@@ -270,6 +145,7 @@ def test_transitions_that_share_their_features_are_told_apart_when_asked_once(n:
             for i in (0, 2):
                 truth = labelers[i].entries(features[rows], transitions[rows])
                 assert np.array_equal(one[i], truth[:, given % 4])
+    assert sum(labelers[0].asked) == (12 if n <= DENSE else 23)  # each transition once
 
 
 def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(

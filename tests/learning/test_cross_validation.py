@@ -13,8 +13,8 @@ from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import RandomCover
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent, Shared
-from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.prediction import fresh_accuracy, log_likelihood, log_likelihoods
+from xplain.learning.labelers import LabelerTrainer, fresh_accuracy
+from xplain.learning.prediction import log_likelihood, log_likelihoods
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import learn_types
 

@@ -38,13 +38,6 @@ from xplain.learning.user_types import (
 TYPES = [[0, 1], [2], [1, 3]]
 
 
-def test_types_are_found_though_nobody_answers_the_same_questions() -> None:
-    for seed in range(3):
-        dataset, truth = made(np.random.default_rng(seed), TYPES, size=250)
-        found = DirichletMixture().cluster(Observed(dataset), seed)
-        assert adjusted_rand_score(truth, found.assignment) == 1
-
-
 def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
     dataset, truth = made(np.random.default_rng(4), TYPES, per_type=4, size=200, noise=0.08)
     rng = np.random.default_rng(0)
@@ -56,9 +49,9 @@ def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
     assert adjusted_rand_score(truth[1:], found.assignment[1:]) == 1
 
 
-@pytest.mark.parametrize("noise", [0.05, 0.1, 0.15])
-def test_noise_makes_no_types(noise: float) -> None:
-    """Whoever fits the errors as well finds a type an observer."""
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.1, 0.15])
+def test_types_are_found_and_noise_makes_none(noise: float) -> None:
+    """Nobody answers the same questions. A model that fits the errors finds a type an observer."""
     for seed in range(3):
         dataset, truth = made(np.random.default_rng(seed), TYPES, size=250, noise=noise)
         found = DirichletMixture().cluster(Observed(dataset), seed)
@@ -76,18 +69,6 @@ def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> 
         assert sum(posterior.values()) == pytest.approx(1)
     assert sure[3] > 0.9
     assert max(unsure.values()) < sure[3]
-
-
-@pytest.mark.parametrize(("updates", "sweeps"), [(1, 20), (9 * 30, 30), (300_000, 40)])
-def test_large_data_get_fewer_sweeps_but_twenty(updates: int, sweeps: int) -> None:
-    """Of nine observers; half of the sweeps of each of three chains are samples."""
-    dataset, _ = made(np.random.default_rng(5), TYPES, size=12)
-    mixture = DirichletMixture(updates=updates, sweeps=40, chains=3)
-    posterior = mixture.cluster(Observed(dataset), 0).posterior
-    assert posterior is not None
-    samples = np.array([*posterior.values()]) * 3 * sweeps / 2
-    assert samples == pytest.approx(np.round(samples), abs=1e-6)
-    assert len(posterior) > 1  # else any number of samples would do
 
 
 def test_chains_in_threads_change_nothing() -> None:
@@ -247,9 +228,3 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
 def test_bad_values_are_named(component: type, options: dict[str, float], key: str) -> None:
     with pytest.raises(InputError, match=f"clusterer.*{key}"):
         component(**options)
-
-
-def test_a_chain_need_not_be_heated() -> None:
-    dataset, truth = made(np.random.default_rng(3), TYPES, size=200)
-    found = DirichletMixture(heat=1).cluster(Observed(dataset), 0)
-    assert adjusted_rand_score(truth, found.assignment) == 1

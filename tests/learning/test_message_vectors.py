@@ -44,15 +44,8 @@ def fitted(model: object, seed: int, n: int, ones: float, rows: int = 80) -> tup
 @settings(max_examples=60, deadline=None)
 def test_tree_search_is_enumeration(seed: int, n: int, ones: float) -> None:
     classifier, features = fitted(DecisionTreeClassifier(random_state=0), seed, n, ones)
-    assert minimal_message_set(classifier, features, n) == enumerated(classifier, features, n)
-
-
-@given(seed=st.integers(0, 10_000), n=st.integers(1, 6))
-@settings(max_examples=60, deadline=None)
-def test_a_transition_counts_as_often_as_it_occurs(seed: int, n: int) -> None:
-    classifier, features = fitted(DecisionTreeClassifier(random_state=0), seed, n, 0.4)
     times = np.random.default_rng(seed).integers(1, 5, size=len(features))
-    features = np.repeat(features, times, axis=0)
+    features = np.repeat(features, times, axis=0)  # a transition counts as often as it occurs
     assert minimal_message_set(classifier, features, n) == enumerated(classifier, features, n)
 
 
@@ -64,48 +57,22 @@ def test_search_by_predictions_is_enumeration(model: object, seed: int) -> None:
 
 
 class AnyOf:
-    """Says 1 to transition t wherever one of its messages ``wanted[t]`` is given and none of
-    ``hated[t]``."""
+    """Says 1 to transition t wherever one of its messages ``wanted[t]`` is given."""
 
-    def __init__(self, wanted: NDArray[np.int64], hated: NDArray[np.int64]) -> None:
-        self.wanted, self.hated = wanted, hated
+    def __init__(self, wanted: NDArray[np.int64]) -> None:
+        self.wanted = wanted
 
     def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
         t = x[:, 0].astype(int)
         given = (x[:, 1:] @ (1 << np.arange(x.shape[1] - 1))).astype(int)
-        hit = (given & self.wanted[t] != 0) & (given & self.hated[t] == 0)
-        return hit.astype(int)
-
-
-@pytest.mark.parametrize("hate", [0.0, 0.1])
-def test_of_many_equally_good_sets_the_first_in_message_order_is_taken(hate: float) -> None:
-    n, ties = 6, 0
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        power = 1 << np.arange(n)
-        likes = rng.random((4, n)) < 0.4
-        wanted = likes @ power
-        rule = AnyOf(wanted, ((rng.random((4, n)) < hate) & ~likes) @ power)
-        features = np.arange(4.0)[:, None]
-        every = np.tile(np.arange(1 << n), 4)
-        x = inputs(np.repeat(features, 1 << n, axis=0), every, n)
-        tree = DecisionTreeClassifier(random_state=seed).fit(x, rule.predict(x))
-        explicable = rule.predict(x).reshape(4, -1).sum(axis=0)
-        fewest = [mask for mask in range(1 << n) if explicable[mask] == explicable.max()]
-        size = min(mask.bit_count() for mask in fewest)
-        best = [mask for mask in fewest if mask.bit_count() == size]
-        first = min(best, key=lambda mask: [j for j in range(n) if mask >> j & 1])
-        ties += len(best) > 1
-        assert minimal_message_set(tree, features, n) == first
-        assert minimal_message_set(rule, features, n) == first
-    assert ties > 15
+        return (given & self.wanted[t] != 0).astype(int)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_tree_that_looks_at_few_of_thirty_messages_is_searched_over_these(seed: int) -> None:
     n, rng = 30, np.random.default_rng(seed)
     wanted = 1 << rng.choice(n, 4, replace=False)
-    rule = AnyOf(wanted, np.zeros(4, np.int64))
+    rule = AnyOf(wanted)
     features = np.arange(4.0)[:, None]
     x = inputs(np.repeat(features, 300, axis=0), rng.integers(0, 1 << n, 1200), n)
     tree = DecisionTreeClassifier(random_state=0).fit(x, rule.predict(x))

@@ -12,12 +12,11 @@ from tests.learning.conftest import made
 from xplain.errors import InputError
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.data.observers import Observed
-from xplain.learning.known_types import find_types
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.prediction import held_out
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.types import Clustering
-from xplain.learning.user_types import UserTypes
+from xplain.learning.user_types import UserTypes, find_types
 from xplain.testing import TypeFinderConformance
 
 

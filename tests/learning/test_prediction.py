@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from tests.learning.conftest import made
 from xplain.learning.data.dataset import Dataset
@@ -63,7 +64,7 @@ def test_intervals_of_calibration_are_wilsons():
     many = calibration(np.linspace(0, 1, 57), np.tile([1, 0, 0], 19).astype(np.uint8))
     for part in (one, *many):
         for end in (part.low, part.high):
-            reached = 1.96 * np.sqrt(end * (1 - end) / part.labels)
+            reached = norm.ppf(0.975) * np.sqrt(end * (1 - end) / part.labels)
             assert abs(part.ones - end) == pytest.approx(reached, abs=1e-9)
     assert sum(part.labels for part in many) == 57
 

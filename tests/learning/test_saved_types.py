@@ -11,7 +11,7 @@ from sklearn.tree import DecisionTreeClassifier
 
 from xplain import Explainer, LearnedTypes
 from xplain.errors import InputError
-from xplain.learning.answers import ErrorRates, QuestionErrors
+from xplain.explanation.habits import Habits
 from xplain.learning.data.dataset import Dataset, encoded
 from xplain.learning.data.label_file import read_table
 from xplain.learning.labelers import LabelerTrainer
@@ -242,27 +242,22 @@ def test_learned_types_encode_what_they_explain():
 def test_types_of_which_nobody_learned_how_people_err_say_so(tmp_path):
     types, _ = learned(DecisionTreeClassifier())
     types.save(tmp_path / "types.npz")
-    assert LearnedTypes.load(tmp_path / "types.npz").errors is None
+    assert LearnedTypes.load(tmp_path / "types.npz").habits is None
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [
-        ("rates", [0.0, 0.7]),
-        ("prior", [0.5, 0.6]),
-        ("slip", [0.1] * 7),
-        ("guess", [1.5] * 41),
-        ("features", [[0.0]] * 40),
-    ],
+    [("error", [0.0, 0.7]), ("prior", [0.5, 0.6]), ("accept", [0.5] * 7), ("forget", [-0.1, 0])],
 )
-def test_doctored_errors_are_refused(tmp_path, key, value):
-    types, data = learned(DecisionTreeClassifier())
-    slip, rates = np.full(41, 0.1), ErrorRates.of([0.0, 0.2], [0.5, 0.5])
-    errors = QuestionErrors(slip, slip, rates, data.features)
-    replace(types, errors=errors).save(tmp_path / "types.npz")
-    assert LearnedTypes.load(tmp_path / "types.npz").errors.errors.prior.tolist() == [0.5, 0.5]
+def test_doctored_habits_are_refused(tmp_path, key, value):
+    types, _ = learned(DecisionTreeClassifier())
+    habits = Habits([0.0, 0.2], [1.0, 0.8], [0.0, 0.1], [0.5, 0.5])
+    replace(types, habits=habits).save(tmp_path / "types.npz")
+    read = LearnedTypes.load(tmp_path / "types.npz").habits
+    for name in ("error", "accept", "forget", "prior"):
+        assert np.array_equal(getattr(read, name), getattr(habits, name))
     with np.load(tmp_path / "types.npz") as file:
         arrays = {name: file[name] for name in file.files}
-    np.savez(tmp_path / "other.npz", **arrays | {f"errors/{key}": np.array(value)})
+    np.savez(tmp_path / "other.npz", **arrays | {f"habits/{key}": np.array(value)})
     with pytest.raises(InputError):
         LearnedTypes.load(tmp_path / "other.npz")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.questions.tables import random_hypotheses
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.mixture.labeler import FactSetClassifier, HypothesisTrainer
+from xplain.learning.mixture.labeler import HypothesisLabeler, HypothesisTrainer
 from xplain.learning.mixture.likelihood import (
     DEVIATION,
     DISPUTED,
@@ -93,7 +93,7 @@ def test_predictions_are_what_one_more_answer_would_be(seed):
     rng = np.random.default_rng(seed)
     known = known_of(seed, facts=2, transitions=3, variants=0)
     answers = answers_of(rng, known, 5)
-    made = FactSetClassifier(known, answers, None)
+    made = HypothesisLabeler.of(known, answers, None)
     h = known.hypotheses
     reps = np.unique(h.essential)
     chance = np.bincount(np.searchsorted(reps, h.essential), h.prior)
@@ -154,7 +154,7 @@ def test_where_answers_contradict_the_hypotheses_the_answers_win():
     rng = np.random.default_rng(2)
     known = known_of(1, facts=3, transitions=20, variants=0)
     said = people(known, [5], 600, rng, 0.05, contrary=(0, 1))[0]
-    made = FactSetClassifier(known, said, None)
+    made = HypothesisLabeler.of(known, said, None)
     every = np.arange(8)
     for t in range(20):
         p = made.known_rows(np.full(8, t), every)
@@ -173,7 +173,7 @@ def test_answers_of_who_errs_more_count_for_less():
     for error, wins in ((0.02, True), (0.49, False)):
         wrong = np.where(np.arange(80) < 4, error, 0.02)[:, None]
         given = np.log(np.where(label[:, None] == np.arange(2), 1 - wrong, wrong))[:, :, None]
-        p = FactSetClassifier(known, answers, None, given).known_rows(t[:1], told[:1])[0]
+        p = HypothesisLabeler.of(known, answers, None, given).known_rows(t[:1], told[:1])[0]
         assert (p > 0.5) == (label[0] if wins else 1 - label[0])
 
 
@@ -182,7 +182,7 @@ def test_one_wrong_answer_does_not_win():
     t, told = np.repeat(np.arange(20), 3), np.tile([0, 1, 2], 20)
     label = known.hypotheses.labels[5 & ~told, t].astype(np.int64)
     label[7] ^= 1
-    made = FactSetClassifier(known, Answers(t, told, label), None)
+    made = HypothesisLabeler.of(known, Answers(t, told, label), None)
     p = made.known_rows(t[[7]], told[[7]])[0]
     assert (p > 0.5) == known.hypotheses.labels[5 & ~told[7], t[7]]
 
@@ -282,7 +282,7 @@ def test_what_nobody_wrote_down_is_learned_from_answers(caplog):
     found = partition(known, said, 1.0).facts
     assert found.tolist() == [int(known.essential[f]) for f in facts]
     together = Answers.joined(said[3:])
-    made = FactSetClassifier(known, together, None)
+    made = HypothesisLabeler.of(known, together, None)
     h, before = known.hypotheses, np.flatnonzero(known.hypotheses.labels[1, odd])
     told_rest = np.full(len(before), 0b0110)
     assert (made.known_rows(odd[before], told_rest) < 0.5).all()

@@ -7,9 +7,11 @@ import pytest
 
 from tests.questions.tables import random_hypotheses
 from xplain.domains.users.hypotheses import Hypotheses
+from xplain.explanation.label_table import LabelTable
+from xplain.learning.answers import RATES
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
-from xplain.learning.labelers import FittedLabeler
+from xplain.learning.labelers import Labeler
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import held_out, predicted
@@ -59,7 +61,7 @@ def test_fact_sets_are_found_though_every_second_person_errs(seed):
     right = types.clustering.needs[types.clustering.assignment] == known.essential[facts]
     assert right[::2].all()
     assert right[1::2].sum() >= 4
-    rate = types.answers.person[:-1] @ types.answers.errors.rates
+    rate = types.answers.person[:-1] @ RATES
     assert rate[::2].max() < 0.1
     assert rate[1::2].min() > 0.1
 
@@ -109,15 +111,16 @@ def test_what_is_slipped_about_is_still_thought():
         assert ((one > 0.5) == own.label).mean() > 0.97
 
 
-class Constant(FittedLabeler):
+class Constant(Labeler):
     """Says the same of everything; ``means_truth`` as told."""
 
-    def __init__(self, one, means_truth):
-        super().__init__(None, 1, 0.5, 0.5, 1, 1, means_truth=means_truth)
-        object.__setattr__(self, "said", one)
+    n_messages = 2
 
-    def probability(self, features, message_sets):
-        return np.full(len(features), self.said)
+    def __init__(self, one, means_truth):
+        self.said, self.means_truth = one, means_truth
+
+    def table(self, features, transitions=None):
+        return LabelTable.dense(np.full((1, len(features), 4), self.said))
 
 
 def test_a_prediction_is_a_mean_over_types_and_error_rates():
@@ -139,7 +142,7 @@ def test_a_prediction_is_a_mean_over_types_and_error_rates():
         for k, e in np.ndindex(2, 5):
             given = answers.given(own.transition)[:, :, e]
             y = (1 - sure[k]) * given[:, 0] + sure[k] * given[:, 1]
-            joint[k, e] = prior[k] * answers.errors.prior[e]
+            joint[k, e] = prior[k] * answers.prior[e]
             joint[k, e] *= np.prod(np.where(own.label == 1, y, 1 - y))
             at = answers.given(np.array([t]))[0, :, e]
             one[k, e] = (1 - sure[k]) * at[0] + sure[k] * at[1]
@@ -209,8 +212,6 @@ def test_how_people_err_is_kept_with_the_types(tmp_path):
     data = erring(asked(known, [3] * 3 + [12] * 3, 40, rng), [0, 0.3] * 3, rng)
     types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
     LearnedTypes.of(types, data).save(tmp_path / "types.npz")
-    read = LearnedTypes.load(tmp_path / "types.npz").errors
-    assert np.array_equal(read.errors.prior, types.answers.errors.prior)
-    assert np.array_equal(read.features, data.features)
-    assert np.array_equal(read.slip, types.answers.slip)
-    assert np.array_equal(read.guess, types.answers.guess)
+    read, own = LearnedTypes.load(tmp_path / "types.npz").habits, types.answers.habits
+    assert np.array_equal(read.error, own.error)
+    assert np.array_equal(read.prior, own.prior)

@@ -1,7 +1,6 @@
 """The questionnaire, against Bayes' rule and mutual information by their definitions."""
 
 import json
-import time
 
 import numpy as np
 import pytest
@@ -59,22 +58,6 @@ def test_no_question_tells_more_than_the_next_one(seed, variants):
     assert q.information(chosen) == pytest.approx(values[chosen], abs=1e-9)
 
 
-def test_which_variant_it_is_counts():
-    """The one fact makes transition 0 inexplicable, transition 1 in the variant alone, which has
-    a probability of .4: there label 1 is said with .05 + .9 × (.5 + .5 × .6) = .77."""
-    h = Hypotheses.of([[1, 1], [0, 1]], variants=np.array([[[1, 1], [0, 0]]]))
-    q = Questionnaire(h, error=0.05, none=0.0)
-
-    def entropy(p):
-        return -p * np.log2(p) - (1 - p) * np.log2(1 - p)
-
-    assert q.information((0, 0)) == pytest.approx(1 - entropy(0.05))
-    assert q.information((1, 0)) == pytest.approx(entropy(0.77) - entropy(0.05))
-    assert q.next() == (0, 0)
-    q.answer(0)
-    assert q.next() == (1, 0)
-
-
 @given(seeds, st.integers(0, 1))
 @settings(deadline=None, max_examples=15)
 def test_a_clip_tells_the_sum_of_what_its_labels_tell_one_by_one(seed, variants):
@@ -98,36 +81,6 @@ def test_a_clip_is_a_walk_where_transitions_follow_each_other(corridor):
         assert 1 <= len(clip) <= 3
         assert (h.states[clip[1:], 0] == h.states[clip[:-1], 1]).all()
         q.answer([1] * len(clip))
-
-
-@given(seeds)
-@settings(deadline=None, max_examples=25)
-def test_the_order_of_answers_is_no_evidence(seed):
-    h = random_hypotheses(seed)
-    one = Questionnaire(h, seed=seed)
-    said = answered(one, 5, seed)
-    other = Questionnaire(h, seed=seed)
-    for clip, told, labels in said[::-1]:
-        other.answer(labels, (clip, told))
-    assert other.posterior == pytest.approx(one.posterior)
-    assert other.none == pytest.approx(one.none)
-
-
-@given(seeds)
-@settings(deadline=None, max_examples=25)
-def test_the_names_of_facts_are_no_evidence(seed):
-    """Candidates whose facts are renumbered have the posterior of those they were."""
-    h = random_hypotheses(seed)
-    order = np.random.default_rng(seed).permutation(3)
-    renamed = [sum(1 << int(order[j]) for j in indices(f)) for f in range(8)]
-    labels = np.empty_like(h.labels)
-    labels[renamed] = h.labels
-    one, other = Questionnaire(h, seed=seed), Questionnaire(labels, seed=seed)
-    for clip, told, said in answered(one, 5, seed):
-        other.answer(said, (clip, renamed[told]))
-    assert other.posterior[renamed] == pytest.approx(one.posterior)
-    best = one.information(one.next())
-    assert other.information(other.next()) == pytest.approx(best, abs=1e-9)
 
 
 @given(seeds, st.integers(1, 2))
@@ -261,19 +214,6 @@ def test_an_answer_that_nobody_could_give_is_refused():
     q.answer(1, (0, 1))
     with pytest.raises(InputError, match="error > 0"):
         q.answer(0, (0, 1))
-
-
-def test_a_choice_is_quick():
-    """2^6 candidates × 150 transitions: the CPU time of a choice, at its median."""
-    q = Questionnaire(np.random.default_rng(0).integers(0, 2, (64, 150)))
-    q.next()
-    times = []
-    for _ in range(15):
-        q.answer(1)
-        began = time.thread_time()
-        q.next()
-        times.append(time.thread_time() - began)
-    assert np.median(times) < 0.005
 
 
 def test_questions_give_no_message_that_does_not_matter(corridor):

@@ -104,17 +104,6 @@ def test_with_nothing_told_no_question_comes_more_often_than_allowed() -> None:
             questions.next()
 
 
-def test_slips_and_guesses_of_one_rate_are_errors() -> None:
-    labels, _, _, prior = drawn(1)
-    one = Questionnaire(labels, 0.1, prior, none=0.0)
-    other = Questionnaire(labels, 0.0, prior, none=0.0, slip=0.1, guess=0.1)
-    for question, label in (((0, 1), 0), ((4, 0), 1), ((7, 2), 0)):
-        one.answer(label, question)
-        other.answer(label, question)
-        assert other.posterior == pytest.approx(one.posterior)
-        assert other.information((5, 0)) == pytest.approx(one.information((5, 0)))
-
-
 def test_taken_up_again_it_asks_what_it_would_have_asked() -> None:
     labels, slip, guess, prior = drawn(2)
     known = {"slip": slip, "guess": guess, "told": False, "repeats": 2}

@@ -28,10 +28,9 @@ from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.data.observers import Observed, Observers
 from xplain.learning.data.queries import Queries, sample_trace
-from xplain.learning.known_types import find_types
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import TablesOf
-from xplain.learning.user_types import TypeFinder
+from xplain.learning.user_types import TypeFinder, find_types
 from xplain.randomness import MOST, stream
 
 

@@ -21,10 +21,9 @@ from math import prod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import betaln, softmax
 
-from xplain.errors import InputError
 from xplain.explanation.habits import UNKNOWN, Habits
 
 RATES, RATE_PRIOR = map(np.array, UNKNOWN["error"])
@@ -33,85 +32,50 @@ answers were learned from."""
 PEOPLE = 2.0
 """This prior counts as so many people."""
 MEAN = 0.02
-"""Of slips and guesses alike, before any answer …"""
+"""Mean of slips and of guesses before any answer."""
 WEIGHT = 50.0
-"""… with the weight of so many answers."""
+"""The prior of :data:`MEAN` weighs as much as so many answers."""
 SHRINKAGE = np.array([16.0, 32, 64, 128])
 """Answers of which the mean of all questions has the weight for each of them: the one of these
 that makes the answers likeliest."""
 LOWEST, HIGHEST = 0.002, 0.45
 """Slips and guesses stay between."""
 MAJORITY = 3
-"""From so many answers in one cell on …"""
+"""A cell with so many answers has a majority."""
 DEVIATES = 0.05
-"""… f is taken to be otherwise than expected with at least this probability while slips are
-learned: what most of a type answer is what they think."""
+"""In a cell with a majority, f differs from what is expected with at least this probability while
+slips are learned: what most of a type answer is what they think."""
 STEPS = 60
-"""Of the expectation maximisation, at most; fewer where nothing moves by more than STILL."""
+"""Steps of the expectation maximisation, at most; it ends when nothing moves by more than STILL."""
 STILL = 1e-4
 
 
 @dataclass(frozen=True)
-class ErrorRates:
-    """What is known of the error rate of the next person.
-
-    Attributes:
-        rates: [E] e ascending, in [0, ½).
-        prior: [E] their probabilities; none is likelier than the first.
-    """
-
-    rates: NDArray[np.float64]
-    prior: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, rates: ArrayLike, prior: ArrayLike) -> ErrorRates:
-        """Checked.
-
-        Raises:
-            InputError: no ascending rates in [0, ½), or no probabilities of as many.
-        """
-        grid, share = np.asarray(rates, np.float64), np.asarray(prior, np.float64)
-        if grid.ndim != 1 or not len(grid) or not (np.diff(grid) > 0).all():
-            raise InputError("rates", grid.tolist(), "ascending error rates")
-        if not 0 <= grid[0] <= grid[-1] < 0.5:
-            raise InputError("rates", grid.tolist(), "error rates in [0, 0.5)")
-        if share.shape != grid.shape or (share < 0).any() or not np.isclose(share.sum(), 1):
-            raise InputError("prior", share.tolist(), f"{len(grid)} probabilities that sum to 1")
-        return cls(grid, share / share.sum())
-
-
-@dataclass(frozen=True)
-class SlipsAndGuesses:
-    """How labels of T questions become answers of people who gave none so far.
+class AnswerModel:
+    """How labels become answers, of T questions and O people.
 
     Attributes:
         slip, guess: [T + 1] P(a = 0 | f = 1) and P(a = 1 | f = 0) of each question; the last are
             those of a question that nobody answered. slip + guess < 1.
-        errors: of the next person.
+        person: [O + 1, E] posterior over :data:`RATES` of each person; the last row is of a person
+            who gave no answer.
     """
 
     slip: NDArray[np.float64]
     guess: NDArray[np.float64]
-    errors: ErrorRates
+    person: NDArray[np.float64]
+
+    @property
+    def prior(self) -> NDArray[np.float64]:
+        """[E] probabilities of the error rates of the next person."""
+        return self.person[-1]
 
     @property
     def habits(self) -> Habits:
-        """Of the next person at a question that nobody answered, slips and guesses being in one
-        symmetric rate; the answers tell nothing of messages that do not land."""
-        mean = (self.slip[-1] + self.guess[-1]) / 2
-        whole, rates = np.ones(len(self.errors.rates)), self.errors.rates
-        return Habits(mean + rates * (1 - 2 * mean), whole, 0 * whole, self.errors.prior)
-
-
-@dataclass(frozen=True)
-class AnswerModel(SlipsAndGuesses):
-    """How labels become answers, of T questions and O people.
-
-    Attributes:
-        person: [O + 1, E] posterior over ``errors.rates`` of each person; the last is the prior.
-    """
-
-    person: NDArray[np.float64]
+        """Habits of the next person at a question that nobody answered. Slips and guesses are one
+        symmetric rate; the answers say nothing about messages that do not land."""
+        mean, whole = (self.slip[-1] + self.guess[-1]) / 2, np.ones(len(RATES))
+        return Habits(mean + RATES * (1 - 2 * mean), whole, 0 * whole, self.prior)
 
     def log_given(
         self, question: NDArray[np.int64], person: NDArray[np.int64], label: NDArray[np.int64]
@@ -130,42 +94,20 @@ class AnswerModel(SlipsAndGuesses):
 
     def given(self, question: NDArray[np.int64]) -> NDArray[np.float64]:
         """P(y = 1 | f, e) of P questions: [P, 2, E]."""
-        return answered(self.slip[question], self.guess[question], self.errors.rates)
+        return answered(self.slip[question], self.guess[question])
 
     def wrong(self, question: NDArray[np.int64], person: NDArray[np.int64]) -> float:
         """Share of these answers [P] that are not what the person thinks, f being 0 as often as
         1."""
         slip = (self.slip[question] + self.guess[question]) / 2
-        rate = self.person[person] @ self.errors.rates
+        rate = self.person[person] @ RATES
         return float((slip + rate * (1 - 2 * slip)).mean())
 
 
-@dataclass(frozen=True)
-class QuestionErrors(SlipsAndGuesses):
-    """Of transitions, by their features.
-
-    Attributes:
-        features: [T, F].
-    """
-
-    features: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        """Raises InputError: slips and guesses that are none, or not of these transitions."""
-        for key, row in (("slip", self.slip), ("guess", self.guess)):
-            count = len(self.features) + 1
-            if row.shape != (count,) or not ((row > 0) & (row < 1)).all():
-                raise InputError(key, row.shape, f"{count} probabilities inside (0, 1)")
-        if not (self.slip + self.guess < 1).all():
-            raise InputError("slip", float((self.slip + self.guess).max()), "slip + guess < 1")
-
-
-def answered(
-    slip: NDArray[np.float64], guess: NDArray[np.float64], rates: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def answered(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
     """P(y = 1) of P questions by f = 0, 1 and error rate: [P, 2, E]."""
     one = np.stack([guess, 1 - slip], axis=-1)[..., None]
-    return np.asarray((1 - rates) * one + rates * (1 - one))
+    return np.asarray((1 - RATES) * one + RATES * (1 - one))
 
 
 def truth(
@@ -210,14 +152,14 @@ def learned(
     off = np.where(counted >= MAJORITY, DEVIATES, 1e-6)
     log_prior = np.log(np.stack([1 - prior, prior], axis=1).clip(off[:, None], 1 - off[:, None]))
     if isinstance(start, AnswerModel):
-        slip, guess, share = start.slip, start.guess, start.errors.prior
+        slip, guess, share = start.slip, start.guess, start.prior
     else:
         slip, guess = np.full((2, questions + 1), max(start, LOWEST))
         share = RATE_PRIOR
     rate = np.tile(share, (len(answers.cell), 1))  # [P, E] of each answer's person, by the others'
     for _ in range(steps):
         before = np.concatenate([slip, guess, share])
-        one = answered(slip[answers.question], guess[answers.question], RATES)
+        one = answered(slip[answers.question], guess[answers.question])
         given = np.where(answers.label[:, None, None] == 1, one, 1 - one)  # [P, 2, E]
         said = np.log((given * rate[:, None, :]).sum(axis=2))
         thought = softmax(log_prior[answers.cell] + _others(said, answers.cell, len(prior)), axis=1)
@@ -230,7 +172,7 @@ def learned(
         slip, guess = _slips(slip, guess, weight, answers)
         if np.abs(np.concatenate([slip, guess, share]) - before).max() < STILL:
             break
-    return AnswerModel(slip, guess, ErrorRates(RATES, share), np.vstack([person, share]))
+    return AnswerModel(slip, guess, np.vstack([person, share]))
 
 
 def summed(

@@ -1,8 +1,8 @@
-"""Evidence of hypotheses against labels alone: how well each foretells answers before it learns
+"""Evidence of hypotheses against labels alone: how well each predicts answers before it learns
 from them (prequential: Dawid 1984, "Statistical theory: the prequential approach").
 
 Answers come in the order in which each observer gave them, a quarter of everybody's at a time; each
-quarter is foretold by what the quarters before taught of the observer's type.
+quarter is predicted from the quarters before, by observers of the same type.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from xplain.learning.data.dataset import Dataset
 
 PARTS = 4
-"""Of each observer's answers; the first is learned from, and not foretold."""
+"""Parts of each observer's answers; the first part is learned from, and not predicted."""
 BEFORE = 10.0
 """Hypotheses are believed as if so many answers before had been theirs alone."""
 LEAST = 0.01
@@ -29,21 +29,21 @@ DOUBTED = 0.5
 """Hypotheses are doubted of a type where this is less than the probability that they err often."""
 COIN = float(np.log(2))
 
-Foretell = Callable[[Dataset, Dataset], NDArray[np.float64]]
+Predict = Callable[[Dataset, Dataset], NDArray[np.float64]]
 """log P of each label of the second dataset, by what is learned from the first: [Q]."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What was foretold of Q answers by observers of N types.
+    """Predictions of Q answers by observers of N types.
 
     Attributes:
         hypotheses: [Q] log P of each answer, by hypotheses.
         labels: [Q] the same, by labels alone.
-        of_type: [Q] the type of who gave it.
-        doubt: [N] P(people of a type think otherwise than hypotheses say at one transition in
-            twenty, or more).
-        unwritten: [N] P(people of a type hold wrong what no hypothesis does).
+        of_type: [Q] the type of the observer who gave it.
+        doubt: [N] P(people of a type disagree with the hypotheses at one transition in twenty, or
+            more).
+        unwritten: [N] P(people of a type believe something incorrectly that is in no hypothesis).
     """
 
     hypotheses: NDArray[np.float64]
@@ -54,16 +54,16 @@ class Evidence:
 
     @property
     def nats(self) -> tuple[float, float]:
-        """Mean −log P of an answer by hypotheses, and by labels alone; a coin's where no answer was
-        foretold."""
+        """Mean −log P of an answer by hypotheses, and by labels alone; a coin's if no answer was
+        predicted."""
         if not len(self.of_type):
             return COIN, COIN
         return -float(self.hypotheses.mean()), -float(self.labels.mean())
 
     @property
     def trust(self) -> NDArray[np.float64]:
-        """[N] weight of the hypotheses of each type, the rest being that of labels alone: 1, but
-        where hypotheses are doubted what :func:`stacked` finds."""
+        """[N] weight of the hypotheses of each type; labels alone have the rest. It is 1, or what
+        :func:`stacked` finds if the hypotheses are doubted."""
         types = (np.flatnonzero(self.of_type == t) for t in range(len(self.doubt)))
         weight = [stacked(self.hypotheses[own], self.labels[own]) for own in types]
         return np.where(self.doubt > DOUBTED, weight, 1.0)
@@ -76,18 +76,19 @@ class Evidence:
 
     @property
     def otherwise(self) -> int:
-        """How many types hypotheses are doubted of, or hold wrong what none of them does."""
+        """Number of types that disagree with the hypotheses, or believe something incorrectly that
+        is in none of them."""
         return int((np.maximum(self.doubt, self.unwritten) > DOUBTED).sum())
 
     @property
     def lost(self) -> bool:
-        """Whether people of a type think otherwise, or hypotheses foretell worse."""
+        """The hypotheses do not fit: people of a type disagree, or hypotheses predict worse."""
         return self.otherwise > 0 or self.against > WORSE
 
     @property
     def beaten(self) -> bool:
-        """Whether labels alone foretell so much better that hypotheses are given up. A coin that
-        foretells better does not count: where many answers are wrong, what is learned from so few
+        """Labels alone predict so much better that hypotheses are given up. A coin that predicts
+        better does not count: where many answers are wrong, what is learned from so few
         is too sure either way, and labels alone are what would be left."""
         own, others = self.nats
         return (own - others) * len(self.of_type) > BEATEN
@@ -122,17 +123,17 @@ def stacked(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
 
 
 def foretold(
-    dataset: Dataset, assignment: NDArray[np.int64], ways: tuple[Foretell, ...]
+    dataset: Dataset, assignment: NDArray[np.int64], ways: tuple[Predict, ...]
 ) -> tuple[NDArray[Any], ...]:
-    """Foretells the answers of a dataset, a type at a time.
+    """Predicts the answers of a dataset, a type at a time.
 
     Args:
         dataset: answers of O observers, each one's in the order in which they were given.
         assignment: [O] types.
-        ways: to foretell, each from the answers of one type so far.
+        ways: to predict, each from the answers of one type so far.
 
     Returns:
-        The rows of the answers that were foretold [Q], and of each way log P of them [Q].
+        The rows of the predicted answers [Q], and log P of them [Q] by each way.
     """
     part, kind = parts(dataset.observer), assignment[dataset.observer]
     found: list[tuple[NDArray[Any], ...]] = [(np.zeros(0, np.int64), *[np.zeros(0)] * len(ways))]

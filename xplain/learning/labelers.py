@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,13 @@ from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset, inputs, query_index
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence
-from xplain.learning.types import FactSetSearch, KnownTypes
+from xplain.learning.types import Clustering, KnownTypes
 from xplain.randomness import derived_seed, stream
 
 MOST_LOOKED_AT = 16
 """Messages that may change a labeler's predictions about one trace."""
+MANY = 10_000
+"""From more labels on, equal rows are fitted as one row with a weight: they are much fewer."""
 ROWS = 1 << 16
 """Rows that a classifier is asked about at a time."""
 
@@ -34,47 +36,26 @@ def paper_tree() -> Any:
     return DecisionTreeClassifier()
 
 
-class OfTruth:
-    """A classifier of labels 0 and 1 that says how likely people are to think so, errors in answers
-    left out. Its labeler has ``means_truth``: probabilities are taken as they are."""
-
-    classes_ = np.array([0, 1])
-
-    def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
-        """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
-        raise NotImplementedError
-
-    def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """All it knows: rows of features [U, F], and P(label = 1) of each by message set
-        [U, 2^n].
-
-        Raises:
-            TooLargeError: too many numbers for a file.
-        """
-        raise NotImplementedError
-
-    def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
-        """The likelier label of rows [P, F + n]: [P]."""
-        return (self.predict_proba(x)[:, 1] >= 0.5).astype(np.int64)
-
-
 class Labeler(Protocol):
-    """Says what people of one type find explicable: the interface of every labeler. Classes of your
-    own inherit from it, and have ``n_messages`` and :meth:`table`.
+    """Predicts what people of one type find explicable: the interface of every labeler. A class of
+    your own inherits from it, and has ``n_messages`` and :meth:`table`.
 
     Attributes:
         n_messages: n of the messages that it was learned with.
-        confidence, accuracy: P(label = prediction), and the share of predictions on held-out labels
-            that were right; NaN where nobody measured it.
-        n_test: how many held-out labels; 0 means that they were too few to hold any out.
-        means_truth: P(label = 1) is what people think, errors in their answers left out. Else it is
-            what they answer.
+        confidence: P(label = prediction), (right + 1) / (tested + 2) on questions held out of
+            training, inside (0, 1); NaN if nobody measured it.
+        accuracy: right / tested; NaN if nothing was tested.
+        n_train, n_test: distinct questions (transition, message set) in either part; 0 tested
+            questions mean that there were too few to hold any out.
+        means_truth: P(label = 1) is what people think, without errors in their answers. Otherwise
+            it is what they answer, and the confidence is measured on answers in any case.
         wrong: [n] P(a person of the type holds a fact wrong); None where that is unknown.
     """
 
     n_messages: int
     confidence: float = math.nan
     accuracy: float = math.nan
+    n_train: int = 0
     n_test: int = 1
     means_truth: bool = False
 
@@ -105,8 +86,14 @@ class Labeler(Protocol):
         distinct, where = np.unique(features, axis=0, return_inverse=True)
         return self.table(distinct).array(self.n_messages)[0][where.ravel(), message_sets]
 
+    def predict(
+        self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
+    ) -> NDArray[np.uint8]:
+        """The likelier label of each (transition [T, F], message set [T]): [T] of 0 and 1."""
+        return (self.probability(features, message_sets) >= 0.5).astype(np.uint8)
+
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What to write to a file of types, by name.
+        """Arrays for a file of types, by name.
 
         Raises:
             InputError: it cannot be written.
@@ -114,90 +101,69 @@ class Labeler(Protocol):
         raise InputError("types", type(self).__name__, "a labeler with arrays() to write to a file")
 
 
-@dataclass(frozen=True)
-class FittedLabeler(Labeler):
-    """A fitted labeling model L(τ, H) with its confidence P(label = prediction).
+@dataclass(frozen=True, kw_only=True)
+class MeasuredLabeler(Labeler):
+    """A labeler whose accuracy was measured on labels that were held out (:class:`Labeler` explains
+    the figures)."""
+
+    n_messages: int
+    confidence: float = 0.5
+    accuracy: float = math.nan
+    n_train: int = 0
+    n_test: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedLabeler(MeasuredLabeler):
+    """A fitted classifier of scikit-learn, with its confidence.
 
     Attributes:
-        classifier: fitted, scikit-learn's shape, classes among 0 and 1.
-        n_messages: n of the message bits it was fitted with.
-        confidence: (right + 1) / (tested + 2) on questions held out of training, in (0, 1).
-        accuracy: right / tested; NaN where nothing was tested.
-        n_train, n_test: distinct questions (transition, message set) in either part.
+        classifier: fitted; its classes are among 0 and 1.
         calibrated: P(label = 1) comes from the classifier's own probabilities (see
             :class:`LabelerTrainer`), not from the one confidence.
-        means_truth: the classifier is one :class:`OfTruth`: P(label = 1) is what people think. Else
-            it is what they answer, as the confidence is measured on answers.
     """
 
     classifier: Any
-    n_messages: int
-    confidence: float
-    accuracy: float
-    n_train: int = 0
-    n_test: int = 0
     calibrated: bool = False
-    means_truth: bool = False
 
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """The label of each (transition [T, F], message set [T]): [T] of 0 and 1."""
+        """As :meth:`Labeler.predict`, by the classifier."""
         x = inputs(features, message_sets, self.n_messages)
         return np.asarray(self.classifier.predict(x), dtype=np.uint8)
 
     def probability(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(label = 1) of each (transition [T, F], message set [T]): [T], inside (0, 1)."""
-        return self._probability(inputs(features, message_sets, self.n_messages))
+        """As :meth:`Labeler.probability`."""
+        if not self.calibrated:
+            return self._of_labels(self.predict(features, message_sets))
+        x = inputs(features, message_sets, self.n_messages)
+        found = self.classifier.predict_proba(x)
+        one = np.flatnonzero(self.classifier.classes_ == 1)
+        share = found[:, one[0]] if len(one) else np.zeros(len(x))
+        if not hasattr(self.classifier, "tree_"):
+            return self._shrunk(share)
+        tree = self.classifier.tree_  # scikit-learn's; leaves have weights
+        return self._shrunk(share, tree.weighted_n_node_samples[self.classifier.apply(x)])
 
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """As :meth:`Labeler.table`."""
-        relevant, table = self._looked_at(features)
+        """As :meth:`Labeler.table`: over all messages if they are few, else over those that the
+        classifier looks at."""
+        n = self.n_messages
+        relevant = range(n) if n <= DENSE else looked_at(self.classifier, features, n)
+        table = by_sets(self.probability, features, subsets(relevant))
         return LabelTable.joined_types([relevant], [table])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """As :meth:`Labeler.arrays`: the classifier as skops writes it, or all that it knows."""
+        """As :meth:`Labeler.arrays`: the classifier as skops writes it."""
         import skops.io
 
-        if self.means_truth:
-            return dict(zip(("rows", "table"), self.classifier.tabulated(), strict=True))
-        return {"skops": np.frombuffer(skops.io.dumps(self.classifier), dtype=np.uint8)}
-
-    def _looked_at(
-        self, features: NDArray[np.float64]
-    ) -> tuple[Sequence[int], NDArray[np.float64]]:
-        """The messages that matter, r of them ascending: all where they are few, else those that
-        the labeler looks at; and P(label = 1) under every subset of them, [T, 2^r]."""
-        n = self.n_messages
-        relevant = range(n) if n <= DENSE else looked_at(self.classifier, features, n)
-        return relevant, self._by_sets(features, subsets(relevant))
-
-    def _by_sets(
-        self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        """P(label = 1) of each transition [T, F] under each of the message sets [K]: [T, K]."""
-        return by_sets(self._probability, features, message_sets, self.n_messages)
-
-    def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
-        if self.means_truth:
-            return share_of_ones(self.classifier, self.classifier.predict_proba(x))
-        if hasattr(self.classifier, "tree_"):  # scikit-learn's; leaves have weights
-            return np.asarray(self._of_leaves()[self.classifier.apply(x)])
-        if not self.calibrated:
-            return self._of_labels(self.classifier.predict(x))
-        return self._shrunk(share_of_ones(self.classifier, self.classifier.predict_proba(x)))
-
-    def _of_leaves(self) -> NDArray[np.float64]:
-        """[nodes] P(label = 1) in each node of the tree."""
-        share = share_of_ones(self.classifier, self.classifier.tree_.value[:, 0, :])
-        if not self.calibrated:
-            largest = self.classifier.tree_.value[:, 0, :].argmax(axis=1)
-            return self._of_labels(self.classifier.classes_[largest])
-        return self._shrunk(share, self.classifier.tree_.weighted_n_node_samples)
+        classifier = np.frombuffer(skops.io.dumps(self.classifier), dtype=np.uint8)
+        return {"skops": classifier, "calibrated": np.array(self.calibrated)}
 
     def _of_labels(self, label: NDArray[Any]) -> NDArray[np.float64]:
         return np.where(label == 1, self.confidence, 1 - self.confidence)
@@ -238,11 +204,6 @@ class LabelerTrainer:
     confidence: Literal["accuracy", "leaf"] = "accuracy"
     refit: bool = True
 
-    labeler: ClassVar[type[FittedLabeler]] = FittedLabeler
-    """What is fitted."""
-    means_truth: ClassVar[bool] = False
-    """Whether its labelers know that an answer is not a label (:attr:`Labeler.means_truth`)."""
-
     def __post_init__(self) -> None:
         for method in ("fit", "predict"):
             if not hasattr(self.classifier, method):
@@ -251,20 +212,21 @@ class LabelerTrainer:
             raise InputError("labeler.classifier", self.classifier, "leaf needs predict_proba")
 
     def given(self, observed: Observed) -> LabelerTrainer:
-        """With what can be used of the observers' task, and of what they were asked, beside their
-        labels."""
+        """The trainer that also knows what can be used of the observers' task and questions."""
         return self
 
     def types_of(self, observed: Observed) -> KnownTypes | None:
-        """What agents know of the users without any labels; None where labels are needed.
+        """The types that agents know without any labels; None if labels are needed.
 
         Raises:
             InputError: these observers' types are unknown.
         """
         return None
 
-    def known_answers(self, dataset: Dataset) -> FactSetSearch | None:
-        """The answers that hypotheses of what people hold wrong know about; None: it has none."""
+    def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
+        """The types of the dataset's observers by hypotheses of what people believe incorrectly: a
+        Dirichlet process over fact sets, α being its ``concentration``. None where there are no
+        hypotheses, or labels alone predict answers better."""
         return None
 
     def everything(self) -> Labeler | None:
@@ -279,7 +241,7 @@ class LabelerTrainer:
         they answer; and how well hypotheses foretold it: None where the trainer learns neither."""
         return self, None, None
 
-    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> FittedLabeler:
+    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> MeasuredLabeler:
         """Fits one labeler to all labels of a dataset. The same labels, in whatever order, and the
         same seed give the same labeler.
 
@@ -294,46 +256,47 @@ class LabelerTrainer:
         seed = derived_seed(seed, "labelers")
         # Sorted: who answered first must not matter to a classifier that looks at the order.
         dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))
-        x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
         query, test = query_index(dataset), split(dataset, self.holdout, seed)
-
-        def fitted(rows: NDArray[np.bool_]) -> Any:
-            return self.fitted_to(dataset.take(np.flatnonzero(rows)), x[rows], seed)
-
-        classifier = fitted(~test | self.refit)
+        train, held = (dataset.take(np.flatnonzero(rows)) for rows in (~test, test))
+        labeler = self.fitted_to(dataset if self.refit else train, seed)
         tested = len(np.unique(query[test])) if measured else 0
         right = 0.0
         if tested:
-            trained = fitted(~test) if self.refit else classifier
-            agrees = trained.predict(x[test]) == dataset.label[test]
-            right = float(by_question(agrees, query[test]).sum())
-        return self.labeler(
-            classifier=classifier,
-            n_messages=dataset.n_messages,
+            trained = self.fitted_to(train, seed) if self.refit else labeler
+            said = trained.predict(held.features[held.transition], held.message_set)
+            right = float(by_question(said == held.label, query[test]).sum())
+        return replace(
+            labeler,
             confidence=(right + 1) / (tested + 2),
-            accuracy=right / tested if tested else float("nan"),
+            accuracy=right / tested if tested else math.nan,
             n_train=len(np.unique(query[~test | (self.refit and not tested)])),
             n_test=tested,
-            calibrated=self.confidence == "leaf",
-            means_truth=self.means_truth,
         )
 
-    def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:
-        """A classifier fitted to the labels of a dataset, whose rows are x [P, F + n]; for those
-        who look at more of an answer than its row."""
-        return self.fitted(x, dataset.label, seed)
+    def fitted_to(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
+        """A labeler fitted to the labels of a dataset, which is not measured yet."""
+        x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
+        return FittedLabeler(
+            classifier=self.fitted(x, dataset.label, seed),
+            n_messages=dataset.n_messages,
+            calibrated=self.confidence == "leaf",
+        )
 
     def fitted(self, x: NDArray[np.float32], y: NDArray[np.uint8], seed: int) -> Any:
         """A fitted clone of the classifier; a constant one where all labels are equal."""
         from sklearn.base import clone
         from sklearn.tree import DecisionTreeClassifier
+        from sklearn.utils.validation import has_fit_parameter
 
         # A stump predicts the only label it saw; many classifiers refuse to be fitted to it.
         model = clone(self.classifier) if y.min() != y.max() else DecisionTreeClassifier()
         state = derived_seed(seed, "labeler", "classifier") & 0xFFFFFFFF
         names = [name for name in model.get_params() if name.split("__")[-1] == "random_state"]
         model.set_params(**dict.fromkeys(names, state))
-        return model.fit(x, y)
+        if len(x) <= MANY or not has_fit_parameter(model, "sample_weight"):
+            return model.fit(x, y)
+        rows, count = np.unique(np.column_stack([x, y]), axis=0, return_counts=True)
+        return model.fit(rows[:, :-1], rows[:, -1].astype(y.dtype), sample_weight=count)
 
 
 def cheap() -> LabelerTrainer:
@@ -380,17 +343,16 @@ def looked_at(classifier: Any, features: NDArray[np.float64], n_messages: int) -
 
 
 def by_sets(
-    asked: Callable[[NDArray[np.float32]], NDArray[Any]],
+    asked: Callable[[NDArray[np.float64], NDArray[np.int64]], NDArray[Any]],
     features: NDArray[np.float64],
     message_sets: NDArray[np.int64],
-    n_messages: int,
 ) -> NDArray[Any]:
-    """What is ``asked`` of a classifier's input [P, F + n] → [P], of each transition [T, F] under
-    each of the message sets [K]: [T, K]."""
+    """Asks about each transition [T, F] under each of the message sets [K]: [T, K]. ``asked`` takes
+    transitions [P, F] and message sets [P]."""
     count = len(message_sets)
     size = max(ROWS // count, 1)
     found = [
-        asked(inputs(np.repeat(part, count, axis=0), np.tile(message_sets, len(part)), n_messages))
+        asked(np.repeat(part, count, axis=0), np.tile(message_sets, len(part)))
         for part in np.split(features, np.arange(size, len(features), size))
     ]
     return np.concatenate(found).reshape(len(features), count)
@@ -427,7 +389,25 @@ def by_question(right: NDArray[np.bool_], query: NDArray[np.int64]) -> NDArray[n
     return share
 
 
-def share_of_ones(classifier: Any, shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The column of class 1 in shares [*, classes]; 0 where no such class was seen."""
-    where = np.flatnonzero(classifier.classes_ == 1)
-    return shares[:, where[0]] if len(where) else np.zeros(len(shares))
+def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> float:
+    """The share of fresh questions that a labeler fitted to these labels gets right:
+    cross-validated over message sets, each distinct (transition, message set) once. NaN if there
+    is one message set.
+
+    Where labels are few, :attr:`Labeler.accuracy` says more than fresh questions would show: a
+    held-out (transition, message set) comes from a trace whose other transitions, under the same
+    messages, are trained with. Fresh questions come with messages of their own.
+    """
+    told, group = np.unique(dataset.message_set, return_inverse=True)
+    if len(told) < 2:
+        return float("nan")
+    count = min(max(round(1 / trainer.holdout), 2), len(told))
+    fold = (stream(derived_seed(seed, "labelers"), "fresh").permutation(len(told)) % count)[group]
+    right = np.zeros(len(dataset), dtype=bool)
+    for number in range(count):
+        test = dataset.take(np.flatnonzero(fold == number))
+        train = dataset.take(np.flatnonzero(fold != number))
+        labeler = trainer.fit(train, seed, measured=False)
+        said = labeler.predict(test.features[test.transition], test.message_set)
+        right[fold == number] = said == test.label
+    return float(by_question(right, query_index(dataset)).mean())

@@ -143,7 +143,11 @@ def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messag
         TooLargeError: the classifier looks at too many messages.
     """
     messages = looked_at(classifier, features, n_messages)
-    labels = by_sets(classifier.predict, features, subsets(messages), n_messages)
+
+    def predict(rows: NDArray[np.float64], message_sets: NDArray[np.int64]) -> NDArray[Any]:
+        return np.asarray(classifier.predict(inputs(rows, message_sets, n_messages)))
+
+    labels = by_sets(predict, features, subsets(messages))
     return smallest((labels == 0).sum(axis=0), messages)
 
 

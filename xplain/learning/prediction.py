@@ -1,5 +1,5 @@
-"""What is expected to be answered: P(answer 1) of observers about questions, and how well types and
-labelers predict answers that were held out."""
+"""Predictions of answers: P(answer 1) of observers about questions, and how well types and labelers
+predict answers that were held out."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from scipy.special import softmax
 from xplain.learning.answers import truth
 from xplain.learning.data.dataset import Dataset, places, query_index
 from xplain.learning.data.observers import Observed
-from xplain.learning.labelers import Labeler, LabelerTrainer, by_question, split
+from xplain.learning.labelers import Labeler, LabelerTrainer, split
 from xplain.learning.user_types import Single, TypeFinder, UserTypes
 from xplain.randomness import derived_seed, stream
 
 EDGE = 0.002
-"""What people think is never surer than this, as their answers tell it."""
+"""P(f = 1) as answers tell it stays so far from 0 and 1."""
 SURE = 1.96
 """Standard errors of a 95 % interval."""
 
@@ -60,7 +60,7 @@ def _posterior(dataset: Dataset, types: UserTypes) -> NDArray[np.float64]:
     somebody who gave none."""
     one = _answered(types, dataset, dataset.transition)
     value = np.log(np.where(dataset.label[:, None, None] == 1, one, 1 - one))
-    rate = np.ones(1) if types.answers is None else types.answers.errors.prior
+    rate = np.ones(1) if types.answers is None else types.answers.prior
     joint = np.zeros((len(dataset.observers) + 1, *one.shape[1:]))
     np.add.at(joint, dataset.observer, value)
     return np.asarray(softmax(joint + np.log(types.prior)[:, None] + np.log(rate), axis=(1, 2)))
@@ -76,7 +76,7 @@ def _answered(
     if types.answers is None:
         return one[:, :, None]
     given = types.answers.given(transition)  # [P, 2, E]
-    low, high = (given @ types.answers.errors.prior).T
+    low, high = (given @ types.answers.prior).T
     for k, labeler in enumerate(types.labelers):
         if not labeler.means_truth:
             one[:, k] = truth(one[:, k], low, high).clip(EDGE, 1 - EDGE)
@@ -103,14 +103,13 @@ class Tenth(NamedTuple):
 def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Tenth, ...]:
     """What was said of labels [P], P(label = 1) ``one`` [P], against what they are: by tenths of as
     many labels each, ascending; fewer than ten where labels are fewer."""
+    from scipy.stats import binomtest
+
     found = []
     for own in np.array_split(np.argsort(one, kind="stable"), min(10, len(one))):
-        count, share = len(own), float(label[own].mean())
-        centre = (share + SURE**2 / (2 * count)) / (1 + SURE**2 / count)
-        half = SURE * np.sqrt(share * (1 - share) / count + SURE**2 / (4 * count**2))
-        half /= 1 + SURE**2 / count
-        low, high = max(float(centre - half), 0.0), min(float(centre + half), 1.0)
-        found.append(Tenth(float(one[own].mean()), share, low, high, count))
+        ones, count, said = int(label[own].sum()), len(own), float(one[own].mean())
+        interval = binomtest(ones, count).proportion_ci(method="wilson")
+        found.append(Tenth(said, ones / count, interval.low, interval.high, count))
     return tuple(found)
 
 
@@ -134,7 +133,7 @@ class HeldOut:
 
     @property
     def verdict(self) -> str:
-        """Whether these answers support that there are types, in words."""
+        """A sentence: do these answers support that there are types?"""
         low, high = self.gain
         than = "than one type and the questions' means do"
         if low > 0:
@@ -186,29 +185,6 @@ def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[
     else:
         one = _of_types(types.labelers, test)[rows, found.assignment[test.observer]]
     return _log(one, test.label)
-
-
-def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> float:
-    """What a labeler fitted to these labels gets right of fresh questions: cross-validated over
-    message sets, each distinct (transition, message set) once. NaN where there is one message set.
-
-    Where labels are few, :attr:`Labeler.accuracy` says more than fresh questions would show: a
-    held-out (transition, message set) comes from a trace whose other transitions, under the same
-    messages, are trained with. Fresh questions come with messages of their own.
-    """
-    told, group = np.unique(dataset.message_set, return_inverse=True)
-    if len(told) < 2:
-        return float("nan")
-    count = min(max(round(1 / trainer.holdout), 2), len(told))
-    fold = (stream(derived_seed(seed, "labelers"), "fresh").permutation(len(told)) % count)[group]
-    right = np.zeros(len(dataset), dtype=bool)
-    for number in range(count):
-        test = dataset.take(np.flatnonzero(fold == number))
-        train = dataset.take(np.flatnonzero(fold != number))
-        labeler = trainer.fit(train, seed, measured=False)
-        said = labeler.predict(test.features[test.transition], test.message_set)
-        right[fold == number] = said == test.label
-    return float(by_question(right, query_index(dataset)).mean())
 
 
 def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,44 +20,46 @@ from xplain.errors import InputError
 from xplain.explanation.belief import OPEN, fact_sets
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.answers import ErrorRates, QuestionErrors
 from xplain.learning.data.dataset import Dataset, encoded, places
 from xplain.learning.data.label_file import MAX_MASK
-from xplain.learning.labelers import FittedLabeler, Labeler, OfTruth
+from xplain.learning.labelers import FittedLabeler, Labeler, MeasuredLabeler
 from xplain.learning.user_types import UserTypes, label_table
 
 TREE = "sklearn.tree._tree.Tree"
-"""What skops does not vouch for, as its arrays may be of no tree: they are checked here."""
+"""A class that skops does not vouch for, because its arrays may be no tree: they are checked
+here."""
 
 
-class SavedTable(OfTruth):
-    """Probabilities of known transitions as a table, in scikit-learn's shape.
+@dataclass(frozen=True, kw_only=True)
+class TableLabeler(MeasuredLabeler):
+    """A labeler of known transitions, as a table of what people of a type think.
 
-    Args:
+    Attributes:
         rows: [U, F] float32 features.
-        table: [U, 2^n] P(label = 1); of other transitions nothing is known, ½.
+        values: [U, 2^n] P(label = 1); of other transitions nothing is known, ½.
     """
 
-    def __init__(self, rows: NDArray[np.float32], table: NDArray[np.float64]) -> None:
-        self.rows, self.table = rows, table
+    rows: NDArray[np.float32]
+    values: NDArray[np.float64]
+    means_truth = True
 
-    def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """What it was made of."""
-        return self.rows, self.table
+    def table(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
+    ) -> LabelTable:
+        """As :meth:`Labeler.table`."""
+        place = places(features.astype(np.float32), self.rows)
+        known = (place >= 0)[:, None]
+        return LabelTable.dense([np.where(known, self.values[place], 0.5)])
 
-    def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
-        """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
-        width = self.rows.shape[1]
-        told = x[:, width:].astype(np.int64) @ (1 << np.arange(x.shape[1] - width))
-        place = places(x[:, :width], self.rows)
-        one = np.where(place >= 0, self.table[place, told], 0.5)
-        return np.stack([1 - one, one], axis=1)
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """As :meth:`Labeler.arrays`."""
+        return {"rows": self.rows, "table": self.values}
 
 
-def classifier_of(
+def _labeler(
     arrays: Mapping[str, NDArray[Any]], t: int, features: int, messages: int, trusted: Sequence[str]
-) -> Any:
-    """The classifier of type t in a file that was written by :meth:`Labeler.arrays`.
+) -> Labeler:
+    """The labeler of type t in a file of :meth:`LearnedTypes.save`.
 
     Args:
         arrays: of the file, those of type t named ``t/…``.
@@ -68,13 +70,15 @@ def classifier_of(
     Raises:
         InputError: its arrays contradict each other, or skops may not build it.
     """
+    figures = {key: arrays[key][t].item() for key in FIGURES}
     if f"{t}/table" in arrays:
         rows, table = arrays[f"{t}/rows"], arrays[f"{t}/table"]
         if rows.shape != (len(rows), features) or table.shape != (len(rows), 1 << messages):
             raise InputError("types", f"table of type {t}", "arrays of a table, as saved")
         if not ((table > 0) & (table < 1)).all():
             raise InputError("types", f"table of type {t}", "probabilities inside (0, 1)")
-        return SavedTable(rows.astype(np.float32), table.astype(np.float64))
+        rows, table = rows.astype(np.float32), table.astype(np.float64)
+        return TableLabeler(rows=rows, values=table, n_messages=messages, **figures)
     data = arrays[f"{t}/skops"].tobytes()
     unknown = {*skops.io.get_untrusted_types(data=data)} - {TREE, *trusted}
     if unknown:
@@ -86,11 +90,14 @@ def classifier_of(
     sound = (_is_sound(one.tree_, inputs) for one in trees if hasattr(one, "tree_"))
     if getattr(classifier, "n_features_in_", inputs) != inputs or not all(sound):
         raise InputError("types", f"classifier of type {t}", "a fitted classifier, as saved")
-    return classifier
+    calibrated = bool(arrays[f"{t}/calibrated"])
+    return FittedLabeler(
+        classifier=classifier, n_messages=messages, calibrated=calibrated, **figures
+    )
 
 
 def _is_sound(tree: Any, inputs: int) -> bool:
-    """Whether a walk from the root of a tree of scikit-learn's ends inside of its arrays."""
+    """True if a walk from the root of a scikit-learn tree ends inside of its arrays."""
     left, right, node = tree.children_left, tree.children_right, np.arange(tree.node_count)
     inner = left != -1
     ends = np.minimum(left, right)[inner] > node[inner], np.maximum(left, right) < len(node)
@@ -100,7 +107,7 @@ def _is_sound(tree: Any, inputs: int) -> bool:
 
 
 FORMAT = 1
-FIGURES = ("confidence", "accuracy", "n_train", "n_test", "calibrated", "means_truth")
+FIGURES = ("confidence", "accuracy", "n_train", "n_test")
 
 
 @dataclass(frozen=True)
@@ -116,8 +123,8 @@ class LearnedTypes:
         messages: n names; bit j of a message set is message j.
         feature_names: F names.
         sentences: what to say for each message, by its name; may be empty.
-        errors: how people err when they answer; None where nobody learned it.
-        wrong: [N] bitmasks of the facts that each type believes incorrectly; None where unknown.
+        habits: how people err when they answer, as explainers use it; None if nobody learned it.
+        wrong: [N] bitmasks of the facts that each type believes incorrectly; None if unknown.
         about_everything: the labeler of somebody who believes every fact incorrectly, if known.
         new: P(a user is of none of the types).
     """
@@ -128,7 +135,7 @@ class LearnedTypes:
     messages: tuple[str, ...]
     feature_names: tuple[str, ...]
     sentences: Mapping[str, str] = field(default_factory=dict)
-    errors: QuestionErrors | None = None
+    habits: Habits | None = None
     wrong: tuple[int, ...] | None = None
     about_everything: Labeler | None = None
     new: float = OPEN
@@ -144,7 +151,7 @@ class LearnedTypes:
             dataset: what they were learned from.
             sentences: what to say for each message.
         """
-        learned, everything = types.answers, types.everything
+        everything = types.everything
         wrong = [own for labeler in types.labelers if (own := labeler.wrong) is not None]
         known = everything is not None and len(wrong) == len(types.labelers)
         return cls(
@@ -154,18 +161,11 @@ class LearnedTypes:
             dataset.messages,
             dataset.feature_names,
             dict(sentences or {}),
-            None
-            if learned is None
-            else QuestionErrors(learned.slip, learned.guess, learned.errors, dataset.features),
+            types.habits,
             fact_sets(np.array(wrong)) if known else None,
             everything if known else None,
             types.clustering.new,
         )
-
-    @property
-    def habits(self) -> Habits | None:
-        """How people err, as an explainer takes it; None where nobody learned it."""
-        return None if self.errors is None else self.errors.habits
 
     def encode(self, transition: Mapping[str, float | str]) -> tuple[float, ...]:
         """A transition as sessions take it, from its columns in the table of labels:
@@ -214,22 +214,18 @@ class LearnedTypes:
             "feature_names": np.array(self.feature_names, dtype=np.str_),
             "sentences": np.array([self.sentences.get(m, "") for m in self.messages], np.str_),
         }
-        if self.errors is not None:
+        if self.habits is not None:
             arrays |= {
-                "errors/features": self.errors.features,
-                "errors/prior": self.errors.errors.prior,
-                "errors/slip": self.errors.slip,
-                "errors/guess": self.errors.guess,
-                "errors/rates": self.errors.errors.rates,
+                f"habits/{own.name}": getattr(self.habits, own.name) for own in fields(Habits)
             }
-        labelers = dict(enumerate(self.labelers))
+        labelers = [*self.labelers]
         if self.about_everything is not None and self.wrong is not None:
             arrays |= {"wrong": np.array(self.wrong), "new": self.new}
-            labelers[len(labelers)] = self.about_everything
-        for t, labeler in labelers.items():
+            labelers.append(self.about_everything)
+        for t, labeler in enumerate(labelers):
             arrays |= {f"{t}/{key}": own for key, own in labeler.arrays().items()}
         for key in FIGURES:
-            arrays[key] = np.array([getattr(labeler, key) for labeler in self.labelers])
+            arrays[key] = np.array([getattr(labeler, key) for labeler in labelers])
         with Path(path).open("wb") as file:  # an open file keeps its name as it is
             np.savez_compressed(file, **arrays)
 
@@ -256,21 +252,20 @@ class LearnedTypes:
             if len(messages) > MAX_MASK:
                 raise InputError("types", len(messages), f"at most {MAX_MASK} messages")
             labelers = tuple(
-                FittedLabeler(
-                    classifier_of(arrays, t, len(features), len(messages), trusted),
-                    len(messages),
-                    **{key: arrays[key][t].item() for key in FIGURES},
-                )
+                _labeler(arrays, t, len(features), len(messages), trusted)
                 for t in range(len(names))
             )
             prior = np.asarray(arrays["prior"], dtype=np.float64)
             about: tuple[Any, ...] = ()
             if "wrong" in arrays:
                 wrong = tuple(arrays["wrong"].astype(int).tolist())
-                last = classifier_of(arrays, len(names), len(features), len(messages), trusted)
-                everything = FittedLabeler(last, len(messages), 0.5, 0.5, means_truth=True)
-                about = wrong, everything, float(arrays["new"])
-            errors = _errors(arrays, len(features)) if "errors/rates" in arrays else None
+                last = _labeler(arrays, len(names), len(features), len(messages), trusted)
+                about = wrong, last, float(arrays["new"])
+            habits = None
+            if "habits/prior" in arrays:
+                habits = Habits(
+                    **{own.name: arrays[f"habits/{own.name}"] for own in fields(Habits)}
+                )
         except InputError:
             raise
         except (OSError, KeyError, ValueError, IndexError, AttributeError, TypeError,
@@ -284,15 +279,4 @@ class LearnedTypes:
         said = {m: text for m, text in zip(messages, sentences, strict=True) if text}
         if about and len(about[0]) != len(labelers):
             raise InputError("types", str(path), "the facts of each type")
-        return cls(labelers, names, prior, messages, features, said, errors, *about)
-
-
-def _errors(arrays: Mapping[str, NDArray[Any]], features: int) -> QuestionErrors:
-    rates = ErrorRates.of(arrays["errors/rates"], arrays["errors/prior"])
-    rows, slip, guess = (
-        np.asarray(arrays[f"errors/{key}"], dtype=np.float64)
-        for key in ("features", "slip", "guess")
-    )
-    if rows.ndim != 2 or rows.shape[1] != features:
-        raise InputError("types", "errors/features", f"rows of {features} features")
-    return QuestionErrors(slip, guess, rates, rows)
+        return cls(labelers, names, prior, messages, features, said, habits, *about)

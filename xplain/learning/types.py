@@ -1,10 +1,10 @@
-"""Which observers are taken to be of one type, and what agents know of the users."""
+"""Types of observers, and the users as agents know them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,12 +14,11 @@ from xplain.explanation.belief import OPEN
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.answers import AnswerModel
-from xplain.learning.data.dataset import Dataset
 
 
 @dataclass(frozen=True)
 class Clustering:
-    """Which observers are taken to be of one type.
+    """A grouping of the observers: one cluster a type.
 
     Attributes:
         assignment: [O] int64 cluster of each observer, numbered by first appearance.
@@ -51,8 +50,8 @@ class Clustering:
 
     @classmethod
     def by_facts(cls, facts: NDArray[np.int64], rule: str, **about: Any) -> Clustering:
-        """Observers are of one type who hold the same facts [O] wrong, as a Dirichlet process says;
-        ``about`` are the other attributes."""
+        """Observers who believe the same facts [O] incorrectly are of one type (a Dirichlet
+        process); ``about`` are the other attributes."""
         _, first = np.unique(facts, return_index=True)
         return cls(facts, "dirichlet", rule, needs=facts[np.sort(first)], **about)
 
@@ -76,15 +75,6 @@ class Clustering:
     def members(self, cluster: int) -> NDArray[np.int64]:
         """Indices of the observers of a cluster, ascending."""
         return np.flatnonzero(self.assignment == cluster)
-
-
-class FactSetSearch(Protocol):
-    """Answers of observers, and hypotheses of what people hold wrong that know about them."""
-
-    def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
-        """The types of the dataset's observers by a Dirichlet process over fact sets, α being its
-        ``concentration``; None where labels alone foretell answers better."""
-        ...
 
 
 class TraceTables(NamedTuple):
@@ -117,7 +107,7 @@ TablesOf = Callable[[NDArray[np.float64], NDArray[np.int64]], TraceTables]
 
 @dataclass(frozen=True)
 class KnownTypes:
-    """What agents know of the users.
+    """The users as agents know them.
 
     Attributes:
         names: N of the types.
@@ -129,7 +119,7 @@ class KnownTypes:
         rule: what decided the number of types.
         tables: what follows for a trace, by the features [m, F] of its transitions [m, 3].
         habits: how people err, as far as their answers tell.
-        wrong: [N, n] P(a user of the type holds a fact wrong); None where that is unknown.
+        wrong: [N, n] P(a user of the type believes a fact incorrectly); None if that is unknown.
         new: P(a user is of none of the types).
     """
 

@@ -9,7 +9,7 @@ borne; greedy covers are near-optimal, as the number of pairs covered is submodu
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,20 +129,26 @@ def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64
     """
     reachable = setting.reachable
     if hypotheses.messages != setting.message_names:
-        known = ", ".join(setting.message_names)
-        raise InputError("hypotheses.messages", ", ".join(hypotheses.messages), f"must be {known}")
+        given, known = (", ".join(own) for own in (hypotheses.messages, setting.message_names))
+        raise InputError("hypotheses.messages", given, f"must be {known}")
     if hypotheses.features is None:
         if hypotheses.n_transitions != len(reachable):
-            allowed = f"features, or the {len(reachable)} transitions that the robot can make"
-            raise InputError("hypotheses.labels", hypotheses.labels.shape, allowed)
+            raise InputError(
+                "hypotheses.labels",
+                hypotheses.labels.shape,
+                f"features, or the {len(reachable)} transitions that the robot can make",
+            )
         return reachable
     features = transition_features(setting.domain, reachable)
     if features.shape == hypotheses.features.shape and (features == hypotheses.features).all():
         return reachable
     rows = places(hypotheses.features, features)
     if (rows < 0).any():
-        allowed = f"transitions that the robot can make in {setting.domain.name}"
-        raise InputError("hypotheses.features", hypotheses.features[rows.argmin()], allowed)
+        raise InputError(
+            "hypotheses.features",
+            hypotheses.features[rows.argmin()],
+            f"transitions that the robot can make in {setting.domain.name}",
+        )
     return reachable[rows]
 
 
@@ -199,12 +205,8 @@ class Adaptive:
     none: Share = 0.01
     from_others: Share = 0.5
     check: Share = 0.5
-    in_turn: bool = False
+    in_turn: Literal[False, True] = False
     hypotheses: str | None = None
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.in_turn, bool):
-            raise InputError("queries.in_turn", self.in_turn, "true or false")
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
@@ -262,7 +264,7 @@ class Adaptive:
         return (1 - share) * known.prior + share * asked / max(len(others), 1)
 
     def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
-        """With the candidates that answers have made likely."""
+        """Adds the candidates that answers have made likely."""
 
         def over(known: Hypotheses) -> Questionnaire:
             if known is questions.hypotheses:
@@ -311,7 +313,7 @@ class _Checks:
 
 
 def _likely(questions: Questionnaire) -> Posterior:
-    """What is thought of who was asked: of a list that grew, the likely candidates alone."""
+    """The posterior of a person; if the list of candidates grew, of the likely ones alone."""
     known, posterior = questions.hypotheses, questions.posterior / questions.posterior.sum()
     kept = posterior >= (0.0 if known.further is None else KEPT)
     return known.facts[kept], posterior[kept] / posterior[kept].sum()

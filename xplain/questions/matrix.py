@@ -75,7 +75,7 @@ class QuestionMatrix:
 
     @classmethod
     def of(cls, hypotheses: Hypotheses) -> QuestionMatrix:
-        """Of all transitions whose label tells anything."""
+        """All questions about the transitions whose label tells anything."""
         own = np.flatnonzero(hypotheses.matters)
         tables = hypotheses.tables[:, :, own].reshape(-1, len(own))
         bits = np.packbits(tables, axis=0)
@@ -239,11 +239,6 @@ class Posterior:
         ties = np.flatnonzero(value > value.max() - TIE)
         transition, told = asked[rng.choice(ties)].tolist()
         return transition, told
-
-    def information(self, transitions: NDArray[np.int64], told: int) -> float:
-        """Bits that the answer to one question tells of (the layer, the candidate); of a clip the
-        sum of what the answers tell one by one."""
-        return float(self.gains(transitions, told).sum())
 
     def best_questions(
         self, questions: QuestionMatrix, count: int, seen: list[int], rng: np.random.Generator

@@ -36,7 +36,7 @@ STARTS = 16
 """Questions that clips are grown from: those that tell most by themselves."""
 CHOSEN = ("error", "prior", "clip", "seed", "stop", "none", "misread", "slip", "guess", "told",
           "repeats")  # fmt: skip
-"""What of a questionnaire is in its JSON, besides its questions and answers."""
+"""Options of a questionnaire in its JSON, besides its questions and answers."""
 
 Question = tuple[int, int] | tuple[list[int], int]
 """Transition (clips: transitions in a row) and message set (bitmask)."""
@@ -245,7 +245,7 @@ class Questionnaire:
 
     @property
     def done(self) -> bool:
-        """Whether one class of candidates has more than ``stop``."""
+        """One class of candidates has a posterior above ``stop``."""
         return bool(self.classes.max() > self.stop)
 
     def to_json(self) -> str:
@@ -266,7 +266,6 @@ class Questionnaire:
                 "told": self.told,
                 "repeats": self.repeats,
                 "asked": [[one.transitions, one.message_set, one.labels] for one in self.asked],
-                "pending": self._pending,
             }
         )
 
@@ -282,8 +281,6 @@ class Questionnaire:
             state = json.loads(text)
             digest, chosen = state["hypotheses"], {key: state[key] for key in CHOSEN}
             asked = [(list(t), int(told), list(labels)) for t, told, labels in state["asked"]]
-            pending = state["pending"]
-            waiting = None if pending is None else (pending[0], int(pending[1]))
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise InputError(
                 "questionnaire", text, f"JSON of Questionnaire.to_json ({error!r})"
@@ -293,17 +290,13 @@ class Questionnaire:
             raise InputError("questionnaire.hypotheses", digest, "asked with other hypotheses")
         for transitions, told, labels in asked:
             made.answer(labels, (transitions, told))
-        if waiting is not None:
-            made._checked(waiting)
-            made._pending = waiting
         return made
 
     def information(self, question: Question) -> float:
         """Mutual information, in bits, of the answer and (the variant, the candidate, whether any
         hypothesis fits): what :meth:`next` makes as large as possible. Of a clip it is the sum over
         its transitions, each by itself."""
-        transitions, told = self._checked(question)
-        return self._posterior.information(transitions, told)
+        return float(self._posterior.gains(*self._checked(question)).sum())
 
     def _take(self, one: Asked) -> None:
         likelihood = self._posterior.likelihood(one.transitions, one.message_set, one.labels)

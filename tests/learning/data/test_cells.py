@@ -139,7 +139,7 @@ def test_where_no_column_can_be_a_feature_it_is_asked_and_the_advice_works(tmp_p
         ),
         *(
             (["", "m0", "m1", f"m0{joint}m1", "", "m0"], "looks like messages joined")
-            for joint in (" ", " and ", ":", "-", "_", "', '")
+            for joint in (" ", "\n", " and ", ":", "-", "_", "', '")
         ),
         (["", "m0", "m1", "None", "", "m0"], "data='None': leave the cell empty"),
         (["", "m0", "m1", "m0;NA", "", "m0"], "data='NA': leave the cell empty"),
@@ -157,7 +157,47 @@ def test_odd_messages_are_asked_about_and_the_advice_works(
     (word,) = shlex.split(str(caught.value).partition("if it is one message: ")[2])
     advised = OverridesParser.create().parse_overrides([word])[0].value()
     written = {name for cell in told for name in cell.split(";")} - {""}
+    written = {" ".join(name.split()) for name in written}
     assert set(read_table(path, messages=advised).messages) == written
+    assert "\n" not in str(caught.value)
+
+
+BAD_LINE = "p2,,1,a, comma,1"
+
+
+@pytest.mark.parametrize(
+    ("bad", "advice", "followed"),
+    [
+        (BAD_LINE, r"holds a comma in double quotes", 'p2,,1,"a, comma",1'),
+        ("p2,None,1,up,1", r"leave the cell empty", "p2,,1,up,1"),
+        ("p2,,NA,up,1", r"leave those rows out", ""),
+        ("p2,,1,hill \xfc,1", r"save it as .CSV UTF-8", "p2,,1,hill \u00fc,1"),
+        ("p2,,'1',up,2", r"a label is 0 or 1", "p2,,1,up,1"),
+    ],
+)
+def test_what_an_error_says_to_write_is_read(
+    bad: str, advice: str, followed: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path)
+    written = path.read_text()
+    path.write_bytes(f"{written}{bad}\n".encode("latin-1"))
+    with pytest.raises(InputError, match=advice):
+        read_table(path)
+    path.write_text(f"{written}{followed}\n", encoding="utf-8")
+    assert len(read_table(path)) == 6 + bool(followed)
+
+
+def test_a_column_that_lacks_values_or_has_decimal_commas_is_mended_as_advised(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = table(tmp_path, load=[1.5, None, 2.5, 1.5, 2.5, 3.5])
+    with pytest.raises(InputError, match=r"or the column by 'ignore=\[load\]'"):
+        read_table(path)
+    assert "load" not in read_table(path, ignore=["load"]).feature_names
+    commas = table(tmp_path, load=["1,5", "2,5", "2,5", "1,5", "2,5", "3,5"])
+    assert "load=1,5" in read_table(commas).feature_names
+    assert "a number is written 1.5, not 1,5" in caplog.text
+    assert "load" in read_table(table(tmp_path, load=[1.5, 2.5, 2.5, 1.5, 2.5, 3.5])).feature_names
 
 
 def test_missing_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -203,7 +243,7 @@ def test_what_a_sheet_has_above_or_behind_the_table_is_named_or_left_out(tmp_pat
     assert "begin the header" not in str(caught.value)  # it would shift every column
 
 
-@pytest.mark.parametrize("alike", ["P0", "p0\u200b", "\uff500"])
+@pytest.mark.parametrize("alike", ["P0", "p0\u200b", "\uff500", "p0.0"])
 def test_observers_that_look_alike_are_named(
     alike: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -18,8 +18,7 @@ from tests.people.visitors import GENEROUS, Visitor, differences, pages
 from xplain.cli.people import configured
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
-from xplain.learning.labelers import FittedLabeler
-from xplain.learning.saved import LearnedTypes, SavedTable
+from xplain.learning.saved import LearnedTypes, TableLabeler
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
@@ -75,16 +74,12 @@ def save_types(path: Path, feature: str, messages: tuple[str, ...] = FACTS) -> N
     features = np.arange(len(WHEN), dtype=np.float32)[:, None]
     told = [{f for j, f in enumerate(FACTS) if mask >> j & 1} for mask in range(8)]
     labelers = [
-        FittedLabeler(
-            SavedTable(
-                features,
-                np.array(
-                    [[0.01 + 0.98 * sense(row, {fact} - one) for one in told] for row in range(6)]
-                ),
+        TableLabeler(
+            rows=features,
+            values=np.array(
+                [[0.01 + 0.98 * sense(row, {fact} - one) for one in told] for row in range(6)]
             ),
-            3,
-            **{"confidence": 0.9, "accuracy": 0.9, "n_train": 9, "n_test": 9, "calibrated": True},
-            means_truth=True,
+            n_messages=3,
         )
         for fact in FACTS
     ]

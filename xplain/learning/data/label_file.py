@@ -234,8 +234,9 @@ def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]
     _refuse_missing("observer", who == "")
     observer, observers = _factorized(who)
     seen: dict[str, str] = {}
-    for name in observers:  # invisible marks, accents written in two ways, and case
-        plain = re.sub(r"[\u200b-\u200f\ufeff]", "", unicodedata.normalize("NFKC", name)).casefold()
+    for name in observers:  # invisible marks, numbers and accents written in two ways, and case
+        plain = unicodedata.normalize("NFKC", name).casefold()
+        plain = re.sub(r"[\u200b-\u200f\ufeff]|^0+(?=\d)|(?<=\d)\.0+$", "", plain)
         if (other := seen.setdefault(plain, name)) != name:
             log.warning("data: the observers %a and %a look alike; they count as two", other, name)
     message_set, known = _message_sets(table["messages"], messages)
@@ -259,7 +260,7 @@ def _message_sets(
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     code, cells = _factorized(as_words(column))
     absent = {*MISSING} - {*(messages or ())}
-    given = [[name for name in map(str.strip, cell.split(";")) if name] for cell in cells]
+    given = [[" ".join(name.split()) for name in cell.split(";") if name.strip()] for cell in cells]
     given = [[] if len(names) == 1 and names[0] in absent else names for names in given]
     found = sorted({name for names in given for name in names})
     if messages is None:

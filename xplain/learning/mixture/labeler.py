@@ -28,10 +28,10 @@ from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import DOUBTED, Evidence, foretold
 from xplain.learning.labelers import (
-    FittedLabeler,
     Labeler,
     LabelerTrainer,
-    OfTruth,
+    MeasuredLabeler,
+    by_sets,
     cheap,
     check_looked_at,
     paper_tree,
@@ -63,16 +63,19 @@ EDGE = 0.002
 larger doubts about what nothing speaks against would add up to messages that nobody needs."""
 
 
-class FactSetClassifier(OfTruth):
-    """The posterior over the fact sets of one type, with what labelers ask of a classifier.
+@dataclass(frozen=True, kw_only=True)
+class HypothesisLabeler(MeasuredLabeler):
+    """The posterior over the fact sets of people of one type, and what follows for their labels.
 
     It predicts what people find explicable, f, not what they answer: errors in answers are left
-    out. Rows of features that the hypotheses do not know are left to ``alone``.
+    out. Transitions that the hypotheses do not know are left to ``alone``, and transitions that
+    share their features are told apart.
 
     Attributes:
         known: the hypotheses.
+        fit_alone: learns from the labels alone.
         trust: weight of the hypotheses, the rest being that of ``alone``; 1 where people think as
-            they say (:attr:`doubt`).
+            hypotheses say (:attr:`doubt`).
         facts: [R] fact sets that are likely.
         weight: [R, 1 + V, D] their posterior with variant and deviation.
         cells: of the answers, for each fact set.
@@ -80,25 +83,34 @@ class FactSetClassifier(OfTruth):
         level: [E] posterior of the levels of error.
     """
 
-    def __init__(
-        self,
+    known: KnownTransitions
+    fit_alone: Callable[[], Labeler]
+    trust: float
+    facts: NDArray[np.int64]
+    weight: NDArray[np.float64]
+    cells: Cells
+    learned: NDArray[np.float64]
+    level: NDArray[np.float64]
+    means_truth = True
+
+    @classmethod
+    def of(
+        cls,
         known: KnownTransitions,
         answers: Answers,
-        fit_alone: Callable[[], FittedLabeler],
+        fit_alone: Callable[[], Labeler],
         given: NDArray[np.float64] | None = None,
         trust: float = 1.0,
-    ) -> None:
-        """Works out the posterior over fact sets, variants and deviations.
+    ) -> HypothesisLabeler:
+        """Computes the posterior over fact sets, variants and deviations.
 
         Args:
-            known: see above.
-            fit_alone: learns from the labels alone.
+            known, fit_alone: as above.
             answers: P of people of the type.
             given: [P, 2, E] log P(answer | f) for f = 0 and 1, by levels of error that are as
                 likely; None: of answers that all err as often.
             trust: weight of the hypotheses, where they are doubted.
         """
-        self.known, self._fit_alone = known, fit_alone
         given = by_level(answers.label) if given is None else given
         facts = known.supported(answers)
         prior = np.log(known.prior_of(facts) + 1e-300)
@@ -107,18 +119,26 @@ class FactSetClassifier(OfTruth):
         posterior = np.exp(joint - logsumexp(joint))
         kept = posterior.sum(axis=(1, 2, 3)) > KEPT
         posterior = posterior[kept] / posterior[kept].sum()
-        self.level = posterior.sum(axis=(0, 1, 2))
-        self.facts, self.weight = facts[kept], posterior.sum(axis=3)
-        self.trust = trust if self.doubt > DOUBTED else 1.0
-        self.cells = Cells.of(known, answers, self.facts)
-        zero, one = self.cells.given(given)
-        of_cell = cell_posterior(self.cells.one[..., None], one - zero)
-        self.learned = (of_cell * posterior[self.cells.which]).sum(axis=(1, 2, 3))
+        cells = Cells.of(known, answers, facts[kept])
+        zero, one = cells.given(given)
+        of_cell = cell_posterior(cells.one[..., None], one - zero)
+        made = cls(
+            known=known,
+            fit_alone=fit_alone,
+            trust=trust,
+            facts=facts[kept],
+            weight=posterior.sum(axis=3),
+            cells=cells,
+            learned=(of_cell * posterior[cells.which]).sum(axis=(1, 2, 3)),
+            level=posterior.sum(axis=(0, 1, 2)),
+            n_messages=known.hypotheses.n_messages,
+        )
+        return made if made.doubt > DOUBTED else replace(made, trust=1.0)
 
     @cached_property
-    def alone(self) -> FittedLabeler:
+    def alone(self) -> Labeler:
         """Learned from the labels alone, when it is first asked."""
-        return self._fit_alone()
+        return self.fit_alone()
 
     @property
     def doubt(self) -> float:
@@ -127,7 +147,7 @@ class FactSetClassifier(OfTruth):
 
     @property
     def unwritten(self) -> float:
-        """P(people of the type hold wrong what no hypothesis does)."""
+        """P(people of the type believe something incorrectly that is in no hypothesis)."""
         return float(self.weight[(self.facts & self.known.unwritten) > 0].sum())
 
     def log_answered(self, answers: Answers) -> NDArray[np.float64]:
@@ -138,24 +158,18 @@ class FactSetClassifier(OfTruth):
         same = np.where(answers.label == 1, one, 1 - one)
         return np.asarray(np.log(same * (1 - error) + (1 - same) * error))
 
-    @property
-    def looked_at(self) -> int:
-        """The facts that people of the type may hold wrong. Where facts are many, those they do
-        with a probability of RELEVANT, the likeliest MOST of them; other messages are
-        taken to be never given."""
-        if self.known.hypotheses.complete:
-            return int(np.bitwise_or.reduce(self.facts, initial=0))
-        bits = bits_of(self.facts, self.known.hypotheses.n_messages)
-        share = self.weight.sum(axis=(1, 2)) @ bits
-        likely = np.argsort(-share, kind="stable")[:MOST]
-        return sum(1 << int(j) for j in likely if share[j] >= RELEVANT)
+    @cached_property
+    def _share(self) -> NDArray[np.float64]:
+        """[n] P(a person of the type believes a fact incorrectly)."""
+        share: NDArray[np.float64] = self.weight.sum(axis=(1, 2)) @ bits_of(
+            self.facts, self.n_messages
+        )
+        return share
 
     @property
     def wrong(self) -> NDArray[np.float64]:
-        """[n] P(a person of the type holds a fact wrong); as labels, never certain."""
-        bits = bits_of(self.facts, self.known.hypotheses.n_messages)
-        share: NDArray[np.float64] = self.weight.sum(axis=(1, 2)) @ bits
-        return np.clip(share, EDGE, 1 - EDGE)
+        """As :attr:`Labeler.wrong`; as labels, never certain."""
+        return np.clip(self._share, EDGE, 1 - EDGE)
 
     def known_rows(
         self, transition: NDArray[np.int64], told: NDArray[np.int64]
@@ -196,30 +210,64 @@ class FactSetClassifier(OfTruth):
             one = self.trust * one + (1 - self.trust) * alone
         return np.clip(one, EDGE, 1 - EDGE)
 
-    def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
-        """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
-        n = self.known.hypotheses.n_messages
-        told = x[:, -n:].astype(np.int64) @ (1 << np.arange(n, dtype=np.int64))
-        transition = self.known.find(x[:, :-n])
-        rows, one = transition >= 0, np.empty(len(x))
-        one[rows] = self.known_rows(transition[rows], told[rows])
+    def probability(
+        self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """As :meth:`Labeler.probability`."""
+        transition = self.known.find(features)
+        rows, one = transition >= 0, np.empty(len(features))
+        one[rows] = self.known_rows(transition[rows], message_sets[rows])
         if not rows.all():
-            one[~rows] = self.alone.probability(x[~rows, :-n].astype(np.float64), told[~rows])
-        return np.stack([1 - one, one], axis=1)
+            one[~rows] = self.alone.probability(features[~rows], message_sets[~rows])
+        return one
 
-    def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """All it knows: rows of features [U, F], and P(label = 1) of each by message set
-        [U, 2^n].
+    def table(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
+    ) -> LabelTable:
+        """As :meth:`Labeler.table`. Where messages are many, those matter that are about facts that
+        people of the type likely believe incorrectly."""
+        place = self.known.find(features)
+        relevant = self._relevant(features, place)
+        sets = subsets(relevant)
+        table = by_sets(self.probability, features, sets)
+        if transitions is not None:
+            rows = np.flatnonzero((place >= 0) & self.known.ambiguous[place])
+            found = self.known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
+            for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
+                table[row] = self.exactly(np.full(len(sets), t), sets)
+        return LabelTable.joined_types([relevant], [table])
+
+    def _relevant(self, features: NDArray[np.float64], place: NDArray[np.int64]) -> Sequence[int]:
+        """The messages that the table is over, ascending: all if they are few. Otherwise the facts
+        that people of the type may believe incorrectly; where not all sets of facts are candidates,
+        those they do with a probability of RELEVANT, the likeliest MOST of them. Other messages are
+        taken to be never given."""
+        if self.n_messages <= DENSE:
+            return range(self.n_messages)
+        likely = np.argsort(-self._share, kind="stable")[:MOST].tolist()
+        found = {j for j in likely if self._share[j] >= RELEVANT}
+        if self.known.hypotheses.complete:
+            found = {*indices(int(np.bitwise_or.reduce(self.facts, initial=0)))}
+        unknown = (place < 0) | (self.trust < 1)
+        if unknown.any():
+            found |= {*self.alone.table(features[unknown]).rows[0]}
+        check_looked_at(len(found), self.n_messages)
+        return sorted(found)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """As :meth:`Labeler.arrays`: rows of features [U, F], and P(label = 1) of each by message
+        set [U, 2^n].
 
         Raises:
             TooLargeError: more than MAX_TABLE numbers.
         """
-        count, n = len(self.known.features), self.known.hypotheses.n_messages
-        if count << n > MAX_TABLE:
-            raise TooLargeError(f"types: a table of {count} × 2^{n} labels is too large for a file")
-        told = np.tile(np.arange(1 << n), count)
-        table = self.known_rows(np.repeat(np.arange(count), 1 << n), told)
-        return self.known.features, table.reshape(count, 1 << n)
+        rows, n = self.known.features, self.n_messages
+        if len(rows) << n > MAX_TABLE:
+            size = f"{len(rows)} × 2^{n}"
+            raise TooLargeError(f"types: a table of {size} labels is too large for a file")
+        told = np.tile(np.arange(1 << n), len(rows))
+        table = self.known_rows(np.repeat(np.arange(len(rows)), 1 << n), told)
+        return {"rows": rows, "table": table.reshape(len(rows), 1 << n)}
 
 
 @dataclass(frozen=True)
@@ -262,8 +310,8 @@ class KnownAnswers:
         return partition(self.grown, self.of_observers, concentration)
 
     def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
-        """The same, with what is expected of all transitions of the dataset that these answers are
-        of; None where labels alone foretell answers better."""
+        """The same types, with what is expected of all transitions of the dataset that these
+        answers come from; None if labels alone predict answers better."""
         facts, _, expected = self.partition(concentration)
         if self.evidence(np.unique(facts, return_inverse=True)[1]).beaten:
             return None
@@ -277,81 +325,37 @@ class KnownAnswers:
             expected = np.where(place >= 0, expected[:, place], mean)
         return Clustering.by_facts(facts, "hypotheses", expected=expected)
 
-    def errors(self, assignment: NDArray[np.int64]) -> AnswerModel:
-        """How these people err when they answer, their types [O] being given."""
-        return errors_of(self.grown, self.of_observers, assignment)
-
     def evidence(self, assignment: NDArray[np.int64]) -> Evidence:
         """How well hypotheses foretell the answers, the observers' types [O] being given."""
         data = self.dataset
-        rows, own, alone = foretold(data, assignment, (self.by_hypotheses, self.by_labels))
+
+        def by_hypotheses(train: Dataset, test: Dataset) -> NDArray[np.float64]:
+            return self._learned(train).log_answered(self._answers(test))
+
+        def by_labels(train: Dataset, test: Dataset) -> NDArray[np.float64]:
+            return log_likelihood(cheap().fit(train, 0), test)
+
+        rows, own, alone = foretold(data, assignment, (by_hypotheses, by_labels))
         members = (np.flatnonzero(assignment == t) for t in range(int(assignment.max()) + 1))
         types = [self._learned(data.of(people)) for people in members]
         doubt, unwritten = np.array([(one.doubt, one.unwritten) for one in types]).T
         return Evidence(own, alone, assignment[data.observer[rows]], doubt, unwritten)
 
-    def by_hypotheses(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
-        """log P of each label of ``test``, by what hypotheses and ``train`` say: [Q]."""
-        return self._learned(train).log_answered(self._answers(test))
+    def _learned(self, data: Dataset) -> HypothesisLabeler:
+        """A labeler of people of one type, who all err as often."""
+        return self.labeler(data, partial(cheap().fit, data, 0))
 
-    def by_labels(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
-        """The same, without hypotheses."""
-        return log_likelihood(cheap().fit(train, 0), test)
-
-    def _learned(self, data: Dataset) -> FactSetClassifier:
-        """Of people of one type, who err all as often."""
-        return self.classifier(data, partial(cheap().fit, data, 0))
-
-    def classifier(
-        self, data: Dataset, alone: Callable[[], FittedLabeler], *about: Any
-    ) -> FactSetClassifier:
-        """Of people of one type, by some of the answers; ``about`` as for the class."""
+    def labeler(
+        self, data: Dataset, alone: Callable[[], Labeler], *about: Any
+    ) -> HypothesisLabeler:
+        """A labeler of people of one type, from some of the answers; ``about`` as for
+        :meth:`HypothesisLabeler.of`."""
         answers = self._answers(data)
-        return FactSetClassifier(self.known.grown(answers), answers, alone, *about)
+        return HypothesisLabeler.of(self.known.grown(answers), answers, alone, *about)
 
     def _answers(self, data: Dataset) -> Answers:
         label = data.label.astype(np.int64)
         return Answers(self.place[data.transition], data.message_set, label)
-
-
-@dataclass(frozen=True)
-class HypothesisLabeler(FittedLabeler):
-    """A labeler that tells transitions apart that share their features."""
-
-    classifier: FactSetClassifier
-
-    def table(
-        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
-    ) -> LabelTable:
-        """As :meth:`Labeler.table`. Where messages are many, those matter that are about facts that
-        people of the type likely hold wrong."""
-        relevant, table = self._looked_at(features)
-        if transitions is not None:
-            known, every = self.classifier.known, subsets(relevant)
-            place = known.find(features)
-            rows = np.flatnonzero((place >= 0) & known.ambiguous[place])
-            found = known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
-            for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
-                table[row] = self.classifier.exactly(np.full(len(every), t), every)
-        return LabelTable.joined_types([relevant], [table])
-
-    @property
-    def wrong(self) -> NDArray[np.float64] | None:
-        """As :attr:`Labeler.wrong`."""
-        return self.classifier.wrong
-
-    def _looked_at(
-        self, features: NDArray[np.float64]
-    ) -> tuple[Sequence[int], NDArray[np.float64]]:
-        if self.n_messages <= DENSE:
-            return super()._looked_at(features)
-        looked_at = self.classifier.looked_at
-        alone = (self.classifier.known.find(features) < 0) | (self.classifier.trust < 1)
-        if alone.any():
-            looked_at |= sum(1 << j for j in self.classifier.alone._looked_at(features[alone])[0])
-        relevant = indices(looked_at)
-        check_looked_at(len(relevant), self.n_messages)
-        return relevant, self._by_sets(features, subsets(relevant))
 
 
 @dataclass(frozen=True)
@@ -415,12 +419,9 @@ class HypothesisTrainer(LabelerTrainer):
     evidence: Evidence | None = None
     types: NDArray[np.int64] | None = None
 
-    labeler = HypothesisLabeler
-    means_truth = True
-
     def given(self, observed: Observed) -> LabelerTrainer:
-        """With the hypotheses of the observers' domain, and the fact sets that their questions
-        found likely, where it has no others."""
+        """Takes the hypotheses of the observers' domain, and the fact sets that their questions
+        found likely, if it has no others."""
         if self.hypotheses is not None or self.path is not None:
             return self
         return replace(self, hypotheses=observed.hypotheses)
@@ -437,15 +438,11 @@ class HypothesisTrainer(LabelerTrainer):
             raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
         return KnownTransitions.of(hypotheses)
 
-    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> FittedLabeler:
-        """As :meth:`LabelerTrainer.fit`; without hypotheses, where the labels are of another
+    def fitted_to(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
+        """As :meth:`LabelerTrainer.fitted_to`; without hypotheses, where the labels are of another
         task."""
-        if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
-            return self._alone.fit(dataset, seed, measured)
-        return super().fit(dataset, seed, measured)
-
-    def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:
-        """A classifier fitted to the labels of a dataset, whose rows are x [P, F + n]."""
+        if not self._is_about(dataset):
+            return self._alone.fitted_to(dataset, seed)
         asked, given, trust = KnownAnswers.of(self.known, dataset), None, 1.0
         own = asked.dataset
         if self.answers is not None:
@@ -454,7 +451,7 @@ class HypothesisTrainer(LabelerTrainer):
         if self.evidence is not None and self.types is not None:
             trust = float(self.evidence.trust[self.types[own.observer]].mean())
         trainer = self._alone if dataset.n_messages <= DENSE else cheap()
-        return asked.classifier(own, partial(trainer.fit, dataset, seed), given, trust)
+        return asked.labeler(own, partial(trainer.fit, dataset, seed), given, trust)
 
     @property
     def _alone(self) -> LabelerTrainer:
@@ -464,11 +461,12 @@ class HypothesisTrainer(LabelerTrainer):
     def with_errors(
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
-        """With how these people err when they answer, their types [O] being given."""
+        """Also knows how these people err when they answer; their types [O] are given."""
         asked = self.known_answers(dataset)
         if asked is None:
             return self, self.answers, self.evidence
-        made, where = asked.errors(assignment), [*asked.place, -1]
+        made = errors_of(asked.grown, asked.of_observers, assignment)
+        where = [*asked.place, -1]
         answers = replace(made, slip=made.slip[where], guess=made.guess[where])
         evidence = asked.evidence(assignment)
         return (
@@ -484,14 +482,18 @@ class HypothesisTrainer(LabelerTrainer):
 
     def known_answers(self, dataset: Dataset) -> KnownAnswers | None:
         """The answers that hypotheses know about; None where they know nothing of the dataset."""
-        if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
+        if not self._is_about(dataset):
             return None
         asked = KnownAnswers.of(self.known, dataset)
         return asked if (asked.place >= 0).any() else None
 
+    def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
+        """As :meth:`LabelerTrainer.cluster`."""
+        asked = self.known_answers(dataset)
+        return None if asked is None else asked.cluster(dataset, concentration)
 
-def _same_task(
-    hypotheses: Hypotheses, feature_names: tuple[str, ...], messages: tuple[str, ...]
-) -> bool:
-    names = hypotheses.feature_names or feature_names
-    return names == feature_names and hypotheses.messages == messages
+    def _is_about(self, dataset: Dataset) -> bool:
+        """True if the hypotheses are about the dataset's task."""
+        hypotheses = self.known.hypotheses
+        names = hypotheses.feature_names or dataset.feature_names
+        return names == dataset.feature_names and hypotheses.messages == dataset.messages

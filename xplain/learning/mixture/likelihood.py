@@ -68,7 +68,7 @@ has one fact more than another, and was never asked about."""
 def grown(
     hypotheses: Hypotheses, posterior: Callable[[Hypotheses], NDArray[np.float64]]
 ) -> Hypotheses:
-    """With all sets next to likely ones, until no likely set lacks any.
+    """Adds all sets next to likely ones, until no likely set lacks any.
 
     Args:
         hypotheses: the candidates so far; returned as they are where labels of further sets are
@@ -76,7 +76,9 @@ def grown(
         posterior: [C] of candidates.
     """
     while hypotheses.further is not None:
-        new = _next_to(hypotheses, hypotheses.facts[posterior(hypotheses) >= LIKELY])
+        likely = hypotheses.facts[posterior(hypotheses) >= LIKELY]
+        more = likely[:, None] | 1 << np.arange(hypotheses.n_messages)
+        new = np.setdiff1d(more, hypotheses.facts)  # sets of one fact more, no candidates yet
         if not len(new):
             break
         try:
@@ -100,12 +102,6 @@ def posterior_by(
         joint = agree * np.log((1 - WRONG) / WRONG) + np.log(hypotheses.prior)
     joint += np.log(hypotheses.variant_prior)[:, None]
     return np.asarray(np.exp(joint - logsumexp(joint)).sum(axis=0))
-
-
-def _next_to(hypotheses: Hypotheses, likely: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sets of one fact more than one of these, which are no candidates yet."""
-    more = likely[:, None] | 1 << np.arange(hypotheses.n_messages)
-    return np.setdiff1d(more, hypotheses.facts)
 
 
 UNWRITTEN = 0.1
@@ -159,7 +155,7 @@ class KnownTransitions:
 
     @classmethod
     def of(cls, hypotheses: Hypotheses) -> KnownTransitions:
-        """Of hypotheses that have features."""
+        """Groups the transitions of hypotheses that have features."""
         assert hypotheses.features is not None
         hypotheses, unwritten = _with_unwritten(hypotheses)
         rows = np.asarray(hypotheses.features, dtype=np.float32)
@@ -170,12 +166,12 @@ class KnownTransitions:
         return cls(hypotheses, distinct, share, unwritten)
 
     def grown(self, answers: Answers) -> KnownTransitions:
-        """With the candidates that the answers of one type make likely, and those next to them."""
+        """Adds the candidates that the answers of one type make likely, and those next to them."""
         found = grown(self.hypotheses, lambda known: self._posterior(known, answers))
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
     def with_sets(self, facts: NDArray[np.int64]) -> KnownTransitions:
-        """With further candidates, these sets and their subsets."""
+        """Adds candidates: these sets and their subsets."""
         found = self.hypotheses.with_sets(facts)
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
@@ -188,7 +184,7 @@ class KnownTransitions:
         return np.unique(self.essential[posterior >= min(SUPPORTED, posterior.max())])
 
     def _posterior(self, hypotheses: Hypotheses, answers: Answers) -> NDArray[np.float64]:
-        """Of transitions that share their features, one stands for all."""
+        """[C] of candidates. One transition represents all that share its features."""
         column = self._column[answers.transition]
         return posterior_by(hypotheses, column, answers.message_set, answers.label)
 

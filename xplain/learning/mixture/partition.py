@@ -92,7 +92,7 @@ def mixture(
     zero, both = made.given(np.arange(questions))[:, :, 0].T[:, :, None, None]  # of rate 0
     one = ((1 - f) * zero + f * both).reshape(questions, -1)
     expected = weight.reshape(people, -1) @ one.T
-    rate = (made.person[:-1] @ made.errors.rates)[:, None]
+    rate = (made.person[:-1] @ answer_model.RATES)[:, None]
     return weight.sum(axis=2), made, (1 - rate) * expected + rate * (1 - expected)
 
 
@@ -195,7 +195,7 @@ class _Search:
         return made
 
     def heed(self, answers: AnswerModel) -> None:
-        """From now on answers err like this."""
+        """Uses this model of errors from now on."""
         about = self.every.transition, self.person, self.every.label
         self.given = answers.log_given(*about)[:, :, None]
 

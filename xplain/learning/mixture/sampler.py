@@ -426,8 +426,7 @@ class DirichletMixture(Clusterer):
             TooLargeError: ``depth`` is too large for so many messages.
         """
         seed, dataset = derived_seed(seed, "clusterer"), observed.dataset
-        asked = self.labeler.given(observed).known_answers(dataset)
-        found = None if asked is None else asked.cluster(dataset, self.concentration)
+        found = self.labeler.given(observed).cluster(dataset, self.concentration)
         if found is not None:
             return found
         if dataset.message_set.any():

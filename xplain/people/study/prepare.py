@@ -464,8 +464,7 @@ def learned_types(cfg: DictConfig) -> tuple[Setting, Learned]:
         assert observed.setting is not None
         types = finder.find(observed, cfg.seed)
         columns = tuple(range(len(names)))
-        habits = None if types.answers is None else types.answers.habits
-        learned = Learned(types.names, types.labelers, types.prior, columns, habits)
+        learned = Learned(types.names, types.labelers, types.prior, columns, types.habits)
         return observed.setting, learned
     setting = Setting.build(domain, users.types(domain, stream(cfg.seed, "users")))
     return setting, fitting(cfg.types, domain.name, setting.message_names, names)
