@@ -39,8 +39,7 @@ from xplain.errors import XplainError
 from xplain.experiment.config import composed
 from xplain.randomness import stream
 from xplain.report.plots import save
-from xplain.report.story import Story
-from xplain.report.traces import draw_trace
+from xplain.report.trace import Story, draw_trace
 
 DOMAINS = ("four_rooms", "rescue", "taxi", "cliff_walking", "frozen_lake")
 PICTURES = Path(__file__).parent.parent / "docs" / "pictures"
@@ -170,7 +169,7 @@ def picture(domain: str, folder: Path) -> None:
         labels=rows,
     )
     caption = f"{story.user_type}, to whom nothing is said"
-    save(draw_trace(setting.domain.scene, story, caption), folder / f"{domain}.png")
+    save(draw_trace(setting.domain.scene, story, caption, {}), folder / f"{domain}.png")
 
 
 def main() -> None:

@@ -5,14 +5,18 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
-from xplain.report.claims import Claim, claims, table
-from xplain.report.combinations import paired
+from tests.report import handmade
+from xplain.experiment.results import load_results, save_results
+from xplain.report.claims import Claim, answer, claims, claims_of, claims_table, decomposition
+from xplain.report.compare import paired, table
+from xplain.report.frame import Summary
 from xplain.report.paper import table1
 
 TRADE_OFFS = (0.5, 1.0, 1.5, 2.0, 2.5)
@@ -41,7 +45,13 @@ def episodes(
             "trace": trace,
             "type": user,
             "cost": hard(seed, trace, user) + regret(method, trade_off, seed),
+            "communication": 1.0,
+            "inexplicability": hard(seed, trace, user)
+            + regret(method, trade_off, seed)
+            - trade_off,
+            "true_labels": hard(seed, trace, user),
             "oracle": oracle(trade_off),
+            "clairvoyant": trade_off,
         }
         for setting, method, trade_off, seed, trace, user in itertools.product(
             ("2 types", "3 types"), methods, TRADE_OFFS, seeds, (0, 1), "AB"
@@ -50,13 +60,17 @@ def episodes(
     return pd.DataFrame(rows).sample(frac=1, random_state=0)
 
 
+def settled(frame: pd.DataFrame, data_sets: pd.DataFrame | None = None) -> list[Claim]:
+    return claims_of(frame, pd.DataFrame() if data_sets is None else data_sets, pool=["setting"])
+
+
 def verdicts(found: list[Claim]) -> dict[str, str]:
     return {claim.text: claim.verdict for claim in found}
 
 
 def test_differences_that_are_clear_hold_in_the_papers_direction_alone() -> None:
     base = {"qmdp": 1.0, "pomcp_paper": 1.0, "qhr": 3.0, "baseline": 2.0}
-    found = verdicts(claims(episodes(lambda method, _, seed: base[method] + 0.01 * seed)))
+    found = verdicts(settled(episodes(lambda method, _, seed: base[method] + 0.01 * seed)))
     for trade_off in TRADE_OFFS:
         at = f"λ = {trade_off:g}"
         assert found[f"QMDP and POMCP cost about the same, {at}"] == "holds"
@@ -69,7 +83,7 @@ def test_the_interval_is_the_t_interval_of_paired_differences_over_seeds() -> No
     """Traces, users and settings of one seed are no evidence of their own."""
     excess = [0.1, 0.9, -0.4, 1.3, 0.2, 0.6]
     frame = episodes(lambda method, _, seed: excess[seed] if method == "qhr" else 0.0)
-    claim = next(c for c in claims(frame) if c.text == "QMDP costs less than QHR, λ = 1")
+    claim = next(c for c in settled(frame) if c.text == "QMDP costs less than QHR, λ = 1")
     half = stats.t.ppf(0.975, 5) * stats.sem(excess)
     assert claim.estimate.mean == pytest.approx(np.mean(excess))
     assert claim.estimate.low == pytest.approx(np.mean(excess) - half)
@@ -81,14 +95,16 @@ def test_alike_is_a_tenth_of_qmdps_cost() -> None:
     cost = float(np.mean([hard(s, t, u) for s in SEEDS for t in (0, 1) for u in "AB"]))
     for share, verdict in ((0.09, "holds"), (-0.09, "holds"), (0.11, "does not hold")):
         frame = episodes(lambda m, _, __, x=share * cost: x if m == "pomcp_paper" else 0.0)
-        found = verdicts(claims(frame))
+        found = verdicts(settled(frame))
         assert found["QMDP and POMCP cost about the same, λ = 2"] == verdict
 
 
 def test_an_oracle_that_bends_is_not_linear() -> None:
     """cost = min(2 λ, 2 + λ / 2): the line through .5 and 1 says 5 at 2.5, the envelope 3.25."""
-    straight = claims(episodes(lambda *_: 0.0))
-    bent = claims(episodes(lambda *_: 0.0, lambda trade_off: min(2 * trade_off, 2 + trade_off / 2)))
+    straight = settled(episodes(lambda *_: 0.0))
+    bent = settled(
+        episodes(lambda *_: 0.0, lambda trade_off: min(2 * trade_off, 2 + trade_off / 2))
+    )
     text = "the oracle's cost is linear in λ"
     assert verdicts(straight)[text] == "holds"
     assert verdicts(bent)[text] == "does not hold"
@@ -102,7 +118,7 @@ def test_a_seed_without_every_trade_off_says_nothing_about_a_line() -> None:
     last = frame["seed"] == SEEDS[-1]
     frame.loc[last & (frame["lambda"] == TRADE_OFFS[-1]), "oracle"] = 1.0
     gone = frame[~last | (frame["lambda"] != TRADE_OFFS[0])]
-    (claim,) = [c for c in claims(gone) if c.text == "the oracle's cost is linear in λ"]
+    (claim,) = [c for c in settled(gone) if c.text == "the oracle's cost is linear in λ"]
     assert claim.estimate.mean == pytest.approx(0)
     assert claim.verdict == "holds"
 
@@ -110,7 +126,7 @@ def test_a_seed_without_every_trade_off_says_nothing_about_a_line() -> None:
 def test_the_papers_own_oracle_passes_the_test_of_linearity() -> None:
     for domain in ("rescue", "four_rooms"):
         costs = {trade_off: table1()[domain, trade_off]["oracle"] for trade_off in TRADE_OFFS}
-        found = claims(episodes(lambda *_: 0.0, costs.__getitem__))
+        found = settled(episodes(lambda *_: 0.0, costs.__getitem__))
         assert verdicts(found)["the oracle's cost is linear in λ"] == "holds"
 
 
@@ -144,33 +160,124 @@ NESTED = [[1.0, 1.0, 1.0]] * 2 + [[1.0, 1.0, 0.5]] + [[0.7, 0.6, 0.5]] * 7
 )
 def test_types_are_found_where_most_data_sets_give_exactly_them(indices, verdict) -> None:
     found = pd.concat([data_sets("elsewhere", [[0.0]] * 9), data_sets("rooms", indices)])
-    tested = claims(episodes(lambda *_: 0.0), found)
-    assert verdicts(tested)["the types are found"] == verdict
+    assert verdicts(settled(episodes(lambda *_: 0.0), found))["the types are found"] == verdict
 
 
 def test_one_seed_decides_nothing() -> None:
-    found = claims(episodes(lambda method, *_: float(method == "qhr"), seeds=range(1)))
+    found = settled(episodes(lambda method, *_: float(method == "qhr"), seeds=range(1)))
     assert found
     assert {claim.verdict for claim in found} == {"not decided"}
     assert all(math.isnan(claim.estimate.low) for claim in found)
 
 
 def test_claims_about_methods_that_were_not_run_are_left_out() -> None:
-    found = claims(episodes(lambda *_: 0.0, methods=("qmdp", "silent")))
+    found = settled(episodes(lambda *_: 0.0, methods=("qmdp", "silent")))
     assert {claim.text for claim in found} == {"the oracle's cost is linear in λ"}
 
 
 def test_episodes_without_a_partner_are_left_out_of_pairs() -> None:
     frame = episodes(lambda method, *_: 2.0 * (method == "qhr"))
     gone = frame[(frame["solver"] != "qhr") | (frame["seed"] != 3)]
-    both = paired(gone, ["solver"], ["qhr"], ["qmdp"])
+    both = paired(
+        gone, ["solver"], ["qhr"], ["qmdp"], ["setting", "lambda", "seed", "trace", "type"]
+    )
     assert 3 not in set(both["seed"])
     assert both["difference"].to_numpy() == pytest.approx(2.0)
 
 
-def test_the_table_names_figure_interval_and_verdict() -> None:
-    found = claims(episodes(lambda method, *_: 2.0 * (method == "qhr")))
-    rows = table(found).markdown().splitlines()
-    assert len(rows) == 2 + len(found)
-    row = next(row for row in rows if "QMDP costs less than QHR, λ = 1 " in row)
-    assert "QHR − QMDP: 2.00 | [2.00, 2.00] | holds |" in row
+def test_what_a_difference_is_made_of_adds_up() -> None:
+    """Costs differ by 2, all of it inexplicable labels that come from what was learned."""
+    found = settled(episodes(lambda method, *_: 2.0 * (method == "pomcp_paper")))
+    claim = next(one for one in found if one.text.startswith("QMDP and POMCP"))
+    assert claim.parts == (
+        "+0.00 messages, +2.00 inexplicable labels; +0.00 with true types and labels, +2.00 learned"
+    )
+
+
+LABELERS = ("truth", "tree")
+
+
+def groups(folder, seeds: int = 3) -> Summary:
+    """Two groups of columns. QHR costs 1 more than QMDP with true labels, and 1 less with learned
+    ones, whose oracle costs 3 more and errs."""
+    jobs = [
+        {"domain": "rescue", "labeler": own, "solver": solver, "lambda": at, "seed": str(seed)}
+        for own, solver, at, seed in itertools.product(
+            LABELERS, ("qmdp", "qhr"), ("0.5", "1"), range(seeds)
+        )
+    ]
+
+    def regret(values, trace):
+        sign = 1 if values["labeler"] == "truth" else -1
+        return 2.0 + sign * (values["solver"] == "qhr") + 0.01 * int(values["seed"])
+
+    def floor(values, trace):
+        return 2.0 * float(values["lambda"]) + trace
+
+    def oracle(values, trace):
+        return floor(values, trace) + 3 * (values["labeler"] == "tree")
+
+    handmade.sweep(folder, jobs, regret, oracle, floor=floor, report="table1")
+    for own in (folder / "results").glob("*labeler=tree*"):
+        results = load_results(own)
+        learning = {**results.learning, "fresh_accuracy": 0.8}
+        save_results(own, replace(results, learning=learning))
+    return Summary(folder)
+
+
+def test_table_1_has_a_group_of_columns_a_labeler_each_with_its_own_claims(tmp_path) -> None:
+    summary = groups(tmp_path)
+    assert summary.measure.name == "regret"
+    frame = table(summary).frame
+    titles = ["True types and labels", "Learned as in the paper"]
+    heads = ["oracle's cost", "QMDP", "QHR"]
+    columns = [("", "λ"), ("", "clairvoyant's cost")]
+    assert list(frame) == [*columns, *itertools.product(titles, heads)]
+    row = frame.iloc[1]  # λ = 1: regret 2.01, beside the paper's .93
+    assert row[titles[0], "QMDP"] == "2.01 * (0.93)\n± 0.02"
+    assert row[titles[1], "QMDP"] == "2.01 (0.93)\n± 0.02"
+    assert [row[title, heads[0]].split()[1] for title in titles] == ["(1.73)", "†"]
+    found = {(c.group, c.text): c.verdict for c in claims(summary)}
+    assert found[titles[0], "QMDP costs less than QHR, λ = 1"] == "holds"
+    assert found[titles[1], "QMDP costs less than QHR, λ = 1"] == "does not hold"
+    shown = claims_table(summary).frame
+    assert (shown["Why"] != "").equals(shown["Verdict"] == "does not hold")
+    assert answer(summary).startswith(
+        f"{titles[0]}: 2 of 3 claims are decided, 2 hold; {titles[1]}"
+    )
+
+
+def test_one_data_set_says_first_what_it_cannot_tell(tmp_path) -> None:
+    summary = groups(tmp_path, seeds=1)
+    assert {claim.verdict for claim in claims(summary)} == {"not decided"}
+    assert answer(summary).startswith("This is one data set")
+
+
+def test_parts_of_a_cost_add_up_and_are_those_put_in(tmp_path) -> None:
+    """By seed s and trace t: the clairvoyant costs 1 + t, true labels 2 more (and s), what is
+    learned 5 more than that, the oracle .5 more than the clairvoyant."""
+    jobs = [{"solver": own, "seed": str(s)} for own in ("qhr", "qmdp") for s in range(3)]
+    handmade.sweep(tmp_path, jobs, regret=lambda values, _: 6.5 + float(values["seed"]))
+    assert not len(decomposition(Summary(tmp_path)).frame)  # nothing ran with true labels
+    for own in sorted((tmp_path / "results").iterdir()):
+        results = load_results(own)
+        more = [
+            handmade.episode(who, e.trace, e.type, e.cost + add)
+            for e in results.episodes
+            if e.solver == "oracle"
+            for who, add in (("clairvoyant", -0.5), ("true_labels", 1.5 + results.seed))
+        ]
+        save_results(own, replace(results, episodes=(*results.episodes, *more)))
+    frame = decomposition(Summary(tmp_path)).frame
+    assert frame["Solver"].tolist() == ["QMDP", "QHR"]
+    # Means over t = 0 … 3 and s = 0, 1, 2; seeds are what differs.
+    width = stats.t.ppf(0.975, 2) / 3**0.5
+    varies = f"± {width:.2f}"
+    for row in frame.iloc[:, -5:].to_numpy().tolist():
+        assert row == [
+            "2.00 ± 0.00",
+            f"3.00 {varies}",
+            "5.00 ± 0.00",
+            f"10.00 {varies}",
+            "0.50 ± 0.00",
+        ]

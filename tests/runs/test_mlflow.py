@@ -18,7 +18,7 @@ from tests.report import handmade
 from tests.runs.sweeps import planned
 from xplain.errors import InputError, XplainError
 from xplain.experiment.results import ElbowFigures, Figure, save_results
-from xplain.report.summary import Summary
+from xplain.report.frame import Summary
 from xplain.runs import mlflow
 from xplain.runs.folder import FAILURE, Listed, SweepFolder, mark_failed
 from xplain.runs.mlflow import MLflow, sync, view

@@ -207,14 +207,14 @@ def test_forced_keys_are_the_same_keys(tmp_path):
 
 
 def test_the_command_line_replaces_and_chooses_what_a_prepared_sweep_has(tmp_path):
-    """``sweeps=table1`` tells settings apart by domain and number of types."""
+    """``sweeps=table1_paper`` tells settings apart by domain and number of types."""
 
     def jobs(*words):
         code, output = sweeps.run(tmp_path, *words, sweeps.SERIAL, "dry_run=true", "solver=qmdp")
         assert code == 0, output
         return [line.split()[2:] for line in output.splitlines() if line.startswith("to run")]
 
-    table1 = ("sweeps=table1", "lambda=3,4")
+    table1 = ("sweeps=table1_paper", "lambda=3,4")
     assert len(jobs(*table1)) == 4 * 2
     assert len(jobs(*table1, "domain=rescue")) == 2
     assert len(jobs(*table1, "users.count=2,3")) == 2 * 2

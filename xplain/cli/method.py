@@ -153,8 +153,8 @@ def report(words: tuple[str, ...]) -> None:
     where all of them share an oracle, else by ``above_floor``, the cost above the clairvoyant's;
     ``measure=cost``, ``regret`` or ``above_floor`` compares by that.
     """
-    from xplain.report.console import print_sweep
-    from xplain.report.write import write_report
+    from xplain.report.page import write_report
+    from xplain.report.terminal import print_sweep
     from xplain.runs.folder import newest_sweep
 
     measures = [word.partition("=")[2] for word in words if word.startswith("measure=")]

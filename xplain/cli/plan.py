@@ -17,7 +17,7 @@ from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.interaction.statistics import half_width
 from xplain.randomness import run_seed
-from xplain.report.run_summary import BY_CHANCE
+from xplain.report.terminal import BY_CHANCE
 from xplain.solvers.base import Policy, messages_of
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
 from xplain.solvers.evaluate import evaluate

@@ -1,15 +1,17 @@
-"""What the paper reads from its Table 1, each claim tested on a sweep's episodes.
+"""What a sweep answers: who costs least, or in Table 1 what became of the paper's claims.
 
-A claim is about a *figure* with a 95 % interval, and a *range* that the figure lies in where the
-claim is true. It *holds* where the whole interval lies in the range, *does not hold* where it all
-lies outside, and is *not decided* otherwise. Intervals are over seeds, each with data,
-types, labelers and traces of its own; one seed decides nothing.
+A claim is about a *figure* with a 95 % interval, and a *range* in which the figure lies if the
+claim is true. It *holds* if the whole interval lies in the range, *does not hold* if it all lies
+outside, and is *not decided* otherwise. Intervals are over seeds, each with data, types, labelers
+and traces of its own; one seed decides nothing.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+import shlex
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -17,9 +19,11 @@ import numpy as np
 import pandas as pd
 
 from xplain.interaction.statistics import Estimate, Range, clustered_mean, clustered_share
-from xplain.report.combinations import paired
-from xplain.report.paper import title
-from xplain.report.table import Cell, Table, interval, number
+from xplain.report import compare
+from xplain.report.compare import paired
+from xplain.report.frame import Summary
+from xplain.report.paper import NAMES, group_title, title
+from xplain.report.table import Table, cell, interval, number, table_of
 
 ALIKE = 0.1
 """Costs that differ by no more than this share of QMDP's are about the same, and an oracle's cost
@@ -29,26 +33,48 @@ four-rooms column leaves it by 6 %.)"""
 ORDER = (("qmdp", "qhr"), ("pomcp_paper", "qhr"), ("qhr", "baseline"))
 """(costs less, than this one)."""
 
+SHORT = NAMES | {"pomcp_paper": "POMCP", "baseline": "the baseline"}
+
+PARTS = {
+    "Clairvoyant's cost": ("clairvoyant", None),
+    "+ type unknown": ("true_labels", "clairvoyant"),
+    "+ labels learned": ("cost", "true_labels"),
+    "= cost": ("cost", None),
+    "Oracle − clairvoyant": ("oracle", "clairvoyant"),
+}
+"""Parts of a cost: (column of the episodes, minus this one)."""
+
+ONE_DATA_SET = (
+    "This is one data set: one draw of people, labels and traces. It can tell what the programs do "
+    "on it, how large costs are, and how much traces differ: its intervals cover nothing else. It "
+    "cannot tell whether another draw gives the same order, so no claim is decided. Ten seeds can: "
+    "python -m xplain sweeps=table1."
+)
+
 Verdict = Literal["holds", "does not hold", "not decided"]
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim on one domain.
+    """One claim on one domain, in one group of columns.
 
     Attributes:
+        group: how types and labels were learned.
         domain: where it is tested.
-        text: the claim, with its λ where it is about one.
+        text: the claim, with its λ if it is about one.
         figure: what the estimate is, in words.
         estimate: mean and interval over seeds.
         true_in: where the figure lies if the claim is true; open at both ends.
+        parts: what the figure is made of, in words.
     """
 
+    group: str
     domain: str
     text: str
     figure: str
     estimate: Estimate
     true_in: Range
+    parts: str
 
     @property
     def verdict(self) -> Verdict:
@@ -61,88 +87,213 @@ class Claim:
             return "holds"
         return "does not hold" if high <= least or most <= low else "not decided"
 
+    @property
+    def gap(self) -> Estimate:
+        """The figure minus the end of the range that is next to it."""
+        end = min(self.true_in, key=lambda end: abs(end - self.estimate.mean))
+        return Estimate(*(value - end for value in vars(self.estimate).values()))
 
-def claims(episodes: pd.DataFrame, found: pd.DataFrame | None = None) -> list[Claim]:
-    """Tests every claim that a sweep's solvers allow, domain by domain.
+
+def claims(summary: Summary) -> list[Claim]:
+    """Every claim that a sweep's solvers allow, tested in each group of columns and domain."""
+    _, grouping, _ = compare.layout(summary)
+    found = []
+    for group, frame in compare.grouped(summary, grouping):
+        name = group_title(group, compare.label(group))
+        own = compare.where(
+            summary.data_sets, {k: v for k, v in group.items() if k in summary.settings}
+        )
+        found += claims_of(frame, own, name, summary.pool)
+    return found
+
+
+def claims_of(
+    episodes: pd.DataFrame, data_sets: pd.DataFrame, group: str = "", pool: Sequence[str] = ()
+) -> list[Claim]:
+    """The claims of one group of columns.
 
     Args:
-        episodes: a row an episode, with domain, setting, solver, lambda, seed, trace, type, cost
-            and oracle (:attr:`xplain.report.summary.Summary.episodes`).
-        found: a row a data set that types were sought in, with domain, seed and
-            adjusted_rand_index (:func:`xplain.report.learning.data_sets`).
+        episodes: a row an episode (:attr:`xplain.report.frame.Summary.episodes`).
+        data_sets: a row a data set (:attr:`xplain.report.frame.Summary.data_sets`).
+        group: its name.
+        pool: keys over which rows average.
     """
-    tested: list[Claim] = []
-    groups: Any = episodes.groupby("domain", sort=False)
-    for domain, own in groups:
-        tested += [*_orders(domain, own), *_linear(domain, own)]
-        if found is not None and len(found):
-            tested += _types(domain, found[found["domain"] == domain])
-    return tested
+    found: list[Claim] = []
+    domains: Any = episodes.groupby("domain", sort=False)
+    for domain, own in domains:
+        tested = [*_orders(own, pool), *_linear(own)]
+        if len(data_sets):
+            tested += _types(data_sets[data_sets["domain"] == domain])
+        found += [Claim(group, domain, *one) for one in tested]
+    return found
 
 
-def _orders(domain: str, episodes: pd.DataFrame) -> Iterator[Claim]:
+Tested = tuple[str, str, Estimate, Range, str]
+
+
+def _orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested]:
     """The claims about pairs of solvers, at each λ."""
-    for trade_off, own in episodes.groupby("lambda"):
-        at = f"λ = {trade_off:g}"
-        both = paired(own, ["solver"], ["pomcp_paper"], ["qmdp"])
-        if len(both):
-            margin = ALIKE * float(both["cost_other"].mean())
-            estimate = clustered_mean(both["difference"], both["seed"])
-            text = f"QMDP and POMCP cost about the same, {at}"
-            yield Claim(domain, text, "POMCP − QMDP", estimate, (-margin, margin))
-        for less, more in ORDER:
-            both = paired(own, ["solver"], [more], [less])
-            if len(both):
-                estimate = clustered_mean(both["difference"], both["seed"])
-                names = [_NAMES[name] for name in (less, more)]
-                text = f"{names[0]} costs less than {names[1]}, {at}"
-                figure = f"{names[1]} − {names[0]}"
-                yield Claim(domain, text, figure, estimate, (0.0, math.inf))
+    on = [*pool, "lambda", "seed", "trace", "type"]
+    groups: Any = episodes.groupby("lambda")
+    for trade_off, own in groups:
+        for less, more in (("qmdp", "pomcp_paper"), *ORDER):
+            both = paired(own, ["solver"], [more], [less], on)
+            if not len(both):
+                continue
+            names, limits = [SHORT[name] for name in (less, more)], (0.0, math.inf)
+            text = f"{names[0]} costs less than {names[1]}"
+            if (less, more) not in ORDER:
+                margin = ALIKE * float(both["cost_other"].mean())
+                text, limits = f"{names[0]} and {names[1]} cost about the same", (-margin, margin)
+            found = clustered_mean(both["difference"], both["seed"])
+            figure = f"{names[1]} − {names[0]}"
+            yield (
+                f"{text}, λ = {trade_off:g}",
+                figure,
+                found,
+                limits,
+                _parts(both, trade_off),
+            )
 
 
-_NAMES = {"qmdp": "QMDP", "pomcp_paper": "POMCP", "qhr": "QHR", "baseline": "the baseline"}
+def _parts(both: pd.DataFrame, trade_off: float) -> str:
+    """What a difference of costs is made of."""
+    apart = {
+        name: float((both[name] - both[f"{name}_other"]).mean())
+        for name in ("communication", "inexplicability", "true_labels")
+    }
+    text = (
+        f"{trade_off * apart['communication']:+z.2f} messages, {apart['inexplicability']:+z.2f} "
+        "inexplicable labels"
+    )
+    learned = float(both["difference"].mean()) - apart["true_labels"]
+    if math.isnan(learned) or abs(learned) < 1e-9:
+        return f"{text}; types and labels are true"
+    return (
+        f"{text}; {apart['true_labels']:+z.2f} with true types and labels, {learned:+z.2f} learned"
+    )
 
 
-def _linear(domain: str, episodes: pd.DataFrame) -> Iterator[Claim]:
+def _linear(episodes: pd.DataFrame) -> Iterator[Tested]:
     """The oracle's cost is linear in λ. Its optimum is a lower envelope of lines in λ, one for each
-    plan: where other plans become better it bends down, below the line through its values at the
-    two smallest λ."""
+    plan: if other plans become better it bends down, below the line through its values at the two
+    smallest λ."""
     one = episodes[episodes["solver"] == episodes["solver"].iloc[0]]
-    costs = one[np.isfinite(one["oracle"])].pivot_table("oracle", "seed", "lambda").dropna()
+    below = {name: _below_the_line(one, name) for name in ("oracle", "clairvoyant")}
+    if len(below["oracle"]):
+        last = one["lambda"].max()
+        figure = f"share of the oracle's cost at λ = {last:g} by which it is below the line"
+        estimate = clustered_mean(below["oracle"], below["oracle"].index)
+        parts = f"the clairvoyant's, whose labels are right: {number(below['clairvoyant'].mean())}"
+        yield "the oracle's cost is linear in λ", figure, estimate, (-ALIKE, ALIKE), parts
+
+
+def _below_the_line(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
+    """By seed."""
+    known = episodes[np.isfinite(episodes[column])]
+    costs = known.pivot_table(column, "seed", "lambda").dropna()
     if len(costs.columns) < 3 or not len(costs):
-        return
+        return pd.Series(dtype=float)
     first, second, last = (costs.columns[i] for i in (0, 1, -1))
     slope = (costs[second] - costs[first]) / (second - first)
-    line = costs[first] + slope * (last - first)
-    below = (line - costs[last]) / costs[last].mean()
-    figure = f"share of the oracle's cost at λ = {last:g} by which it is below the line"
-    estimate = clustered_mean(below, below.index)
-    yield Claim(domain, "the oracle's cost is linear in λ", figure, estimate, (-ALIKE, ALIKE))
+    return (costs[first] + slope * (last - first) - costs[last]) / costs[last].mean()
 
 
-def _types(domain: str, data_sets: pd.DataFrame) -> Iterator[Claim]:
+def _types(data_sets: pd.DataFrame) -> Iterator[Tested]:
     """The types are found, in most data sets. Those of one seed share their people."""
+    if "adjusted_rand_index" not in data_sets:
+        return
     data_sets = data_sets.dropna(subset=["adjusted_rand_index"])
     if len(data_sets):
         exact = data_sets["adjusted_rand_index"] == 1.0
         figure = f"share of {len(exact)} data sets whose types are found exactly"
         share = clustered_share(exact, data_sets["seed"])
-        yield Claim(domain, "the types are found", figure, share, (0.5, math.inf))
-
-
-def table(tested: Iterable[Claim]) -> Table:
-    """Claims with their figures and verdicts."""
-    rows = tuple(
-        (
-            Cell(title(claim.domain)),
-            Cell(claim.text),
-            Cell(f"{claim.figure}: {number(claim.estimate.mean)}"),
-            Cell(interval(claim.estimate)),
-            Cell(claim.verdict, look=_LOOKS.get(claim.verdict, "")),
+        means = data_sets.reindex(columns=["adjusted_rand_index", "fresh_accuracy"]).mean()
+        parts = "adjusted Rand index {:.2f}; labelers right on {:.1%} of fresh labels".format(
+            *means
         )
-        for claim in tested
+        yield "the types are found", figure, share, (0.5, math.inf), parts
+
+
+def claims_table(summary: Summary) -> Table:
+    """Claims with their figures, verdicts, and what the figures of those that fail are made of."""
+    rows = [
+        {
+            **({"Types and labels": claim.group} if claim.group else {}),
+            "Domain": title(claim.domain),
+            "Claim": claim.text,
+            "Figure": f"{claim.figure}: {number(claim.estimate.mean)} {interval(claim.estimate)}",
+            "Verdict": claim.verdict,
+            "Why": claim.parts if claim.verdict == "does not hold" else "",
+        }
+        for claim in claims(summary)
+    ]
+    caption = "95 % intervals over seeds in brackets; differences are on the same traces and users."
+    return table_of(rows, len(rows[0]) if rows else 1, caption)
+
+
+def decomposition(summary: Summary) -> Table:
+    """What each solver's cost is made of. Every job explains each trace to each user four times:
+    with what was learned, with true types and labels, as the oracle, and as the clairvoyant."""
+    rows = []
+    keys = [key for key in ("domain", "solver", *summary.shown) if key != "lambda"]
+    for values, frame in compare.grouped(summary, [*dict.fromkeys((*keys, "lambda"))]):
+        own = frame.dropna(subset=["oracle", "clairvoyant", "true_labels"])
+        if len(own):
+            heads = {compare.heading(k): compare.value_title(k, v) for k, v in values.items()}
+            parts = {
+                name: clustered_mean(
+                    own[one] - own[less] if less else own[one], own[summary.replicate]
+                )
+                for name, (one, less) in PARTS.items()
+            }
+            rows.append(heads | {name: cell(found) for name, found in parts.items()})
+    caption = (
+        "The clairvoyant's cost; what not knowing the user's type adds if types and labels are "
+        "true; what learned labels and types add to that. Beside it, what learned labels add for "
+        "the oracle, who knows the type. ± half-width of the 95 % interval over "
+        f"{summary.replicate}s."
     )
-    return Table(("Domain", "Claim", "Figure", "95 % interval", "Verdict"), rows, 5)
+    return table_of(rows, len(rows[0]) - len(PARTS) if rows else 1, caption)
 
 
-_LOOKS = {"holds": "yes", "does not hold": "no"}
+def answer(summary: Summary) -> str:
+    """Who costs least, by how much, and whether that is decided; in Table 1, what became of the
+    paper's claims; "" if nothing competes."""
+    if not summary.results or not summary.is_table1:
+        return compare.least_cost(summary)
+    if summary.seeds == 1:
+        return ONE_DATA_SET
+    tested = claims(summary)
+    parts = []
+    for group in dict.fromkeys(claim.group for claim in tested):
+        verdicts = Counter(claim.verdict for claim in tested if claim.group == group)
+        decided = verdicts["holds"] + verdicts["does not hold"]
+        words = f"{decided} of {verdicts.total()} claims are decided, {verdicts['holds']} hold"
+        parts.append(f"{group}: {words}" if group else words)
+    return f"{'; '.join(parts)}."
+
+
+def undecided(summary: Summary) -> Table:
+    """The differences to the best that are not decided, or Table 1's claims: with the seeds that
+    would decide each, and the minutes that they would take."""
+    found = _undecided_claims(summary) if summary.is_table1 else compare.undecided(summary)
+    rows = []
+    for heads, gap, shown in found:
+        seeds, minutes = compare.effort(summary, gap)
+        rows.append({**heads, "Difference": shown, "Seeds": seeds, "Minutes": minutes})
+    words = [w for w in shlex.split(summary.about["command"]) if not w.startswith("seed=")]
+    caption = (
+        "With these seeds the 95 % interval decides in four of five sweeps, if the difference is "
+        "as large and varies as much as here. Minutes are those of one worker, by this sweep's own "
+        f"jobs, for the seeds that are new. The command: {shlex.join(words)} SEEDS"
+    )
+    return table_of(rows, max(1, len(rows[0]) - 3) if rows else 1, caption)
+
+
+def _undecided_claims(summary: Summary) -> Iterator[compare.Undecided]:
+    for claim in claims(summary):
+        if claim.verdict == "not decided":
+            heads = {"Types and labels": claim.group} if claim.group else {}
+            heads |= {"Domain": title(claim.domain), "Claim": claim.text}
+            yield heads, claim.gap, f"{claim.figure}: {cell(claim.estimate)}"

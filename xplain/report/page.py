@@ -1,119 +1,152 @@
-"""One self-contained HTML page of a sweep: tables, plots and pictures, nothing loaded from
-elsewhere."""
+"""The report of a sweep: tables, plots, and one HTML page that holds them all."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import shlex
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from xplain.report import claims, comparison, decomposition, learning
-from xplain.report.combinations import heading
-from xplain.report.layout import shown_keys
+import pandas as pd
+
+from xplain.report import claims, plots, trace
+from xplain.report.compare import differences_csv, heading, regret_csv, table, value_title
+from xplain.report.frame import TITLES, Summary, rank
 from xplain.report.paper import title
-from xplain.report.story import counted
-from xplain.report.summary import Summary
+from xplain.report.table import Table, counted, number, table_of
+from xplain.storage import write_text
+
+REPORT = "report"
+
+LEARNING = {
+    "true_types": "types",
+    "types_found": "found",
+    "adjusted_rand_index": "adjusted Rand index",
+    "labeler_accuracy": "labelers right",
+    "fresh_accuracy": "on fresh questions",
+    "everyone_accuracy": "one labeler for all right",
+}
+"""Figures of the learning stage, with their titles."""
 
 
-@dataclass(frozen=True)
-class CaptionedImage:
-    """An image file with its caption."""
+def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Path]:
+    """Makes everything below ``<sweep>/report`` anew from the finished jobs.
 
-    path: Path
-    caption: str
+    Args:
+        folder: of the sweep.
+        measure: see :class:`xplain.report.frame.Summary`.
 
-    @property
-    def address(self) -> str:
-        """The image itself, as a ``data:`` address."""
-        kind = {".svg": "image/svg+xml", ".png": "image/png"}[self.path.suffix]
-        return f"data:{kind};base64,{base64.b64encode(self.path.read_bytes()).decode()}"
-
-
-@dataclass
-class Pictures:
-    """The pictures of the page, by section.
-
-    Attributes:
-        plots: of measures against the main swept key, the sweep's own measure first.
-        types: of the learning stage.
-        traces: of one explanation a domain.
-        commands: by domain, what shows that explanation as a page to step through.
+    Raises:
+        OSError, InputError, ValueError: this is no sweep's folder, or it cannot be written.
     """
+    summary = Summary(folder, measure)
+    report = folder / REPORT
+    report.mkdir(exist_ok=True)
+    if summary.results:
+        tables = {"table": table(summary), "undecided": claims.undecided(summary)}
+        if summary.is_table1:
+            tables["claims"] = claims.claims_table(summary)
+        tables["learning"] = learning_table(summary)
+        tables["decomposition"] = claims.decomposition(summary)
+        tables = {name: own for name, own in tables.items() if len(own.frame)}
+        for name, own in tables.items():
+            write_text(report / f"{name}.md", own.markdown())
+        write_text(report / "table.tex", tables["table"].latex())
+        write_text(report / "regret.csv", regret_csv(summary))
+        write_text(report / "differences.csv", differences_csv(summary))
+        write_text(report / "index.html", page(summary, tables, report))
+    return summary, report
 
-    plots: list[CaptionedImage] = field(default_factory=list)
-    types: list[CaptionedImage] = field(default_factory=list)
-    traces: dict[str, list[CaptionedImage]] = field(default_factory=dict)
-    commands: dict[str, str] = field(default_factory=dict)
 
-
-def page(summary: Summary, pictures: Pictures) -> str:
-    """HTML of the whole page, with all that it shows inside it."""
+def page(summary: Summary, tables: dict[str, Table], report: Path) -> str:
+    """HTML of the whole page, with all that it shows inside it; its pictures are files, too."""
     from jinja2 import Environment, StrictUndefined
 
     source = files("xplain.report").joinpath("page.html").read_text(encoding="utf-8")
     about, git = summary.about, summary.about["git"]
     commit = git.get("commit", "")[:12] or "no commit"
     dirty = " with changes" if git.get("dirty") == "true" else ""
-    is_table1 = summary.report == "table1"
     template = Environment(autoescape=True, undefined=StrictUndefined).from_string(source)
     return template.render(
         summary=summary,
-        name=summary.folder.name,
         heading=_heading(summary),
-        answer=comparison.answer(summary),
-        command=about["command"],
+        answer=claims.answer(summary),
         code=f"{about['code']} (commit {commit}{dirty})",
-        size=_size(summary),
-        is_table1=is_table1,
-        table=comparison.main_table(summary),
-        undecided=comparison.undecided(summary),
-        **(_beside_table1(summary) if is_table1 else {}),
-        figures=pictures,
-        learning=learning.table(summary),
-        messages=[
-            {
-                "domain": title(domain),
-                "sentences": sorted(
-                    (name.replace("_", " "), text)
-                    for name, text in _messages(summary, domain).items()
-                ),
-                "figures": found,
-                "command": pictures.commands[domain],
-            }
-            for domain, found in pictures.traces.items()
-        ],
+        size=f"{len(summary.results)} of {len(summary.jobs)} jobs, {len(summary.episodes):,} "
+        f"episodes, {counted(summary.seeds, 'seed')}",
+        tables=tables,
+        pictures=draw(summary, report),
+        examples=[example(summary, domain, report) for domain in summary.values("domain")],
     )
 
 
-def _beside_table1(summary: Summary) -> dict[str, Any]:
-    """What the page shows besides where it has the paper's layout."""
-    tested = claims.claims(summary.episodes, learning.data_sets(summary))
+def draw(summary: Summary, report: Path) -> dict[str, dict[str, str]]:
+    """Draws every plot into the folder; returns their captions and addresses by name."""
+    key = heading(plots.plot_keys(summary)[0] or "")
+    measures = {"regret": summary.measure.name, "messages": "messages"}
+    measures["inexplicable"] = "inexplicable_labels"
+    drawn = {
+        name: (f"{TITLES[own]} against {key}", plots.against_main_key(summary, own))
+        for name, own in measures.items()
+    }
+    caption = "belief in the user's true type, mean over the episodes that last so long"
+    drawn["belief"] = caption, plots.belief_over_steps(summary)
+    caption = "disagreements of labels within clusters; rings mark the numbers of types chosen"
+    drawn["disagreements"] = caption, plots.elbows(summary)
+    found = {}
+    for name, (caption, figure) in drawn.items():
+        if figure is not None:
+            plots.save(figure, path := report / f"{name}.svg")
+            found[name] = {"caption": caption[0].upper() + caption[1:], "address": address(path)}
+    return found
+
+
+def example(summary: Summary, domain: Any, report: Path) -> dict[str, Any]:
+    """One explanation of a domain: its picture, the sentences of its messages, and the command that
+    shows it as a page. Its job is at λ = 1 or at the middle λ, with the solver that comes first."""
+    own = [one for one in summary.results if one[1].domain == domain]
+    trade_offs = sorted({results.trade_off for _, results in own})
+    middle = 1.0 if 1.0 in trade_offs else trade_offs[len(trade_offs) // 2]
+    at = [one for one in own if one[1].trade_off == middle]
+    job, results = min(at, key=lambda one: (rank(one[1].solver), one[1].solver))
+    figure, story, which = trace.draw_typical(summary.address(job), results)
+    plots.save(figure, path := report / f"trace_{domain}.svg")
+    words = [*job["overrides"], "--trace", str(story.trace), "--user", story.user_type]
+    whose = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job['label']}”)"
     return {
-        "claims": claims.table(tested),
-        "parts": decomposition.table(summary),
+        "domain": title(domain),
+        "caption": f"{title(domain)}, {whose}: {which}.",
+        "address": address(path),
+        "sentences": dict(sorted(results.messages.items())),
+        "command": shlex.join(["python", "-m", "xplain", "demo", *words]),
     }
 
 
-def _messages(summary: Summary, domain: str) -> Mapping[str, str]:
-    """``{message: its sentence}`` of a domain."""
-    return next(own.messages for _, own in summary.results if own.domain == domain)
+def address(path: Path) -> str:
+    """An SVG itself, as a ``data:`` address."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def learning_table(summary: Summary) -> Table:
+    """How well types and labels were learned, a row a setting."""
+    found, rows = summary.data_sets, []
+    names = [name for name in LEARNING if name in found and found[name].notna().any()]
+    groups: Any = found.groupby(summary.settings, sort=False)
+    for values, own in groups:
+        pairs = zip(summary.settings, values, strict=True)
+        row = {heading(key): value_title(key, value) for key, value in pairs}
+        for name in names:
+            mean = own[name].mean()
+            shown = f"{mean:.1%}" if name.endswith("accuracy") else number(mean)
+            row[LEARNING[name]] = "" if pd.isna(mean) else shown
+        rows.append(row)
+    caption = "Means over seeds. Labelers are scored on labels that were held out."
+    return table_of(rows if names else [], len(summary.settings), caption)
 
 
 def _heading(summary: Summary) -> str:
-    if summary.report == "table1":
+    if summary.is_table1:
         return "Personalized explanations: costs and regrets"
-    measure = summary.measure.title
-    swept = [heading(key).lower() for key in shown_keys(summary)]
-    named = measure[0].upper() + measure[1:]
-    return f"{named} by {', '.join(swept)}" if swept else named
-
-
-def _size(summary: Summary) -> str:
-    episodes = len(summary.episodes)
-    return (
-        f"{len(summary.results)} of {len(summary.jobs)} jobs, {episodes:,} episodes, "
-        f"{counted(summary.seeds, 'seed')}"
-    )
+    swept = [heading(key).lower() for key in summary.shown]
+    return " by ".join(filter(None, [summary.measure.title, ", ".join(swept)]))

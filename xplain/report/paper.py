@@ -1,14 +1,14 @@
-"""The paper's published numbers (Table 1; values cut to two decimals there) and its names."""
+"""The paper's published values (Table 1; cut to two decimals there) and its names."""
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 NAMES = {
-    "oracle": "Oracle's cost",
-    "clairvoyant": "Clairvoyant's cost",
     "qmdp": "QMDP",
     "pomcp_paper": "POMCP (d = 2)",
     "pomcp": "POMCP (ours)",
@@ -21,14 +21,32 @@ NAMES = {
     "four_rooms": "Four rooms",
     "rescue": "Disaster rescue",
 }
-"""What people call columns and domains. The paper's POMCP looks two steps ahead and backs up means,
-so its values stand beside ``pomcp_paper``, not beside our tuned search."""
+"""Names of solvers and domains for people. The paper's POMCP looks two steps ahead and backs up
+means, so its values are beside ``pomcp_paper``, not beside our tuned search."""
+
+GROUPS = {
+    "truth": "True types and labels",
+    "hypotheses": "Learned with hypotheses",
+    "tree": "Learned as in the paper",
+}
+"""Names of Table 1's groups of columns, by labeler."""
+
+
+def title(key: str) -> str:
+    """Name of a solver or domain for people."""
+    name, _, rest = key.partition(" ")
+    return " ".join(filter(None, [NAMES.get(name, name), rest]))
+
+
+def group_title(group: Mapping[str, Any], label: str) -> str:
+    """Name of a group of columns: of the labeler if it is all that was swept."""
+    return GROUPS.get(group.get("labeler", ""), label) if len(group) == 1 else label
 
 
 @cache
 def table1() -> dict[tuple[str, float], dict[str, float]]:
     """``{(domain, λ): {"oracle": cost, solver: regret, …}}``."""
-    text = files("xplain.report").joinpath("paper_table1.csv").read_text(encoding="utf-8")
+    text = files("xplain.report").joinpath("table1.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(text.splitlines())
     return {
         (row["domain"], float(row["lambda"])): {
@@ -36,9 +54,3 @@ def table1() -> dict[tuple[str, float], dict[str, float]]:
         }
         for row in rows
     }
-
-
-def title(key: str) -> str:
-    """A column's or domain's name for people."""
-    name, _, rest = key.partition(" ")
-    return " ".join(filter(None, [NAMES.get(name, name), rest]))

@@ -1,27 +1,43 @@
-"""Plots: labelled axes, intervals, colours that colour-blind people and printers can tell apart.
+"""Plots: one function draws lines with intervals in panels, from a table of points.
 
-Figures are made without pyplot: it keeps each until it is closed, and a run would wait for its
-import.
+Axes are labelled; colours, markers and line styles differ for colour-blind people and printers.
+Figures are made without pyplot, which keeps each of them until it is closed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from xplain.report.learning import elbows as curves_of
-from xplain.report.paper import title
-from xplain.report.summary import Summary
+from xplain.explanation.message_sets import bits_of
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.prediction import Tenth
+from xplain.learning.types import Clustering
+from xplain.report.compare import (
+    estimate,
+    grouped,
+    heading,
+    is_beside_paper,
+    label,
+    layout,
+    main_key,
+    value_title,
+    where,
+)
+from xplain.report.frame import TITLES, Summary, Value
+from xplain.report.paper import group_title, table1, title
 from xplain.storage import written_whole
 
-# Okabe and Ito's palette, grey for their yellow; each series has a marker and a line style, too.
+# Okabe and Ito's palette, grey for their yellow.
 COLOURS = (
     "#0072B2",
     "#D55E00",
@@ -33,8 +49,20 @@ COLOURS = (
     "#8C8C8C",
 )
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-CLUSTERS, DISAGREEMENTS = "number of clusters k", "disagreements (pairs of labels)"
 STYLES = ("-", "--", "-.", ":", "-", "--", "-.", ":")
+
+AXES = {
+    "lambda": "λ, cost of communication against inexplicability",
+    "users.count": "number of user types (users.count)",
+    "observers.label_noise": "share of wrong labels (observers.label_noise)",
+    "ask.cost": "κ, cost of a question (ask.cost)",
+    "points": "labels an observer (points)",
+}
+"""Meaning of a key on its axis; any other key is there by its name."""
+
+MOST_PANELS = 24
+
+CLUSTERS, DISAGREEMENTS = "number of clusters k", "disagreements (pairs of labels)"
 
 STYLE: dict[Any, Any] = {
     "figure.dpi": 150,
@@ -47,7 +75,7 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "svg.hashsalt": "xplain",
 }
-"""How plots look. It holds while one is drawn: a program's own figures stay as they are."""
+"""Look of plots. It is set only while one is drawn: a program's own figures stay as they are."""
 
 
 def series_style(index: int) -> dict[str, Any]:
@@ -60,64 +88,247 @@ def series_style(index: int) -> dict[str, Any]:
 
 
 @matplotlib.rc_context(STYLE)
-def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
-    """Disagreements against the number of clusters, with the number that was chosen."""
-    figure = Figure(figsize=(5, 3.2))
-    axes = figure.subplots()
-    axes.plot(np.arange(1, len(curve) + 1), curve, **series_style(0))
-    _draw_rings(axes, curve, [found], COLOURS[1], f"chosen: {found} ({rule})")
-    axes.set(xlabel=CLUSTERS, ylabel=DISAGREEMENTS, ylim=(0, None))
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.legend()
+def draw(
+    points: pd.DataFrame, x_label: str, y_label: str, per_row: int = 4, hollow: str = "paper"
+) -> Figure:
+    """Lines with intervals.
+
+    Args:
+        points: a row a point, with panel, line, x (numbers, or words as they are on the axis) and
+            mean; if known low and high, and ``hollow``, the height of a hollow marker (or NaN).
+        x_label, y_label: names of the axes.
+        per_row: panels beside each other; those of a row have one scale.
+        hollow: what hollow markers are.
+    """
+    points = points.reindex(columns=[*["panel", "line", "x", "mean", "low", "high", "hollow"]])
+    panels, lines = (list(dict.fromkeys(points[key])) for key in ("panel", "line"))
+    ticks = list(dict.fromkeys(points["x"]))
+    is_numeric = not any(isinstance(tick, str) for tick in ticks)
+    place = {tick: tick if is_numeric else i for i, tick in enumerate(ticks)}
+    gap = min(np.diff(sorted(place.values())), default=1.0)
+    spread = 0.12 * gap * points["low"].notna().any()
+    columns = min(per_row, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
+    every = figure.subplots(rows, columns, squeeze=False, sharey="row").flat
+    named: dict[str, Any] = {}
+    for axes, panel in zip(every, panels, strict=False):
+        for index, line in enumerate(lines):
+            own = points[(points["panel"] == panel) & (points["line"] == line)]
+            at = own["x"].map(place).to_numpy(float) + spread * (index - (len(lines) - 1) / 2)
+            style = series_style(index) | ({} if is_numeric else {"linestyle": "none"})
+            ends = [own["mean"] - own["low"], own["high"] - own["mean"]]
+            many = dict[str, Any](markevery=max(1, len(own) // 12), capsize=2.5, lw=1.4, ms=5)
+            if len(own):
+                drawn = axes.errorbar(at, own["mean"], np.nan_to_num(ends), **many, **style)
+                named.setdefault(line, drawn)
+            if own["hollow"].notna().any():
+                look = {"marker": style["marker"], "mfc": "white", "ls": "none", "ms": 8}
+                rings = axes.plot(at, own["hollow"], color=style["color"], zorder=1, **look)
+                named[f" {hollow}"] = rings[0]
+        axes.set(xlabel=x_label)
+        axes.set_title(panel, loc="left", weight="bold", fontsize=10)
+        if len(ticks) <= 8:  # the values that were run, and no others
+            axes.set_xticks(list(place.values()), [f"{t:g}" if is_numeric else t for t in ticks])
+        else:
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        if points["low"].min() < 0 or points["mean"].min() < 0:
+            axes.axhline(0, color="#222222", lw=0.8)
+        else:
+            axes.set_ylim(bottom=0)
+    for row in range(rows):
+        figure.axes[row * columns].set_ylabel(y_label)
+    for axes in figure.axes[len(panels) :]:
+        axes.set_visible(False)
+    if any(name.strip() for name in named):
+        figure.legend([*named.values()], [*named], loc="outside right center")
     return figure
 
 
-def _draw_rings(
-    axes: Axes, curve: Sequence[float], chosen: Sequence[int], colour: str, name: str | None = None
-) -> None:
-    """Rings around the numbers of clusters that were chosen."""
-    heights = [curve[min(k, len(curve)) - 1] for k in chosen]
-    axes.plot(chosen, heights, "o", ms=13, mfc="none", mec=colour, mew=2, label=name)
+def plot_keys(summary: Summary) -> tuple[str | None, list[str], list[str]]:
+    """Keys of a plot: on the horizontal axis (None if nothing was swept), a line each value, a
+    panel each value."""
+    down, grouping, across = layout(summary)
+    keys = [*down, *grouping, *across]
+    x = main_key(summary, keys) or next(iter([*down[-1:], *across, *grouping]), None)
+    lines, panels = ([k for k in own if k != x] for own in (across, [*down, *grouping]))
+    if not lines and panels and panels[-1] != "domain":  # tasks differ in scale: a panel each
+        lines = [panels.pop()]
+    return x, lines, panels
+
+
+def _panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.DataFrame]]:
+    """(name, episodes) of each panel."""
+    _, grouping, _ = layout(summary)
+    found = []
+    for values, frame in grouped(summary, keys)[:MOST_PANELS]:
+        group = {key: values[key] for key in grouping if key in values}
+        rest = {key: value for key, value in values.items() if key not in group}
+        name = [label(rest), group_title(group, label(group))]
+        found.append((": ".join(filter(None, name)), frame))
+    return found
+
+
+def _per_row(summary: Summary, keys: Sequence[str]) -> int:
+    """Panels that share a scale: a row each domain."""
+    counts = [len(summary.values(key)) for key in keys if key != "domain"]
+    return min(4, int(np.prod(counts))) if counts else 1 + (len(keys) == 0)
+
+
+def against_main_key(summary: Summary, measure: str) -> Figure | None:
+    """A measure against the main swept key, with intervals and in Table 1 the paper's values; None
+    if nothing was swept, or no episode has the measure."""
+    x, lines, panels = plot_keys(summary)
+    if x is None or not summary.episodes[measure].notna().any():
+        return None
+    rows = []
+    for panel, frame in _panels(summary, panels):
+        for line, _ in grouped(summary, lines):
+            for at in summary.values(x):
+                own = where(where(frame, line), {x: at})
+                found = estimate(summary, own, measure)
+                if found is not None:
+                    problem = str(own["domain"].iloc[0]), float(own["lambda"].iloc[0])
+                    known = table1().get(problem, {}) if is_beside_paper(summary) else {}
+                    paper = known.get(str(line.get("solver"))) if measure == "regret" else None
+                    tick = at if isinstance(at, float) else value_title(x, at)
+                    names = {"panel": panel, "line": label(line), "x": tick, "hollow": paper}
+                    rows.append(names | vars(found))
+    frame = pd.DataFrame(rows).astype({"hollow": float})
+    return draw(frame, AXES.get(x, heading(x)), TITLES[measure], _per_row(summary, panels))
+
+
+def belief_over_steps(summary: Summary) -> Figure | None:
+    """Belief in the user's true type after each step, mean over the episodes that last so long, at
+    the middle of the main key."""
+    x, lines, panels = plot_keys(summary)
+    fixed: dict[str, Value] = {}
+    if x is not None:
+        values = summary.values(x)
+        fixed = {x: 1.0 if x == "lambda" and 1.0 in values else values[len(values) // 2]}
+    steps, rows = where(summary.steps, fixed), []
+    for panel, frame in _panels(summary, panels):
+        at = {key: frame[key].iloc[0] for key in panels}
+        for line, _ in grouped(summary, lines):
+            own = where(where(steps, at), line)
+            if line.get("solver") != "baseline" and len(own):  # it believes nothing
+                sums = own.assign(belief=own["belief"] * own["episodes"]).groupby("step").sum(True)
+                for step, mean in (sums["belief"] / sums["episodes"]).items():
+                    names = {"panel": panel, "line": label(line), "x": step, "mean": mean}
+                    rows.append(names)
+    if not rows:
+        return None
+    words = ", ".join(filter(None, ["belief in the true type", label(fixed)]))
+    return draw(pd.DataFrame(rows), "steps explained", words, _per_row(summary, panels))
+
+
+def elbows(summary: Summary) -> Figure | None:
+    """Disagreements against k, one line a setting (mean over seeds), with the k chosen."""
+    found = summary.data_sets
+    found, rows = found[found["curve"].map(len) > 0], []
+    groups: Any = found.groupby(summary.settings, sort=False)
+    for values, own in groups:
+        shortest = own["curve"].map(len).min()
+        mean = np.mean([curve[:shortest] for curve in own["curve"]], axis=0)
+        chosen = Counter(own["chosen"])
+        words = ", ".join(f"{k} ({times})" for k, times in sorted(chosen.items()))
+        setting = label(dict(zip(summary.settings[1:], values[1:], strict=True)))
+        line = ": ".join(filter(None, [setting if len(values) > 1 else "", f"chosen {words}"]))
+        rows += [
+            {
+                "panel": title(values[0]),
+                "line": line,
+                "x": k,
+                "mean": height,
+                "hollow": height if k in chosen else np.nan,
+            }
+            for k, height in enumerate(mean, 1)
+        ]
+    if not rows:
+        return None
+    return draw(pd.DataFrame(rows), CLUSTERS, DISAGREEMENTS, 1, "chosen (seeds)")
+
+
+def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
+    """Disagreements against the number of clusters, with the number that was chosen."""
+    points = pd.DataFrame({"panel": "", "line": "", "x": range(1, len(curve) + 1), "mean": curve})
+    chosen = points["mean"].where(points["x"] == min(found, len(curve)))
+    words = f"chosen: {found} ({rule})"
+    return draw(points.assign(hollow=chosen), CLUSTERS, DISAGREEMENTS, hollow=words)
 
 
 @matplotlib.rc_context(STYLE)
-def elbows(summary: Summary) -> Figure | None:
-    """Disagreements against k, one line a setting (mean over seeds), with the k chosen."""
-    domains = [domain for domain in summary.domains if curves_of(summary, domain)]
-    if not domains:
-        return None
-    figure, panels = figure_of_panels(len(domains))
-    for axes, domain in zip(panels, domains, strict=True):
-        curves = curves_of(summary, domain)
-        few = len(curves) <= len(COLOURS) - 3
-        for index, (setting, (curve, chosen)) in enumerate(curves.items()):
-            style = series_style(index) if few else dict[str, Any](color="#888888", alpha=0.5)
-            words = ", ".join(
-                f"{k}" + (f" ({times} seed{'s' * (times > 1)})" if len(chosen) > 1 else "")
-                for k, times in sorted(chosen.items())
-            )
-            text = f"{setting}: chosen {words}" if setting else f"chosen: {words}"
-            k = np.arange(1, len(curve) + 1)
-            axes.plot(k, curve, lw=1.3, ms=4, label=text if few else None, **style)
-            found = [number for number in sorted(chosen) if number <= len(curve)]
-            _draw_rings(axes, curve.tolist(), found, style["color"])
-        axes.set_title(title(domain), loc="left", weight="bold")
-        axes.set_xlabel(CLUSTERS)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.legend(fontsize=8)
-    panels[0].set_ylabel(DISAGREEMENTS)
+def posterior(probability: Mapping[int, float], found: int) -> Figure:
+    """P(number of types | labels); the number that was taken is hatched."""
+    figure, axes = _axes((5, 3.2))
+    numbers = np.arange(1, max(*probability, found) + 2)
+    heights = [probability.get(int(k), 0.0) for k in numbers]
+    bars = axes.bar(numbers, heights, color=COLOURS[5], edgecolor="black")
+    bars[found - 1].set(facecolor=COLOURS[0], hatch="//", edgecolor="white")
+    axes.set(
+        xlabel="number of user types",
+        ylabel="posterior probability",
+        title=f"{found} types taken (hatched)",
+        ylim=(0, 1),
+    )
+    axes.xaxis.set_major_locator(MaxNLocator(12, integer=True))
     return figure
 
 
-def figure_of_panels(count: int) -> tuple[Figure, list[Axes]]:
-    """A figure of small plots, at most four beside each other, with room for a legend."""
-    columns = min(count, 4)
-    rows = -(-count // columns)
-    figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
-    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for left in axes[count:]:
-        left.set_visible(False)
-    return figure, axes[:count]
+@matplotlib.rc_context(STYLE)
+def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> Figure:
+    """Share of labels 1 with a message minus the share without it, by type and message; 0 if one
+    of the two was never asked."""
+    given = bits_of(dataset.message_set, dataset.n_messages).astype(bool)
+    labels, types = pd.Series(dataset.label), clustering.assignment[dataset.observer]
+    gain = np.zeros((clustering.n_types, dataset.n_messages))
+    for j in range(dataset.n_messages):
+        means = labels.groupby([types, given[:, j]]).mean().unstack().reindex(columns=[False, True])
+        gain[means.index, j] = (means[True] - means[False]).fillna(0)
+    figure, axes = _axes((2.5 + 0.75 * gain.shape[1], 1.6 + 0.32 * len(gain)))
+    image = axes.imshow(gain, cmap="PuOr", vmin=-0.5, vmax=0.5, aspect="auto")
+    axes.set_xticks(range(gain.shape[1]), dataset.messages, rotation=30, ha="right")
+    axes.set_yticks(range(len(gain)), list(names)[: len(gain)])
+    axes.grid(False)
+    if gain.size <= 400:
+        for (t, j), value in np.ndenumerate(gain):
+            ink = "white" if abs(value) > 0.35 else "black"
+            axes.text(j, t, f"{100 * value:+.0f}", ha="center", va="center", color=ink, fontsize=8)
+    axes.set(xlabel="message", title="Explicable labels: given − not given (percentage points)")
+    figure.colorbar(image, ax=axes, label="difference of shares")
+    return figure
+
+
+@matplotlib.rc_context(STYLE)
+def calibration(bins: Sequence[Tenth]) -> Figure:
+    """Share of held-out labels that are 1, by their predicted probability, with intervals."""
+    figure, axes = _axes((4, 3.8))
+    said, ones = np.array([one.said for one in bins]), np.array([one.ones for one in bins])
+    ends = np.array([[one.ones - one.low, one.high - one.ones] for one in bins]).T
+    axes.plot([0, 1], [0, 1], color=COLOURS[6], linewidth=1, label="as predicted")
+    words = f"{len(bins)} parts of {min(one.labels for one in bins)} labels or more"
+    look: dict[str, Any] = {
+        "color": COLOURS[0],
+        "marker": MARKERS[0],
+        "linestyle": "none",
+        "capsize": 3,
+    }
+    axes.errorbar(said, ones, ends.clip(0), label=words, **look)
+    axes.set(
+        xlabel="probability of label 1, as predicted",
+        ylabel="share of labels 1 (95 % interval)",
+        title="Calibration on held-out labels",
+        xlim=(-0.02, 1.02),
+        ylim=(-0.02, 1.02),
+        aspect="equal",
+    )
+    axes.legend(loc="upper left", fontsize=8)
+    return figure
+
+
+def _axes(size: tuple[float, float]) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=size)
+    return figure, figure.subplots()
 
 
 @matplotlib.rc_context(STYLE)

@@ -47,10 +47,10 @@ from xplain.experiment.config import (
 )
 from xplain.experiment.fingerprint import clear_caches, require_as_loaded
 from xplain.experiment.results import RESULTS, Results, load_results
-from xplain.report.comparison import answer, main_table
-from xplain.report.measure import TITLES
+from xplain.report.claims import answer
+from xplain.report.compare import table
+from xplain.report.frame import SWEEP, TITLES, Summary, warning_about_oracle
 from xplain.report.stages import stages
-from xplain.report.summary import SWEEP, Summary
 from xplain.runs.discovery import Discovery, discovery, require_writable
 from xplain.runs.folder import Listed
 from xplain.runs.job import Job, run_alone
@@ -86,15 +86,16 @@ class Run:
 
     def plot(self) -> list[Axes]:
         """Draws the episode of median cost; returns the axes, whose ``figure`` is the drawing."""
-        from xplain.report.traces import draw_typical
+        from xplain.report.trace import draw_typical
 
-        figure, _, _ = draw_typical(self.folder, self.results.scene)
+        figure, _, _ = draw_typical(self.folder, self.results)
         return figure.axes
 
     def _repr_html_(self) -> str:
         figures = {name: vars(figure) for name, figure in self.results.metrics.items()}
         shown = pd.DataFrame(figures).T.round(3).to_html(na_rep="", border=0)
-        return f"<p>{self.results.name}</p>{shown}"
+        said = warning_about_oracle(self.results.learning, self.results.regret or 0)
+        return f"<p>{self.results.name}</p>{shown}<p>{said}</p>"
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ class Sweep:
 
     @cached_property
     def summary(self) -> Summary:
-        """What its jobs say (:class:`xplain.report.summary.Summary`)."""
+        """What its jobs say (:class:`xplain.report.frame.Summary`)."""
         return Summary(self.folder, self.measure)
 
     @property
@@ -154,19 +155,17 @@ class Sweep:
         Raises:
             InputError: nothing was swept, or no episode has the measure.
         """
-        from xplain.report.sweep_plots import against_main_key
+        from xplain.report.plots import against_main_key
 
         name = one_of("measure", measure or self.summary.measure.name, TITLES)
-        figure = against_main_key(self.summary, name, TITLES[name])
+        figure = against_main_key(self.summary, name)
         if figure is None:
             raise InputError("measure", name, "one that is known, of a sweep of several jobs")
         return figure.axes
 
     def _repr_html_(self) -> str:
-        table = main_table(self.summary)
-        rows = [[table.text(cell) for cell in row] for row in table.body]
-        shown = pd.DataFrame(rows, columns=[*table.heads]).to_html(index=False, border=0)
-        return f"<p>{self.answer}</p><p>{table.about}</p>{shown}<p>{table.caption}</p>"
+        own = table(self.summary)
+        return f"<p>{self.answer}</p><p>{own.about}</p>{own.html()}<p>{own.caption}</p>"
 
 
 def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:

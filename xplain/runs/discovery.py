@@ -86,20 +86,20 @@ class Discovery:
     def plot(self) -> dict[str, Figure]:
         """Draws what is known: ``messages``, ``curve``, ``posterior`` and ``calibration``, as the
         method has them."""
-        from xplain.report import discovery_plots, plots
+        from xplain.report import plots
 
         clustering, figures = self.types.clustering, {}
         if self.dataset.messages:
             names = self.types.names
-            figures["messages"] = discovery_plots.effects(self.dataset, clustering, names)
+            figures["messages"] = plots.effects(self.dataset, clustering, names)
         if clustering.curve is not None and len(clustering.curve) > 1:
             curve = clustering.curve[: max(4 * clustering.n_types, 20)].tolist()
             figures["curve"] = plots.disagreements(curve, clustering.n_types, clustering.rule)
         if clustering.posterior is not None:
-            drawn = discovery_plots.posterior(clustering.posterior, clustering.n_types)
+            drawn = plots.posterior(clustering.posterior, clustering.n_types)
             figures["posterior"] = drawn
         if self.held_out is not None:
-            figures["calibration"] = discovery_plots.calibration(self.held_out.calibration)
+            figures["calibration"] = plots.calibration(self.held_out.calibration)
         return figures
 
     def save(self, folder: Path) -> None:

@@ -24,7 +24,7 @@ from filelock import FileLock, Timeout
 from xplain.errors import InputError
 from xplain.experiment.config import GROUPS
 from xplain.experiment.results import RESULTS, load_results
-from xplain.report.summary import SWEEP, load_sweep
+from xplain.report.frame import SWEEP, load_sweep
 from xplain.runs.terminal import without_passwords
 from xplain.storage import write_text
 

@@ -39,7 +39,7 @@ from xplain.experiment.results import (
     results_of,
     save_results,
 )
-from xplain.report.run_summary import print_certificates, print_summary
+from xplain.report.terminal import print_certificates, print_summary
 from xplain.runs.folder import Disk
 from xplain.runs.terminal import attempted, without_passwords
 from xplain.storage import write_text
@@ -218,9 +218,9 @@ def ended_by(error: SystemExit) -> str:
 
 def _draw(folder: Path, results: Results) -> str:
     """Draws the run's pictures; returns which episode is drawn."""
-    from xplain.report import plots, traces
+    from xplain.report import plots, trace
 
-    figure, _, drawn = traces.draw_typical(folder, results.scene)
+    figure, _, drawn = trace.draw_typical(folder, results)
     plots.save(figure, folder / "trace.png")
     if elbow := results.elbow.disagreements:
         figure = plots.disagreements(elbow, len(results.types.found), results.elbow.rule)

@@ -24,9 +24,15 @@ from mlflow.entities import Metric, Param, Run
 
 from xplain.errors import InputError, XplainError, first_line
 from xplain.experiment.results import RESULTS, Results, load_results
-from xplain.report.comparison import answer
-from xplain.report.measure import is_problem, warning_about_oracle
-from xplain.report.summary import SWEEP, Summary, load_sweep
+from xplain.report.claims import answer
+from xplain.report.frame import (
+    PROBLEM,
+    SWEEP,
+    Summary,
+    is_in,
+    load_sweep,
+    warning_about_oracle,
+)
 from xplain.runs.folder import FAILURE, Disk, SweepFolder, runs_and_sweeps
 from xplain.runs.terminal import without_passwords
 
@@ -193,7 +199,7 @@ class _Store:
         about = {
             "mlflow.source.git.commit": results.git.get("commit", ""),
             "xplain.rule": results.elbow.rule,
-            "xplain.warning": warning_about_oracle(results.learning),
+            "xplain.warning": warning_about_oracle(results.learning, results.regret or 0),
         }
         tags = {RESULT_TAG: results.fingerprint, **tags}
         run, new = self._run(results.name, "FINISHED", started, tags, about, among)
@@ -311,7 +317,7 @@ def view(parent: str, summary: Summary) -> dict[str, Any]:
     figures = dict.fromkeys((measure, "solver/cost", f"{measure}_low", f"{measure}_high"))
     columns = [f"metrics.`{measure}`", *(f"params.`{key}`" for key in (*keys, "seed"))]
     columns += [f"metrics.`{name}`" for name in figures if name != measure]
-    posed = sorted((key for key in keys if is_problem(key)), key=lambda key: key != "lambda")
+    posed = sorted((key for key in keys if is_in(key, PROBLEM)), key=lambda key: key != "lambda")
     return {
         "searchFilter": f"tags.`{PARENT_TAG}` = '{parent}'",
         "orderByKey": f"params.`{posed[0]}`" if posed else columns[0],

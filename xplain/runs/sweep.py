@@ -32,8 +32,8 @@ from xplain.experiment.config import GROUPS, missing_key
 from xplain.experiment.fingerprint import code_version, git_state
 from xplain.experiment.from_config import check
 from xplain.experiment.results import RESULTS, finished_at
+from xplain.report.frame import SWEEP
 from xplain.report.stages import stages
-from xplain.report.summary import SWEEP
 from xplain.runs.folder import FAILURE, LISTED, Disk, Listed, SweepFolder, listed, mark_failed
 from xplain.runs.job import Job, ended_by
 from xplain.runs.signals import end_with_parent, interruptible
@@ -300,8 +300,8 @@ def finish(
         tell: takes a line for people.
         shown: whether its table is printed.
     """
-    from xplain.report.console import print_sweep
-    from xplain.report.write import write_report
+    from xplain.report.page import write_report
+    from xplain.report.terminal import print_sweep
 
     jobs = folder.jobs()
     summary = None

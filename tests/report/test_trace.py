@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.text import Annotation
+from matplotlib.text import Text
 
 from xplain.domains.base import Scene
-from xplain.report.story import Story, typical, which
-from xplain.report.traces import draw_trace
+from xplain.report.trace import Story, describe_choice, draw_trace, typical
 
 
 def story(trace: int, user: str, cost: float) -> Story:
@@ -46,14 +48,27 @@ def test_half_of_the_episodes_cost_no_more_and_half_no_less() -> None:
         assert all(cost != one.cost for cost in costs[: one.trace])
 
 
+SENTENCES = {"x": "Puddles cost 3.", "y": "Never said."}
+
+
 @pytest.mark.parametrize("scene", [None, Scene(1, 3)], ids=["list", "map"])
-def test_the_picture_says_which_episode_it_is_and_by_what_rule(scene: Scene | None) -> None:
-    one = story(12, "E", 2.5)
-    caption = which(one, 100)
+def test_the_picture_says_what_the_robot_says_and_which_episode_it_is(scene: Scene | None) -> None:
+    beliefs = ((0.5, 0.5), (0.8, 0.2), (0.9, 0.1))
+    asked = ((), (("Do puddles matter", "yes"),))
+    one = replace(story(12, "E", 2.5), beliefs=beliefs, questions=asked)
+    caption = describe_choice(one, 100)
     assert caption == (
         "trace 12, user of type E: cost 2.5, the median of 100 episodes (the first that costs this)"
     )
-    figure = draw_trace(scene, one, caption)
-    canvas = FigureCanvasAgg(figure)
-    (text,) = (text for text in figure.findobj(Annotation) if text.get_text() == caption)
-    assert text.get_tightbbox(canvas.get_renderer()).width > 100  # it is seen, above the axes
+    figure = draw_trace(scene, one, caption, SENTENCES, ["1", "2 (the user's)"])
+    FigureCanvasAgg(figure).draw()
+    texts = [text.get_text() for text in figure.findobj(Text)]
+    assert caption in texts
+    (said,) = (text for text in texts if text.startswith("The robot says:"))
+    assert "before step 1: “Puddles cost 3.” (x)" in said
+    assert "before step 2 it asks: “Do puddles matter” – yes" in said
+    assert "Never said" not in said
+    drawn = (line for axes in figure.findobj(Axes) for line in axes.get_lines())
+    lines = {line.get_label(): line.get_ydata() for line in drawn}
+    for number, name in enumerate(("type 1", "type 2 (the user's)")):
+        np.testing.assert_array_equal(lines[name], np.array(beliefs)[:, number])

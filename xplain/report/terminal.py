@@ -1,4 +1,4 @@
-"""What a run found, on the terminal: its figures, then the certificates."""
+"""What a run found, and a sweep's table, on the terminal."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from rich.console import Console
 from xplain.experiment.progress import is_terminal
 from xplain.experiment.results import Figure, Results
 from xplain.explanation.belief import NO_FIT
-from xplain.report.measure import NEGATIVE, NO_REFERENCE, warning_about_oracle
+from xplain.report.claims import answer, undecided
+from xplain.report.compare import table
+from xplain.report.frame import NO_REFERENCE, RIGHT, Summary, warning_about_oracle
 from xplain.report.paper import table1
-from xplain.report.story import counted
-from xplain.report.table import Cell, Table
+from xplain.report.table import counted, table_of
+
+WIDTH = 100
+"""Columns if the output is no terminal; a wider table takes what it needs."""
 
 TITLES = {
     "cost": "cost",
@@ -31,43 +35,58 @@ TITLES = {
 """Figures that are printed; results.json has more."""
 
 BY_CHANCE = ", above the optimum by sampling error"
-"""Of a simulated value that lies beyond a proven bound: no policy is worth more."""
+"""Said of a simulated value beyond a proven bound: no policy is worth more."""
+
+
+def print_sweep(summary: Summary) -> None:
+    """The sweep's table on standard output, and who costs least."""
+    own = table(summary)
+    shown = own.text()
+    needed = max(WIDTH, Console(width=10_000).measure(shown).maximum)
+    count = len(undecided(summary).frame)
+    more = f"{counted(count, 'undecided difference')}: the report says what would decide each."
+    below = ((answer(summary), WIDTH), (more if count else "", WIDTH), (own.caption, WIDTH))
+    for text, width in ((own.about, needed), (shown, needed), *below):
+        if text:
+            _console(width, markup=False).print(text)
 
 
 def print_summary(results: Results) -> None:
     """The run's figures as a table on standard output, the paper's beside them."""
-    console = Console(highlight=False, width=None if is_terminal(sys.stdout) else 100)
+    console = _console()
     console.print(_headline(results))
     as_paper = results.choices["explainee"] == "exact" and not _asks(results)
     setting = results.choices["domain"], results.trade_off
     published = table1().get(setting, {}) if as_paper else {}
-    heads = ("measure", "mean", "95 % interval", "paper")[: 4 if published else 3]
-    paper = {
-        "oracle_cost": published.get("oracle"),
-        "regret": None if results.solver == "oracle" else published.get(results.solver),
-    }
-    rows, warning = [], warning_about_oracle(results.learning)
-    for name in (name for name in TITLES if name in results.metrics):
-        marked = warning and name in ("oracle_cost", "regret")
-        title = TITLES[name] + (f" {NO_REFERENCE}" if marked else "")
-        figure, value = results.metrics[name], paper.get(name)
-        said = "" if value is None else f"{value:.2f}"
-        words = (title, f"{figure.mean:.3f}", _interval(figure), said)
-        rows.append(tuple(map(Cell, words[: len(heads)])))
-    console.print(Table(heads, tuple(rows), 1).shown())
+    regret = None if results.solver == "oracle" else published.get(results.solver)
+    paper = {"oracle_cost": published.get("oracle"), "regret": regret}
+    known, rows = results.metrics, []
+    is_marked = results.learning.get("fresh_accuracy", 1.0) < RIGHT
+    for name in (name for name in TITLES if name in known):
+        mark = f" {NO_REFERENCE}" if is_marked and name in ("oracle_cost", "regret") else ""
+        figure, value = known[name], paper.get(name)
+        row = {"measure": TITLES[name] + mark, "mean": f"{figure.mean:.3f}"}
+        row["95 % interval"] = _interval(figure)
+        row |= {"paper": "" if value is None else f"{value:.2f}"} if published else {}
+        rows.append(row)
+    console.print(table_of(rows, 1).text())
     if said := _of_no_type(results):
         console.print(said)
-    if "regret" in results.metrics and results.metrics["regret"].mean < 0:
-        console.print(NEGATIVE)
-    if "regret" in results.metrics and warning:
+    if "regret" in known and (
+        warning := warning_about_oracle(results.learning, known["regret"].mean)
+    ):
         console.print(warning)
 
 
 def print_certificates(bounds: Mapping[str, float]) -> None:
-    """The certified figures on standard output; nothing where none were asked for."""
-    console = Console(highlight=False, width=None if is_terminal(sys.stdout) else 100)
+    """The certified figures on standard output; nothing if none were asked for."""
     for line in _bounds(bounds):
-        console.print(line)
+        _console().print(line)
+
+
+def _console(width: int = WIDTH, **look: bool) -> Console:
+    """Of the terminal's own width if there is one."""
+    return Console(highlight=False, width=None if is_terminal(sys.stdout) else width, **look)  # type: ignore[arg-type]
 
 
 def _of_no_type(results: Results) -> str:

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
-from tests.report import handmade
 from xplain.cli.plan import how_known
-from xplain.experiment.results import Figure
-from xplain.report.measure import NEGATIVE
-from xplain.report.run_summary import print_certificates, print_summary
+from xplain.report.terminal import print_certificates
 
 BOUNDS = {
     "traces": 2.0,
@@ -47,15 +42,6 @@ def test_a_comparison_of_solvers_says_so_too(value: float, chance: bool) -> None
         assert words.startswith("simulated ± 0.0800")
         assert ("by sampling error" in words) == expected
     assert how_known({"value": -3.0, "value_is": "exact", "optimal_upper": -3.0}) == "exact"
-
-
-@pytest.mark.parametrize("regret", [-0.25, 0.25])
-def test_a_negative_regret_is_explained_where_it_is_shown(capsys, regret: float) -> None:
-    made = handmade.results("run", {}, ())
-    metrics = {"regret": Figure(regret, -1.0, 1.0)}
-    print_summary(replace(made, metrics=metrics, config={**made.config, "traces": 4}))
-    out = " ".join(capsys.readouterr().out.split())
-    assert (NEGATIVE in out) == (regret < 0)
 
 
 def test_what_certificates_are_not_about_is_said(capsys) -> None:

@@ -1,0 +1,477 @@
+"""What was swept, compared: one estimate for each combination of swept values, who costs least on
+each problem, and what would decide what is not decided.
+
+A sweep's keys are its dimensions. Seeds are replicates, never a dimension; a key is averaged over
+only if the sweep's file says so (``pool``).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import pandas as pd
+
+from xplain.interaction.metrics import possible
+from xplain.interaction.statistics import Estimate, clustered_mean, half_width
+from xplain.report import paper
+from xplain.report.frame import (
+    NO_REFERENCE,
+    TITLES,
+    Summary,
+    Value,
+    is_unreliable,
+    warning_about_oracle,
+)
+from xplain.report.table import BEST, TIE, Table, cell, counted, number, table_of
+
+Way = tuple[Value, ...]
+
+WIDEST = 8
+"""Columns of a table, lines of a plot: more cannot be read."""
+
+FEW = 5
+"""With fewer replicates than this the report says that they are few: intervals are wide."""
+
+MOST_SEEDS = 1000
+"""A difference that needs more is too small to be decided."""
+
+
+def estimate(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate | None:
+    """Mean of a column of episodes with its interval over replicates, cut where the mean cannot be;
+    None if no episode has it."""
+    known = frame.dropna(subset=[column])
+    return _mean(summary, known, column) if len(known) else None
+
+
+def _mean(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate:
+    return clustered_mean(frame[column], frame[summary.replicate], possible=possible(column))
+
+
+def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate | None:
+    """The cost of the oracle or the clairvoyant: every job of a problem has the same, so each trace
+    and user counts once."""
+    problem = [*summary.pool, "seed", "trace", "type"]
+    return estimate(summary, frame.dropna(subset=[name]).drop_duplicates(problem), name)
+
+
+def grouped(summary: Summary, keys: Sequence[str]) -> list[tuple[dict[str, Value], pd.DataFrame]]:
+    """(values, episodes) of every combination of these keys, in the order of the values."""
+    if not keys:
+        return [({}, summary.episodes)]
+    order = {key: {value: i for i, value in enumerate(summary.values(key))} for key in keys}
+    groups: list[tuple[dict[str, Any], pd.DataFrame]] = [
+        (dict(zip(keys, values, strict=True)), frame)
+        for values, frame in summary.episodes.groupby(list(keys), sort=False)
+    ]
+    return sorted(groups, key=lambda group: [order[key][group[0][key]] for key in keys])
+
+
+def where(frame: pd.DataFrame, values: Mapping[str, Value]) -> pd.DataFrame:
+    """The rows with these values."""
+    for key, value in values.items():
+        frame = frame[frame[key] == value]
+    return frame
+
+
+def paired(
+    frame: pd.DataFrame,
+    by: Sequence[str],
+    one: Sequence[Value],
+    two: Sequence[Value],
+    on: Sequence[str],
+) -> pd.DataFrame:
+    """Episodes of one way to solve a problem, beside those of another way on the same problem
+    (columns with ``_other``), with ``difference``, the first cost minus the other; without those
+    that have no partner.
+
+    Args:
+        frame: of episodes.
+        by: columns that tell ways apart.
+        one, two: their values in the two ways.
+        on: columns that are the same in a pair.
+    """
+    left, right = (where(frame, dict(zip(by, way, strict=True))) for way in (one, two))
+    both = left.merge(right, on=[*on], suffixes=("", "_other"), validate="one_to_one")
+    return both.assign(difference=both["cost"] - both["cost_other"])
+
+
+def difference(
+    summary: Summary, frame: pd.DataFrame, by: Sequence[str], one: Way, two: Way
+) -> Estimate | None:
+    """Cost of one way minus that of another, on the same traces and users; None if they share
+    none."""
+    both = paired(frame, by, one, two, [*summary.pool, "seed", "trace", "type"])
+    if not len(both):
+        return None
+    return clustered_mean(both["difference"], both[summary.replicate])
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One way to solve a problem among others.
+
+    Attributes:
+        way: its values.
+        name: for people.
+        estimate: of the sweep's measure.
+        cost: the mean.
+        behind: its cost minus the best one's on the same traces and users; None for the best.
+    """
+
+    way: Way
+    name: str
+    estimate: Estimate
+    cost: float
+    behind: Estimate | None
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether it can be told from the best: the interval leaves out 0."""
+        return self.behind is not None and self.behind.low > 0
+
+
+def shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
+    """The episodes on traces and users that every way in the frame was tried on: if jobs are
+    missing, means over all episodes would compare unlike problems."""
+    known = frame.dropna(subset=[summary.measure.name])
+    ways = known.groupby([*by], sort=False).ngroup()
+    problem = [known[key] for key in (*summary.pool, "seed", "trace", "type")]
+    return known[ways.groupby(problem).transform("nunique") == ways.nunique()]
+
+
+def ranked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ranked]:
+    """Ways to solve the problem of these episodes, the one that costs least first; no way is ranked
+    if they share no trace and user."""
+    frame = shared(summary, frame, by)
+    groups: Any = frame.groupby([*by], sort=False)
+    measure = summary.measure.name
+    order = sorted(groups, key=lambda item: round(float(item[1][measure].mean()), 9))
+    return [
+        Ranked(
+            way,
+            label(dict(zip(by, way, strict=True))),
+            _mean(summary, own, measure),
+            own["cost"].mean(),
+            difference(summary, frame, by, way, order[0][0]) if i else None,
+        )
+        for i, (way, own) in enumerate(order)
+    ]
+
+
+def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
+    """(values, ways in their order) of each problem; none if nothing that was swept competes, or
+    the measure that was asked for is not fair."""
+    if not summary.results or not summary.ways or not summary.measure.fair:
+        return []
+    groups = grouped(summary, summary.posed)
+    found = [(values, ranked(summary, frame, summary.ways)) for values, frame in groups]
+    return [one for one in found if len(one[1]) > 1]
+
+
+def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
+    """Keys of the table's rows, of its groups of columns, and of its columns: problems go down,
+    ways to solve them across; numbers that pose a problem vary from row to row."""
+    groups, across = list[str](), list[str]()
+    for key in sorted(summary.ways, key=lambda key: key != "solver"):
+        if len(across) < 2 and prod(len(summary.values(k)) for k in (*across, key)) <= WIDEST:
+            across.append(key)
+    if summary.is_table1:
+        groups = [key for key in summary.posed if key not in ("domain", "lambda")]
+    down = [key for key in summary.shown if key not in across and key not in groups]
+    main = main_key(summary, down)
+    down.sort(key=lambda key: key == main)
+    return down, groups, across
+
+
+def main_key(summary: Summary, keys: Sequence[str]) -> str | None:
+    """The key of numbers with most values, λ before others; None if there is none."""
+    numbers = [k for k in keys if sum(isinstance(v, float) for v in summary.values(k)) > 1]
+    return max(numbers, key=lambda k: (len(summary.values(k)), k == "lambda"), default=None)
+
+
+def table(summary: Summary) -> Table:
+    """Every combination of swept values, but for the keys that the sweep pools: problems down, ways
+    across, the references' costs before them, the paper's values in parentheses. If only problems
+    or only ways were swept, each has a row with its measures."""
+    down, grouping, across = layout(summary)
+    if not across or not (down or grouping):
+        return _list(summary, down or across, bool(across))
+    measure, rows = summary.measure.name, list[dict[tuple[str, str], str]]()
+    known = [name for name in _references(summary) if summary.episodes[name].notna().any()]
+    is_beside = is_beside_paper(summary)
+    groups, ways = ([own for own, _ in grouped(summary, keys)] for keys in (grouping, across))
+    for values, frame in grouped(summary, down):
+        row = {("", heading(key)): value_title(key, value) for key, value in values.items()}
+        at = str(frame["domain"].iloc[0]), float(frame["lambda"].iloc[0])
+        published = paper.table1().get(at, {}) if is_beside else {}
+        for group in groups:
+            own, title = where(frame, group), paper.group_title(group, label(group))
+            mark = NO_REFERENCE if is_unreliable(own) else ""
+            for name in known:
+                place = ("" if name == "clairvoyant" else title, TITLES[name])
+                after = _after(mark if name == "oracle" else "", published.get(name))
+                row[place] = cell(reference(summary, own, name), after, "", bool(grouping))
+            found = {one.way: one for one in ranked(summary, own, across)}
+            best = next(iter(found.values()), None)
+            for way in ways:
+                one, solver = found.get(tuple(way.values())), str(way.get("solver"))
+                alone = where(own, way)
+                shown = estimate(summary, alone, measure) if one is None else one.estimate
+                cost = alone["cost"].mean() if one is None else one.cost
+                below = "" if grouping or measure == "cost" else f"cost {number(cost)}"
+                after = _after(_mark(summary, one, best), published.get(solver))
+                row[title, label(way)] = cell(shown, after, below if shown else "", bool(grouping))
+        rows.append(row)
+    about = f"{summary.measure.title}: {_common(summary)}"
+    return table_of(rows, len(down), _caption(summary, True), about)
+
+
+def _list(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
+    """A row a combination with its measures; those that compete are marked, the best first."""
+    asked = ["questions"] if summary.episodes["questions"].any() else []
+    measures = [summary.measure.name, "cost", *_references(summary)]
+    shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *asked])
+    frame = summary.episodes
+    order = ranked(summary, frame, keys) if compete else []
+    frame = shared(summary, frame, keys) if order else frame
+    found = {one.way: one for one in order}
+    ways = dict.fromkeys([*found, *(tuple(own.values()) for own, _ in grouped(summary, keys))])
+    rows = []
+    for way in ways:
+        values = dict(zip(keys, way, strict=True))
+        own = where(frame, values)
+        mark = NO_REFERENCE if is_unreliable(own) else ""
+        row = {heading(key): value_title(key, value) or "–" for key, value in values.items()}
+        for name in shown:
+            words = [mark] if name in ("regret", "oracle") else []
+            if name == summary.measure.name and order:
+                words.append(_mark(summary, found.get(way), order[0]))
+            row[TITLES[name]] = cell(estimate(summary, own, name), " ".join(filter(None, words)))
+        rows.append(row)
+    start = f"{summary.measure.title}: " if compete else ""
+    return table_of(rows, len(keys), _caption(summary, compete), start + _common(summary))
+
+
+def is_beside_paper(summary: Summary) -> bool:
+    """Whether the paper's values are shown: it has regrets alone, of people who make no errors."""
+    return summary.is_table1 and summary.measure.name == "regret"
+
+
+def _references(summary: Summary) -> list[str]:
+    """Columns of references: the clairvoyant first, since nothing costs less."""
+    return ["clairvoyant", *(["oracle"] if summary.measure.name == "regret" else [])]
+
+
+def _mark(summary: Summary, one: Ranked | None, best: Ranked | None) -> str:
+    if one is None or best is None or not summary.measure.fair:
+        return ""
+    if round(one.estimate.mean - best.estimate.mean, 9) == 0:
+        return BEST
+    return "" if one.is_decided else TIE
+
+
+def _after(mark: str, published: float | None) -> str:
+    """Marks, and the paper's value in parentheses."""
+    return " ".join(filter(None, [mark, "" if published is None else f"({published:.2f})"]))
+
+
+def heading(key: str) -> str:
+    """A key over a column or beside an axis."""
+    return {"lambda": "λ", "domain": "Domain", "solver": "Solver"}.get(key, key)
+
+
+def plain_text(value: Value) -> str:
+    """A value as it is written on the command line."""
+    return value if isinstance(value, str) else f"{value:.10g}"
+
+
+def value_title(key: str, value: Value) -> str:
+    """A value for people."""
+    text = plain_text(value)
+    return paper.title(text) if key in ("domain", "solver") else text
+
+
+def label(values: Mapping[str, Value]) -> str:
+    """Values with their keys for people: ``λ = 0.5``, but ``QMDP`` and ``Four rooms``; for a job
+    that has none of the keys, that it has the defaults."""
+    found = [
+        value_title(key, value)
+        if key in ("domain", "solver")
+        else f"{heading(key)} = {plain_text(value)}"
+        for key, value in values.items()
+        if value != ""
+    ]
+    return ", ".join(found) or ("defaults" if values else "")
+
+
+def _common(summary: Summary) -> str:
+    """The values that were not swept, as far as a reader wants to know them."""
+    keys = [key for key in ("domain", "solver", "lambda") if key not in summary.shown]
+    parts = [label({key: own[0]}) for key in keys if len(own := summary.values(key)) == 1]
+    traces = int(summary.episodes.groupby("seed")["trace"].nunique().max())
+    return ", ".join([*parts, counted(traces, "trace"), counted(summary.seeds, "seed")])
+
+
+def _caption(summary: Summary, is_marked: bool) -> str:
+    """How to read the table."""
+    frame, measure = summary.episodes, summary.measure
+    text, is_marked = [measure.why], is_marked and measure.fair
+    several = frame[summary.replicate].nunique() > 1
+    text += [f"± half-width of the 95 % interval over {summary.replicate}s."] if several else []
+    text += [] if several else ["One trace and one seed: no intervals."]
+    if is_marked:
+        text.append(
+            f"{BEST} costs least in its row; {TIE} not told apart from it: the interval of the "
+            "difference on the same traces and users holds 0."
+        )
+    if measure.name == "regret":
+        means = frame.groupby([*dict.fromkeys((*summary.shown, "solver"))])["regret"].mean()
+        learning = {"fresh_accuracy": frame["fresh_accuracy"].fillna(1.0).min()}
+        text.append(warning_about_oracle(learning, means.min()))
+    if summary.pool:
+        text.append(f"Means over {', '.join(summary.pool)}, as the sweep's file asks.")
+    if summary.missing:
+        text.append(f"{summary.missing} of {len(summary.jobs)} jobs are missing.")
+        text += ["Ways are compared on traces and users that all of them have."] * is_marked
+    text += ["In parentheses the paper's values."] * is_beside_paper(summary)
+    return " ".join(filter(None, text))
+
+
+def least_cost(summary: Summary) -> str:
+    """Who costs least, by how much, and whether that is decided, in a sentence or two; "" if
+    nothing competes."""
+    found = verdicts(summary)
+    if not found:
+        return ""
+    if len(found) == 1:
+        best, second = found[0][1][:2]
+        text = f"{best.name} costs least"
+        if best.estimate.mean == second.estimate.mean:
+            return f"{text}, as does {second.name}."
+        gap = second.behind
+        if gap is None or math.isnan(gap.low):
+            return f"{text}. Not decided: one trace and one seed tell nothing of others."
+        word = "Decided" if second.is_decided else "Not decided"
+        return (
+            f"{text}, {number(gap.mean)} less than {second.name}. {word}: 95 % interval of the "
+            f"difference {number(gap.low)} … {number(gap.high)}.{_few(summary)}"
+        )
+    won = Counter(order[0].name for _, order in found)
+    decided = Counter(order[0].name for _, order in found if order[1].is_decided)
+    parts = [
+        f"{name} in {times} of {len(found)} problems ({decided[name]} decided)"
+        for name, times in won.most_common()
+    ]
+    return f"Least cost: {'; '.join(parts)}.{_few(summary)}"
+
+
+def _few(summary: Summary) -> str:
+    amount = int(summary.episodes[summary.replicate].nunique())
+    few = (
+        f" Only {counted(amount, summary.replicate)}: too few to decide all but large differences."
+    )
+    return few if amount < FEW else ""
+
+
+def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
+    """The least number of seeds with which an interval leaves out 0 in four of five sweeps, if the
+    difference is as large and varies as much as these seeds say; None if they say neither.
+
+    Args:
+        gap: a difference with its 95 % interval over seeds.
+        seeds: that it is known from.
+    """
+    from scipy.special import stdtrit
+
+    width = (gap.high - gap.low) / 2
+    if seeds < 2 or not gap.mean or not width >= 0:
+        return None
+    deviation = width * math.sqrt(seeds) / half_width(1.0, seeds - 1)
+    for count in range(max(seeds, 2), MOST_SEEDS + 1):
+        needed = half_width(1.0, count - 1) + float(stdtrit(count - 1, 0.8))
+        if needed * deviation <= abs(gap.mean) * math.sqrt(count):
+            return count
+    return None
+
+
+def effort(summary: Summary, gap: Estimate) -> tuple[str, str]:
+    """(key with the seeds that would decide a difference, minutes of one worker for the new ones),
+    by the seconds of this sweep's own jobs."""
+    seconds = sum(sum(own.seconds.values()) for _, own in summary.results)
+    seeds = seeds_to_decide(gap, summary.seeds) or (FEW if summary.seeds < FEW else 0)
+    if not seeds:
+        return f"more than {MOST_SEEDS}", ""
+    more = seeds - summary.seeds
+    return f"seed='range({seeds})'", f"{more * seconds / summary.seeds / 60:.1f}"
+
+
+Undecided = tuple[dict[str, str], Estimate, str]
+"""Row headings, a difference, and the difference in words."""
+
+
+def undecided(summary: Summary) -> Iterator[Undecided]:
+    """The differences to the best way that are not decided."""
+    for values, (best, *others) in verdicts(summary):
+        heads = {heading(key): value_title(key, own) for key, own in values.items()}
+        for other in others:
+            if not other.is_decided and other.behind is not None:
+                ways = {"Cost of": f"{other.name} − {best.name}"}
+                yield heads | ways, other.behind, cell(other.behind)
+
+
+def regret_csv(summary: Summary) -> str:
+    """One row a combination of the swept values, never pooled; six decimals.
+
+    Columns: ``solver``, ``lambda``, every other swept key by its full name; then of each measure
+    mean, low and high end of the 95 % interval, and n, the number of seeds (with one seed: traces).
+    """
+    keys = [*dict.fromkeys(["solver", "lambda", *summary.keys])]
+    asks = summary.episodes["questions"].any()
+    names, rows = [name for name in TITLES if name != "questions" or asks], []
+    for values, frame in grouped(summary, keys):
+        row: dict[str, object] = {key: plain_text(value) for key, value in values.items()}
+        for name in names:
+            found = estimate(summary, frame, name) or Estimate(math.nan, math.nan, math.nan)
+            row |= {f"{name}_{end}": value for end, value in vars(found).items()}
+            row[f"{name}_n"] = int(frame.dropna(subset=[name])[summary.replicate].nunique())
+        rows.append(row)
+    return _csv(pd.DataFrame(rows))
+
+
+def differences_csv(summary: Summary) -> str:
+    """Cost of one way to solve a problem minus that of another, paired on the same traces and
+    users: one row a problem and pair; six decimals.
+
+    Columns: the swept keys that pose the problem; ``method`` and ``minus``, the two ways; mean, low
+    and high end of the 95 % interval.
+    """
+    swept = [key for key in summary.keys if key not in summary.pool]
+    by = [key for key in swept if summary.competes(key)] or ["solver"]
+    posed = [*dict.fromkeys(["domain", *(k for k in swept if k not in by), "lambda"])]
+    ways = {
+        tuple(way.values()): " ".join(
+            plain_text(v) if k == "solver" else f"{k}={plain_text(v)}" for k, v in way.items() if v
+        )
+        for way, _ in grouped(summary, by)
+    }
+    rows = []
+    for values, frame in grouped(summary, posed):
+        for other, method in itertools.combinations(ways, 2):
+            found = difference(summary, frame, by, method, other)
+            if found is not None:
+                pair = {"method": ways[method], "minus": ways[other]}
+                rows.append({k: plain_text(v) for k, v in values.items()} | pair | vars(found))
+    return _csv(pd.DataFrame(rows, columns=[*posed, "method", "minus", "mean", "low", "high"]))
+
+
+def _csv(frame: pd.DataFrame) -> str:
+    """Six decimals, never a negative zero; empty for NaN."""
+    numbers = frame.select_dtypes("float").round(6) + 0.0
+    plain = frame.assign(**{str(name): numbers[name] for name in numbers})
+    return str(plain.to_csv(index=False, float_format="%.6f", lineterminator="\n"))

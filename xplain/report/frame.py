@@ -1,0 +1,378 @@
+"""A sweep's results as one table of episodes, and by what its jobs are compared.
+
+Ways to solve the same problem are ordered by their costs on the same traces and users. A regret
+orders them in the same way only if all of them have the same oracle: its labelers learn from the
+labels and in the way that each job has.
+
+Nothing here depends on how long a job took, on the order in which jobs ended, or on the launcher:
+the same jobs give the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from xplain.errors import InputError, one_of
+from xplain.experiment.cache import SOURCE
+from xplain.experiment.results import RESULTS, Results, load_results
+
+SWEEP = "sweep.json"
+
+ORDER = (
+    "qmdp",
+    "pomcp_paper",
+    "pomcp",
+    "certified",
+    "qhr",
+    "baseline",
+    "conformant",
+    "silent",
+    "say_all",
+)
+"""The paper's columns come first, others after them by name."""
+
+Value = float | str
+"""Value of a swept key: a number if all its values are numbers; "" for a job that lacks the key."""
+
+PROBLEM = (
+    "domain",
+    "users",
+    "explainee",
+    "lambda",
+    "traces",
+    "max_steps",
+    "message_cost",
+    "inexplicability_cost",
+    "ask.cost",
+)
+"""Keys that say what is explained to whom, and what that costs. Costs are never compared between
+their values."""
+
+CONDITIONS = (*PROBLEM, "observers", "queries", "points")
+"""Keys that pose a problem. All others choose how it is solved, and so can be better or worse."""
+
+REFERENCES = {"regret": "oracle", "above_floor": "clairvoyant", "cost": None}
+"""Measures by their names in keys, with the reference whose cost is subtracted."""
+
+TITLES = {
+    "regret": "regret",
+    "above_floor": "cost above the clairvoyant's",
+    "cost": "cost",
+    "oracle": "oracle's cost",
+    "clairvoyant": "clairvoyant's cost",
+    "messages": "messages",
+    "inexplicable_labels": "inexplicable labels",
+    "questions": "questions",
+}
+"""Columns of the table of episodes, with their titles for people."""
+
+NEGATIVE = (
+    "A regret below 0 is no error: the oracle knows the type but plans with learned labels, which "
+    "err, and can cost more than a plan without it."
+)
+
+RIGHT = 0.98
+"""The paper's oracle has right labels. If labelers are right on a smaller share of fresh labels,
+the oracle's cost is no reference."""
+
+NO_REFERENCE = "†"
+"""Mark of an oracle's cost that is no reference, and of regrets to it."""
+
+_WHY = {
+    "regret": "Regret is cost minus the oracle's on the same trace and user.",
+    "above_floor": "The clairvoyant knows the true labels: nothing can cost less.",
+    "cost": "",
+}
+
+_UNFAIR = {
+    "regret": "Regrets are not compared: every job needs the same oracle, whose labelers learn as "
+    "the job's own do.",
+    "above_floor": "The clairvoyant's costs differ between jobs or are not known.",
+}
+
+_SOURCE = {*SOURCE, "points"} - {"seed"}
+"""Keys that decide data, types and traces."""
+
+
+def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> str:
+    """Sentences about an oracle that is no reference, and about a regret below 0; "" for neither.
+
+    Args:
+        learning: figures of the learning stage.
+        regret: the mean, or the least of those shown.
+    """
+    share = learning.get("fresh_accuracy", 1.0)
+    no_reference = (
+        f"{NO_REFERENCE} The oracle is no reference: the labelers are right on {share:.1%} of "
+        f"fresh labels, less than {RIGHT:.0%}. Compare costs with the clairvoyant's instead."
+    )
+    said = {NEGATIVE: regret < 0, no_reference: share < RIGHT}
+    return " ".join(text for text, is_true in said.items() if is_true)
+
+
+def load_sweep(folder: Path) -> dict[str, Any]:
+    """The content of a sweep's file: its command, its ``jobs``, how it is shown.
+
+    Raises:
+        OSError: there is no such file.
+        InputError: it is damaged.
+    """
+    path = folder / SWEEP
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if {"command", "jobs", "results"} <= content.keys() and isinstance(content["jobs"], list):
+            return content
+    except (ValueError, AttributeError):
+        pass
+    raise InputError("sweep", str(path), "is damaged; the sweep's own command writes it anew")
+
+
+@dataclass(frozen=True)
+class Measure:
+    """The figure by which a sweep's jobs are compared.
+
+    Attributes:
+        name: ``regret``, ``above_floor`` (cost minus the clairvoyant's) or ``cost``.
+        fair: whether it orders ways to solve a problem as their costs do.
+        why: what it is, and why it is not the regret, in sentences.
+    """
+
+    name: str
+    fair: bool
+    why: str
+
+    @property
+    def title(self) -> str:
+        """For people, with a capital letter."""
+        return TITLES[self.name].capitalize()
+
+
+def is_in(key: str, keys: Sequence[str]) -> bool:
+    """Whether a swept key or its group is among the keys."""
+    return key in keys or key.partition(".")[0] in keys
+
+
+class Summary:
+    """The finished jobs of a sweep.
+
+    Args:
+        folder: of the sweep.
+        measure: by which its jobs are compared; None takes a fair one.
+
+    Raises:
+        OSError, InputError: this is no sweep's folder, or there is no such measure.
+    """
+
+    def __init__(self, folder: Path, measure: str | None = None) -> None:
+        self.folder, self.about = folder, load_sweep(folder)
+        self._asked = None if measure is None else one_of("measure", measure, REFERENCES)
+        self.jobs: list[dict[str, Any]] = self.about["jobs"]
+        self.results: list[tuple[dict[str, Any], Results]] = [
+            (job, load_results(self.address(job)))
+            for job in self.jobs
+            if (self.address(job) / RESULTS).exists()
+        ]
+        self.is_table1 = self.about.get("report") == "table1"
+        keys = dict.fromkeys(key for job in self.jobs for key in job["values"])
+        self.keys = [key for key in keys if key != "seed"]  # seeds are replicates
+        self.pool = tuple(key for key in self.about.get("pool") or () if key in self.keys)
+
+    def address(self, job: Mapping[str, Any]) -> Path:
+        """Folder of a job's result."""
+        return self.folder / str(self.about["results"]) / str(job["fingerprint"])
+
+    @property
+    def missing(self) -> int:
+        """Number of jobs that have no results."""
+        return len(self.jobs) - len(self.results)
+
+    @property
+    def failures(self) -> list[tuple[str, str]]:
+        """(job, error) of the failed jobs."""
+        finished = {job["fingerprint"] for job, _ in self.results}
+        paths = [
+            (job["label"], self.folder / "jobs" / job["fingerprint"] / "failure.json")
+            for job in self.jobs
+            if job["fingerprint"] not in finished
+        ]
+        return [(k, json.loads(p.read_text("utf-8"))["error"]) for k, p in paths if p.exists()]
+
+    @cached_property
+    def _numbers(self) -> set[str]:
+        """Swept keys all of whose values are numbers."""
+        texts = {key: [job["values"].get(key, "0") for job in self.jobs] for key in self.keys}
+        return {key for key, own in texts.items() if all(map(is_number, own))}
+
+    def values_of(self, job: Mapping[str, Any], results: Results) -> dict[str, Value]:
+        """The swept values of a job; ``domain``, ``solver`` and ``lambda`` always."""
+        texts = {key: job["values"].get(key, "") for key in self.keys}
+        values = {k: float(t) if t and k in self._numbers else t for k, t in texts.items()}
+        own = {"domain": results.domain, "solver": results.solver, "lambda": results.trade_off}
+        return values | own
+
+    @cached_property
+    def episodes(self) -> pd.DataFrame:
+        """A row an episode of a job's own solver.
+
+        Columns: the swept keys, domain, solver, lambda, seed, trace, type; the episode's cost and
+        its parts; the references' costs on the same trace and user; regret, above_floor;
+        fresh_accuracy, the share of fresh labels on which the job's labelers are right.
+        """
+        frame = pd.DataFrame([row for own in self.results for row in self._rows(*own)])
+        if len(frame):
+            frame["regret"] = frame["cost"] - frame["oracle"]
+            frame["above_floor"] = frame["cost"] - frame["clairvoyant"]
+        return frame
+
+    def _rows(self, job: Mapping[str, Any], results: Results) -> Iterator[dict[str, Any]]:
+        swept = self.values_of(job, results)
+        costs = {(e.solver, e.trace, e.type): e.cost for e in results.episodes}
+        for episode in results.episodes:
+            if episode.solver == "solver":
+                key = (episode.trace, episode.type)
+                references = {
+                    name: costs.get((name, *key), math.nan)
+                    for name in ("oracle", "clairvoyant", "true_labels")
+                }
+                share = results.learning.get("fresh_accuracy", math.nan)
+                own = {**vars(episode), "seed": results.seed, "fresh_accuracy": share}
+                yield own | references | swept
+
+    @cached_property
+    def data_sets(self) -> pd.DataFrame:
+        """A row a data set: the values of the swept keys that decide it, seed, the disagreements
+        for each number of types (``curve``), the number found (``chosen``), and the figures of the
+        learning stage by name."""
+        rows = [
+            {
+                **{key: self.values_of(job, own)[key] for key in self.settings},
+                "seed": own.seed,
+                "curve": own.elbow.disagreements,
+                "chosen": len(own.types.found),
+                **own.learning,
+            }
+            for job, own in self.results
+        ]
+        return pd.DataFrame(rows).drop_duplicates([*self.settings, "seed"], keep="last")
+
+    @cached_property
+    def steps(self) -> pd.DataFrame:
+        """A row a job and step: the swept values, mean belief in the true type, and the number of
+        episodes that last so long."""
+        return pd.DataFrame(
+            {**self.values_of(job, own), "step": step, "belief": mean, "episodes": count}
+            for job, own in self.results
+            for step, (mean, count) in enumerate(
+                zip(
+                    own.steps.get("belief_in_true_type", ()),
+                    own.steps.get("episodes", ()),
+                    strict=False,
+                )
+            )
+        )
+
+    @cached_property
+    def settings(self) -> list[str]:
+        """The domain, and the swept keys that decide data, types and traces."""
+        keys = [k for k in (*self.pool, *self.shown) if is_in(k, [*_SOURCE]) and k != "domain"]
+        return ["domain", *keys]
+
+    def values(self, key: str) -> list[Value]:
+        """Values of a swept key, ``solver`` or ``lambda`` among the finished jobs: numbers
+        ascending, solvers in the paper's order, other text as it was swept."""
+        found: list[Any] = list(dict.fromkeys(self.episodes[key])) if len(self.episodes) else []
+        if key == "solver":
+            return sorted(found, key=lambda name: (rank(name), name))
+        if all(isinstance(value, float) or value == "" for value in found):
+            return sorted(found, key=lambda value: (value != "", value))
+        return found
+
+    @cached_property
+    def shown(self) -> list[str]:
+        """The dimensions of tables and plots: the swept keys but for those pooled, and for those
+        whose value an earlier one decides."""
+        keys = [k for k in self.keys if len(self.values(k)) > 1 and k not in self.pool]
+        frame = self.episodes
+        return [
+            key
+            for i, key in enumerate(keys)
+            if not any(frame.groupby(before)[key].nunique().max() == 1 for before in keys[:i])
+        ]
+
+    def competes(self, key: str) -> bool:
+        """Whether the values of a swept key are compared: one solver may do better than another,
+        one λ may not. In Table 1 only solvers are."""
+        return key == "solver" if self.is_table1 else not is_in(key, CONDITIONS)
+
+    @property
+    def posed(self) -> list[str]:
+        """The dimensions that pose the problem."""
+        return [key for key in self.shown if not self.competes(key)]
+
+    @property
+    def ways(self) -> list[str]:
+        """The dimensions that choose how it is solved."""
+        return [key for key in self.shown if self.competes(key)]
+
+    @cached_property
+    def measure(self) -> Measure:
+        """The paper's regret if the oracle is the same in all that is compared, else the cost above
+        the clairvoyant's, else (plans that discount differently have other clairvoyants) the
+        cost."""
+        same = self.keys if self.is_table1 else [k for k in self.keys if is_in(k, PROBLEM)]
+        shared = [*(key for key in same if key != "solver"), "seed", "trace", "type"]
+        fair = {n: column is None or self._is_shared(shared, column) for n, column in _PAIRS}
+        name = self._asked or next(name for name in REFERENCES if fair[name])
+        earlier = list(REFERENCES)[: list(REFERENCES).index(name)]
+        why = [_WHY[name], *(_UNFAIR[own] for own in earlier if not fair[own])]
+        if not fair[name]:
+            why.append("Not a fair comparison: the reference differs between what is compared.")
+        return Measure(name, fair[name], " ".join(filter(None, why)))
+
+    def _is_shared(self, by: list[str], column: str) -> bool:
+        """Whether a reference is known everywhere, with one cost for each problem."""
+        if self.episodes[column].isna().any():
+            return False
+        costs = self.episodes.groupby(by)[column]
+        return bool((costs.max() - costs.min()).max() <= 1e-9)
+
+    @property
+    def seeds(self) -> int:
+        """Number of different seeds that were run."""
+        return int(self.episodes["seed"].nunique()) if len(self.episodes) else 0
+
+    @property
+    def replicate(self) -> str:
+        """The unit that is sampled: seeds, each with its own data and traces; with one seed,
+        traces. Settings share seeds and traces, so they are no replicates."""
+        return "seed" if self.seeds > 1 else "trace"
+
+
+_PAIRS = tuple(REFERENCES.items())
+
+
+def is_number(text: str) -> bool:
+    """Whether the text of a swept value is a finite number."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def rank(solver: str) -> int:
+    """Place of a solver's column: the paper's first, others after them."""
+    return ORDER.index(solver) if solver in ORDER else len(ORDER)
+
+
+def is_unreliable(frame: pd.DataFrame) -> bool:
+    """Whether the oracle of some of these episodes is no reference."""
+    return bool(np.nanmin([1.0, frame["fresh_accuracy"].min()]) < RIGHT)
