@@ -120,7 +120,9 @@ def draw(
             ends = [own["mean"] - own["low"], own["high"] - own["mean"]]
             many = dict[str, Any](markevery=max(1, len(own) // 12), capsize=2.5, lw=1.4, ms=5)
             if len(own):
-                drawn = axes.errorbar(at, own["mean"], np.nan_to_num(ends), **many, **style)
+                drawn = axes.errorbar(
+                    at, own["mean"], np.nan_to_num(ends), label=line, **many, **style
+                )
                 named.setdefault(line, drawn)
             if own["hollow"].notna().any():
                 look = {"marker": style["marker"], "mfc": "white", "ls": "none", "ms": 8}
