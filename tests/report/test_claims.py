@@ -240,8 +240,10 @@ def test_table_1_has_a_group_of_columns_a_labeler_each_with_its_own_claims(tmp_p
     found = {(c.group, c.text): c.verdict for c in claims(summary)}
     assert found[titles[0], "QMDP costs less than QHR, λ = 1"] == "holds"
     assert found[titles[1], "QMDP costs less than QHR, λ = 1"] == "does not hold"
-    shown = claims_table(summary).frame
-    assert (shown["Why"] != "").equals(shown["Verdict"] == "does not hold")
+    shown = claims_table(summary).frame.set_index("Claim")
+    assert shown[titles[0]]["QMDP costs less than QHR, λ = 1"] == "holds\n1.00 [1.00, 1.00]"
+    failed = shown[titles[1]]["QMDP costs less than QHR, λ = 1"]
+    assert failed.startswith("does not hold\n-1.00 [-1.00, -1.00]\n(")
     assert answer(summary).startswith(
         f"{titles[0]}: 2 of 3 claims are decided, 2 hold; {titles[1]}"
     )

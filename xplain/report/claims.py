@@ -216,20 +216,18 @@ def _types(data_sets: pd.DataFrame) -> Iterator[Tested]:
 
 
 def claims_table(summary: Summary) -> Table:
-    """Claims with their figures, verdicts, and what the figures of those that fail are made of."""
-    rows = [
-        {
-            **({"Types and labels": claim.group} if claim.group else {}),
-            "Domain": title(claim.domain),
-            "Claim": claim.text,
-            "Figure": f"{claim.figure}: {number(claim.estimate.mean)} {interval(claim.estimate)}",
-            "Verdict": claim.verdict,
-            "Why": claim.parts if claim.verdict == "does not hold" else "",
-        }
-        for claim in claims(summary)
-    ]
+    """A row a claim, with its figure and verdict in each group of columns; one that does not hold
+    says what its figure is made of."""
+    rows: dict[tuple[str, str], dict[str, str]] = {}
+    for claim in claims(summary):
+        heads = {"Domain": title(claim.domain), "Claim": claim.text, "Figure": claim.figure}
+        row = rows.setdefault((claim.domain, claim.text), heads)
+        figure = f"{number(claim.estimate.mean)} {interval(claim.estimate)}".strip()
+        fails = claim.verdict == "does not hold"
+        words = [claim.verdict, figure, *([f"({claim.parts})"] if fails else [])]
+        row[claim.group or "Verdict"] = "\n".join(words)
     caption = "95 % intervals over seeds in brackets; differences are on the same traces and users."
-    return table_of(rows, len(rows[0]) if rows else 1, caption)
+    return table_of([*rows.values()], 3, caption)
 
 
 def decomposition(summary: Summary) -> Table:

@@ -143,6 +143,7 @@ def draw(
     for axes in figure.axes[len(panels) :]:
         axes.set_visible(False)
     if any(name.strip() for name in named):
+        named = dict(sorted(named.items(), key=lambda item: item[0] == f" {hollow}"))
         figure.legend([*named.values()], [*named], loc="outside right center")
     return figure
 

@@ -70,9 +70,12 @@ class Table:
         return "\n".join([r"% \usepackage{booktabs}", f"{text}% {said}", ""])
 
     def html(self) -> str:
-        """The table alone; line breaks in cells are kept by the page's style."""
+        """The table alone; its class says how many columns are at the left."""
         kind = f"left{self.left}"
-        return str(self.sparse.to_html(index=False, border=0, classes=kind, justify="unset"))
+        # pandas would write a line break as a backslash and a letter.
+        lines = self.sparse.replace("\n", "\u2028", regex=True)
+        text = lines.to_html(index=False, border=0, classes=kind, justify="unset")
+        return str(text).replace("\u2028", "<br>")
 
     def text(self) -> Group:
         """For the terminal: a table each group of columns, all with the row headings."""
