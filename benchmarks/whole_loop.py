@@ -30,7 +30,7 @@ from xplain.people.collect.prepare import assemble, material_of
 from xplain.people.collect.tables import dataset_of
 from xplain.people.material import fixed
 from xplain.people.study.analysis import CONDITIONS
-from xplain.people.study.bot import Habits, Measures, take_part
+from xplain.people.study.bot import Habits, StudyBot, take_part
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
@@ -82,9 +82,19 @@ def took_part(plan: StudyPlan, people: int, habits: Habits, seed: int) -> list[d
         for number in range(people * len(plan.true_labels)):
             # The same people under both conditions.
             rng = stream(seed, "others", number)
-            measures: Measures | None = take_part(at_work, 0, condition, habits, rng)
-            if measures is not None:
-                rows.append({"condition": condition, **vars(measures)})
+            person = StudyBot(plan, habits, rng)
+            end = take_part(at_work, person, 0, condition)
+            if end.score is not None:
+                rows.append(
+                    {
+                        "condition": condition,
+                        "seconds": person.seconds,
+                        "inexplicable": end.labels.count(0),
+                        "score": end.score,
+                        "messages": end.given.bit_count(),
+                        "questions": len(end.asked),
+                    }
+                )
     return rows
 
 

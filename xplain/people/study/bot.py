@@ -161,37 +161,12 @@ def bot(plan: StudyPlan, habits: Habits, seed: int, number: int) -> StudyBot:
     return StudyBot(plan, habits, stream(seed, "bots", number))
 
 
-@dataclass(frozen=True)
-class Measures:
-    """The paper's three measures of one participant."""
-
-    seconds: float
-    inexplicable: int
-    score: int
-    messages: int
-    questions: int = 0
-
-
-def take_part(
-    study: Study,
-    user_type: int,
-    condition: str,
-    habits: Habits,
-    rng: np.random.Generator,
-) -> Measures | None:
-    """One simulated participant in the bare flow; None if they did not get to the end of it."""
-    person, role = StudyBot(study.plan, habits, rng), study.plan.roles[user_type]
+def take_part(study: Study, person: StudyBot, user_type: int, condition: str) -> StudyState:
+    """One simulated participant in the bare flow, from the briefing to the end or to where they
+    leave."""
+    role = study.plan.roles[user_type]
     orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}
-    slot = {
-        "position": None,
-        "user_type": user_type,
-        "condition": condition,
-        "orders": orders,
-        "width": 9999,
-    }
-    state = study.after(StudyState(), **study.admitted(slot))
-    found = bots.take_part(study, person, replace(state, stage="briefing"))
-    if found.score is None:
-        return None
-    given = found.given.bit_count()
-    return Measures(person.seconds, found.labels.count(0), found.score, given, len(found.asked))
+    place = {"position": None, "user_type": user_type, "condition": condition}
+    consent = place | {"orders": orders, "width": 9999}
+    state = study.after(StudyState(), **study.admitted(consent))
+    return bots.take_part(study, person, replace(state, stage="briefing"))

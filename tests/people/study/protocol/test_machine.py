@@ -17,7 +17,7 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
 from xplain.people.flow import CANNOT_TELL
 from xplain.people.plan import LabQuestion, typed
-from xplain.people.study.bot import take_part
+from xplain.people.study.bot import StudyBot, take_part
 from xplain.people.study.flow import Study, StudyState
 from xplain.solvers.greedy import QMDP
 
@@ -152,10 +152,10 @@ def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) 
     for user_type, condition in plan.cells:
         user = SimulatedUser.of(plan.true_labels[user_type])
         offline = explain(plan.problem, study.policies[condition], user, study.belief)
-        found = take_part(study, user_type, condition, FAULTLESS, np.random.default_rng(0))
-        assert found is not None
-        assert found.inexplicable == (offline.labels[-1] == 0).sum()
-        assert found.messages == offline.n_messages
+        person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
+        found = take_part(study, person, user_type, condition)
+        assert found.labels.count(0) == (offline.labels[-1] == 0).sum()
+        assert found.given.bit_count() == offline.n_messages
         told = sum(int(mask) for mask in offline.messages)
         untold = [j for j in plan.roles[user_type].wrong if not told >> j & 1]
         assert found.score == 4 - len(untold)
