@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.domains.configs import domain_of, given, setting_of
+from tests.domains.configs import domain_of, given
 from xplain.domains import mdp
 from xplain.errors import InputError, XplainError
-from xplain.learning.data.queries import sample_trace
-from xplain.randomness import stream
 
 gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")
 from xplain.domains.gym import Gymnasium, read_model  # noqa: E402
@@ -60,25 +58,6 @@ def test_the_robots_model_is_what_the_environment_does(name: str) -> None:
             p = model.probability[s, a][model.successor[s, a] == after].sum()
             seen = np.mean(np.array(reached) == after)
             assert abs(seen - p) <= 5 * np.sqrt(p * (1 - p) / len(reached)) + 1e-9
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_each_parameter_held_wrong_alone_matters(name: str) -> None:
-    parameters = [p.name for p in domain(name).parameters]
-    models = [held(name), *(held(name, p) for p in parameters)]
-    solved = mdp.MDP.solve(models, [name, *parameters])
-    rng = stream(0, "test", "traces")
-    transitions = np.concatenate(
-        [sample_trace(models[0], solved[0], domain(name).starts, rng, 10) for _ in range(300)]
-    )
-    inexplicable = 1 - solved.labels(transitions).mean(axis=1)
-    assert inexplicable[0] == 0
-    assert (inexplicable[1:] >= 0.02).all(), dict(zip(parameters, inexplicable[1:], strict=True))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_random_types_can_be_drawn(name: str) -> None:
-    assert len(np.unique(setting_of(f"domain={name}").distinct)) == 3
 
 
 def test_states_decode_as_the_environment_says() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.domains.configs import domain_of, given, setting_of
+from tests.domains.configs import domain_of, given
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.task import Source
 from xplain.errors import TooLargeError
@@ -120,28 +120,6 @@ def test_the_robots_model_is_what_the_simulator_does(problem: Any, name: str) ->
                 a = int(rng.choice(own))
                 real = simulator.apply(real, *possible[made.actions[a]])
                 state = int(robot.successor[state, a, 0])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_each_fact_held_wrong_alone_matters(name: str) -> None:
-    made = domain(name)
-    assert len(made.parameters) >= 4
-    accurate = {p.name: p.accurate for p in made.parameters}
-    transitions = made.model(accurate).on_policy(made.starts)
-    for p in made.parameters:
-        wrong = made.model(accurate | {p.name: p.inaccurate})
-        assert not wrong.explicable(transitions).all(), p.name
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_labels_are_those_of_models_read_from_files_that_say_so(name: str) -> None:
-    """A fact given as a change is the fact that a changed file would give: the same labels."""
-    setting = setting_of(f"domain={name}")
-    transitions = setting.reachable
-    by_model = setting.label_by_model(transitions)
-    for model, labels in zip(setting.models, by_model, strict=True):
-        assert np.array_equal(model.explicable(transitions), labels.astype(bool))
-    assert by_model[0].all()
 
 
 def test_features_are_the_atoms_and_the_counts_asked_for() -> None:
