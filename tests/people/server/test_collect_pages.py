@@ -17,7 +17,7 @@ from tests.people.collect.stand_in import FAULTLESS, street_collection, street_p
 from tests.people.study.stand_in import PLACES
 from tests.people.visitors import GENEROUS, Visitor, differences, enter, field
 from xplain.people.bots import Page
-from xplain.people.collect.asking import CollectState, belief
+from xplain.people.collect.asking import AskedClip, CollectState, belief
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import KnownSoFar, glance
@@ -199,6 +199,9 @@ def test_images_of_own_transitions_are_served(tmp_path: Path) -> None:
     assert reply.headers["X-Content-Type-Options"] == "nosniff"
     for name in ("1", "99", "-1", "x", "..%2f0", "0x0"):
         assert client.get(f"/picture/{name}").status_code == 404
+    # The obvious step has a picture, too: it would be the only page without one.
+    obvious = CollectState(stage="clips", number=0, clip=AskedClip("attention", (), 0))
+    assert store.flow.view(obvious)["illustrated"] == [0]
     store.close()
 
 

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import re
 from itertools import combinations
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from omegaconf import OmegaConf
 
 from tests.people.study.stand_in import street_plan
-from xplain.people.map_svg import COLOURS, legend, picture
+from xplain.experiment.config import composed
+from xplain.people.map_svg import COLOURS, about, legend, picture
+from xplain.people.material import phrases_of
 from xplain.people.study.flow import Study
 
 
@@ -63,3 +68,17 @@ def test_no_two_kinds_of_things_look_alike() -> None:
 
     for one, other in combinations(COLOURS, 2):
         assert np.linalg.norm(lab(one) - lab(other)) > 20, (one, other)
+
+
+def test_each_fact_of_rescue_has_a_picture_of_its_own() -> None:
+    """Nine sentences, told rightly or not, and their pictures by the names of icons."""
+    wording: Any = OmegaConf.to_container(composed("study", []).wording, resolve=True)
+    in_words = phrases_of(wording["phrases"], on_a_map=True)
+    icons = {in_words(name): path for name, path in wording["icons"].items()}
+    plan: Any = SimpleNamespace(scene=None, icons=icons)
+    facts = [(one["message"], one["belief"]) for one in wording["facts"].values()]
+    pictures = [[about(plan, in_words(sentence)) for sentence in pair] for pair in facts]
+    pictures += [[about(plan, one["right"])] * 2 for one in wording["known"]]
+    assert all(right == wrong != "" for right, wrong in pictures)
+    assert len({right for right, _ in pictures}) == len(facts) + 3 == 9
+    assert about(plan, "The robot hums.") == ""
