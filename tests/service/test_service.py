@@ -169,6 +169,19 @@ def test_more_of_a_trace_comes_once_and_leaves_what_is_open(running: Running) ->
     assert running.post(path, after=7, transitions=[4]).status_code == 409
     state = requests.get(f"{running.url}/sessions/{talk['id']}", timeout=9).json()
     assert state["known"] == 4
+    assert state["next"] == talk["next"]
+
+
+def test_a_person_like_no_observer_is_noticed(task: Served, talks: Talks) -> None:
+    """Somebody of a found type fits; somebody who believes all facts incorrectly does not."""
+    trace, names, fits = list(task.traces[0]), task.types.messages, []
+    found = {name for j, name in enumerate(names) if task.types.labelers[0].wrong[j] > 0.5}
+    for person, wrong in (("known", found), ("unknown", {*names})):
+        go_through(talks, "session", person, wrong)
+        begun = {"trace": trace[: len(trace) // 2], "expected_steps": 0}
+        which, _ = talks.begin("session", person, begun)
+        fits.append(talks.read("session", which)[1]["fit"])
+    assert fits[0] > 0.5 > fits[1]
 
 
 def test_reading_writes_nothing(running: Running, talks: Talks, tmp_path: Path) -> None:

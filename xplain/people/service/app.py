@@ -6,8 +6,6 @@ request that is sent again is replied to as before.
 
 from __future__ import annotations
 
-import csv
-import io
 import secrets
 import sqlite3
 from collections.abc import Callable, Sequence
@@ -15,6 +13,7 @@ from http import HTTPStatus
 from importlib.resources import files
 from typing import Annotated, Any, Literal
 
+import pandas as pd
 from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.middleware.cors import CORSMiddleware
@@ -38,6 +37,7 @@ Transition = (
 )
 Trace = Annotated[list[Transition], Field(max_length=1000)]
 Bit = Annotated[int, Field(ge=0, le=1)]
+Kind = Literal["session", "questionnaire"]
 
 
 def problem(status: int, detail: str, **about: Any) -> JSONResponse:
@@ -178,6 +178,8 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
     for error, told in PROBLEMS.items():
         app.add_exception_handler(error, told)
 
+    replies: Any = {"response_model": Reply, "response_model_exclude_unset": True}
+
     def check(own: str) -> None:
         if key and not secrets.compare_digest(own.encode(), key.encode()):
             raise HTTPException(401, "the key of this service, as `Authorization: Bearer KEY`")
@@ -186,68 +188,34 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
         which, decided = talks.begin(kind, person, request)
         return {"id": which, "next": decided}
 
-    @app.post(
-        "/sessions",
-        status_code=201,
-        response_model=Reply,
-        response_model_exclude_unset=True,
-        tags=["explain"],
-    )
+    @app.post("/sessions", status_code=201, tags=["explain"], **replies)
     def new_session(body: NewSession, given: Key) -> Any:
         check(given or body.key)
         return begin("session", body.person, body.model_dump(include={"trace", "expected_steps"}))
 
-    @app.post(
-        "/questionnaires",
-        status_code=201,
-        response_model=Reply,
-        response_model_exclude_unset=True,
-        tags=["ask"],
-    )
+    @app.post("/questionnaires", status_code=201, tags=["ask"], **replies)
     def new_questionnaire(body: NewQuestionnaire, given: Key) -> Any:
         check(given or body.key)
         return begin("questionnaire", body.person, {})
 
-    @app.post(
-        "/sessions/{which}/answers",
-        response_model=Reply,
-        response_model_exclude_unset=True,
-        tags=["explain"],
-    )
-    def labels(which: str, body: Labels) -> Any:
-        return receive("session", which, body)
-
-    @app.post(
-        "/questionnaires/{which}/answers",
-        response_model=Reply,
-        response_model_exclude_unset=True,
-        tags=["ask"],
-    )
-    def answer(which: str, body: Labels) -> Any:
-        return receive("questionnaire", which, body)
-
-    def receive(kind: str, which: str, body: Labels) -> Any:
+    @app.post("/{kind}s/{which}/answers", tags=["explain", "ask"], **replies)
+    def answer(kind: Kind, which: str, body: Labels) -> Any:
         came = body.model_dump(include={"labels", "answer"}, exclude_none=True)
         return {"id": which, "next": talks.receive(kind, which, f"answer {body.number}", came)}
 
-    @app.post(
-        "/sessions/{which}/trace",
-        response_model=Reply,
-        response_model_exclude_unset=True,
-        tags=["explain"],
-    )
+    @app.post("/sessions/{which}/trace", tags=["explain"], **replies)
     def more(which: str, body: More) -> Any:
         came = body.model_dump(include={"transitions"})
         return {"id": which, "next": talks.receive("session", which, f"trace {body.after}", came)}
 
     @app.get("/{kind}s/{which}", tags=["explain", "ask"])
-    def state(kind: Literal["session", "questionnaire"], which: str) -> Any:
+    def state(kind: Kind, which: str) -> Any:
         rows, found = talks.read(kind, which)
         history = [{"key": row.key, "received": row.came, "next": row.decided} for row in rows]
         return {"id": which, **found, "next": rows[-1].decided, "history": history}
 
     @app.delete("/{kind}s/{which}", status_code=204, tags=["explain", "ask"])
-    def erase(kind: Literal["session", "questionnaire"], which: str, given: Key) -> None:
+    def erase(kind: Kind, which: str, given: Key) -> None:
         check(given)
         talks.erase(kind, which)
 
@@ -278,8 +246,5 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
 
 def csv_of(rows: Sequence[dict[str, Any]]) -> PlainTextResponse:
     """A table of labels, as ``discover`` reads it."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, rows[0] if rows else ["observer", "messages", "label"])
-    writer.writeheader()
-    writer.writerows(rows)
-    return PlainTextResponse(text.getvalue(), media_type="text/csv; charset=utf-8")
+    table = pd.DataFrame(rows, columns=None if rows else ["observer", "messages", "label"])
+    return PlainTextResponse(table.to_csv(index=False), media_type="text/csv; charset=utf-8")

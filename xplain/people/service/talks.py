@@ -150,9 +150,15 @@ class Explanation(Talk):
     def state(self) -> Json:
         """Belief, cost, and the values behind the last decision."""
         session = self.session
-        found = {"belief": session.belief, "cost": session.cost, "said": session.said}
+        found = {"belief": session.belief, "fit": session.fit, "cost": session.cost}
         why = str(session.why()) if self.decided.get("kind") != "wait" else ""
-        return {**found, "shown": session.shown, "known": len(session.trace), "why": why}
+        return {
+            **found,
+            "said": session.said,
+            "shown": session.shown,
+            "known": len(session.trace),
+            "why": why,
+        }
 
 
 class Asking(Talk):
