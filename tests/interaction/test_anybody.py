@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,7 +68,7 @@ def test_where_facts_are_many_people_are_taken_as_found(caplog: pytest.LogCaptur
     assert "people are taken as found" in caplog.text
 
 
-def test_learned_types_keep_their_facts_in_a_file(tmp_path) -> None:
+def test_learned_types_keep_their_facts_in_a_file(tmp_path: Path) -> None:
     labels = np.random.default_rng(0).integers(0, 2, (1 << N, 8)).astype(np.uint8)
     features = np.arange(8.0)[:, None]
     known = Hypotheses.of(labels, messages=("a", "b", "c"), features=features, feature_names=("f",))
@@ -86,7 +87,7 @@ def test_learned_types_keep_their_facts_in_a_file(tmp_path) -> None:
     loaded = LearnedTypes.load(tmp_path / "types.npz")
     assert (loaded.wrong, loaded.new) == (learned.wrong, learned.new)
     for types in (learned, loaded):
-        everything = types.everything(features)
+        everything = types.everything(features.tolist())
         assert everything is not None
         one = everything.array(N)[0]
         np.testing.assert_allclose(one, np.where(labels[7 & ~SETS].T, 0.998, 0.002))
