@@ -9,7 +9,7 @@ Nothing was chosen on the seeds from 7500 on; those below were looked at, with t
 
 Maps and people are those of questions.py, 40 labels a person, one in twenty wrong. Three ways:
 *weighed*, as shipped (queries=adaptive labeler=hypotheses: hypotheses are weighed, and given up
-where labels alone foretell better), *believed* (the same, but hypotheses are believed come what
+where labels alone predict better), *believed* (the same, but hypotheses are believed come what
 may), and *labels alone* (queries=independent labeler=practice). Costs of QMDP at λ = 1, five
 traces. *scrambled* people have hypotheses that give each transition the labels of another.
 """

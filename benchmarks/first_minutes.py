@@ -73,7 +73,7 @@ def seconds(arguments: list[str], folder: str, environment: dict[str, str]) -> f
 
 
 def imports(run: list[str], folder: str, environment: dict[str, str]) -> dict[str, float]:
-    """Wall seconds of imports by top-level package, the dearest first."""
+    """Wall seconds of imports by top-level package, the most expensive first."""
     done = subprocess.run(
         [sys.executable, "-X", "importtime", *run],
         cwd=folder,

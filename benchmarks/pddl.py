@@ -4,10 +4,10 @@
     python benchmarks/pddl.py --quick    the smallest size
 
 The task: a courier on a ring of places with a few short cuts delivers parcels, any number at a
-time; ten facts that people hold wrong (lengths of roads, roads that are there or not, what loading
-and unloading need, a goal). Three types drawn at random hold five facts each in the mean. Each
-size is one fresh process, `python -m xplain domain=pddl … traces=5 certify.traces=0 tracking=none`,
-kernels compiled before.
+time; ten facts that people believe incorrectly (lengths of roads, roads that are there or not, what
+loading and unloading need, a goal). Three types drawn at random hold five facts each in the mean.
+Each size is one fresh process, `python -m xplain domain=pddl … traces=5 certify.traces=0
+tracking=none`, kernels compiled before.
 """
 
 from __future__ import annotations

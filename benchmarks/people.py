@@ -4,7 +4,7 @@
 
 What is special of a kind is what its user types believe (their own wrong values), what the
 hypotheses leave out, or how people answer; never what a method makes of it. Types are drawn as for
-people who are as assumed, so that kinds of one seed hold the same facts wrong.
+people who are as assumed, so that kinds of one seed believe the same facts incorrectly.
 """
 
 from __future__ import annotations

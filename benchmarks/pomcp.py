@@ -35,8 +35,8 @@ EXPLORATION = 10.0
 
 
 def problem_of(steps: int = 20, messages: int = 10, types: int = 5, seed: int = 0) -> Problem:
-    """The paper's shape: each type holds two parameters wrong, each transition involves some;
-    labels right with 0.98."""
+    """The paper's shape: each type believes two parameters incorrectly, each transition involves
+    some; labels right with 0.98."""
     rng = np.random.default_rng(seed)
     sets = np.arange(1 << messages)
     wrong = [rng.choice(messages, 2, replace=False) for _ in range(types)]

@@ -1,16 +1,16 @@
 """What well-chosen questions save: labels, and what explanations cost with them.
 
-    python benchmarks/questions.py identify      questions until it is known what one holds wrong
-    python benchmarks/questions.py grid          labels × design × labeler × errors → types, costs
-    python benchmarks/questions.py people        people who are not as assumed (people.py)
-    python benchmarks/questions.py labels        how many of their labels differ, by kind
-    python benchmarks/questions.py plot          the pictures, from the rows
-    python benchmarks/questions.py speed         how long a choice of a question takes
-    python benchmarks/questions.py --quick       a little of each, nothing written
+    python benchmarks/questions.py identify      questions until it is known what one believes
+    incorrectly python benchmarks/questions.py grid          labels × design × labeler × errors →
+    types, costs python benchmarks/questions.py people        people who are not as assumed
+    (people.py) python benchmarks/questions.py labels        how many of their labels differ, by
+    kind python benchmarks/questions.py plot          the pictures, from the rows python
+    benchmarks/questions.py speed         how long a choice of a question takes python
+    benchmarks/questions.py --quick       a little of each, nothing written
 
 Both shipped domains, and per seed two maps drawn at random (a rescue map whose cells all are
-starts, a four-rooms map with goals, penalties and what people hold wrong drawn at random), on
-which nothing was tuned. Types are drawn at random, two to five of them, by the seed; three
+starts, a four-rooms map with goals, penalties and what people believe incorrectly drawn at random),
+on which nothing was tuned. Types are drawn at random, two to five of them, by the seed; three
 observers each. Explanations: QMDP at λ = 1; costs are means over traces and types.
 
 Results go to benchmarks/results/; of a part that is run with some options only, all other rows of
@@ -217,7 +217,7 @@ def row_of(
 
 def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: float) -> float:
     """Share of the observers whom rather no hypothesis fits: by their own questionnaires, or as
-    their type holds something wrong that no hypothesis does."""
+    their type believes something incorrectly that no hypothesis does."""
     dataset, needs = observed.dataset, types.clustering.needs
     unwritten = ~int(np.bitwise_or.reduce(hypotheses.facts))
     odd = np.zeros(0) if needs is None else needs[types.clustering.assignment] & unwritten
@@ -306,7 +306,7 @@ def speed() -> pd.DataFrame:
             chosen = rng.choice(n, rng.integers(2, 5), replace=False)
             inner = (sets[:, None] >> chosen & 1) @ (1 << np.arange(len(chosen)))
             labels[:, t] = (rng.random(1 << len(chosen)) < 0.5)[inner]
-            labels[inner == 0, t] = 1  # who holds nothing wrong finds it explicable
+            labels[inner == 0, t] = 1  # who believes nothing incorrectly finds it explicable
         questions = Questionnaire(labels)
         held, seconds = int(rng.integers(1 << n)), []
         for _ in range(12):

@@ -1,4 +1,4 @@
-"""Asking: the dearer a question, the fewer are asked, and the more an explanation costs."""
+"""Asking: the more expensive a question, the fewer are asked, and the more an explanation costs."""
 
 import matplotlib.pyplot as plt
 

@@ -27,7 +27,7 @@ def domain(name: str) -> Gymnasium:
 
 
 def held(name: str, *wrong: str) -> mdp.MDP:
-    """The model of someone who holds these parameters wrong."""
+    """The model of someone who believes these parameters incorrectly."""
     parameters = domain(name).parameters
     return domain(name).model(
         {p.name: p.inaccurate if p.name in wrong else p.accurate for p in parameters}

@@ -173,7 +173,7 @@ def test_two_tasks_differ_in_what_was_edited_no_more_and_no_less(
 
 
 def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: Path) -> None:
-    """Somebody who holds all of them wrong labels as one whose own task this is."""
+    """Somebody who believes all of them incorrectly labels as one whose own task this is."""
     pair(
         tmp_path,
         "search_and_rescue",

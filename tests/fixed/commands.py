@@ -129,7 +129,7 @@ def served(folder: Path, command: str, people: int, *words: str) -> Path:
 
 
 CHANCE = re.compile(r"(^|_)(s|seconds|time|entered|seen|hash|code)$")
-"""Columns that no two runs share, or that hang on texts: times, codes, hashes."""
+"""Columns that no two runs share, or that depend on texts: times, codes, hashes."""
 
 
 def read(path: Path) -> list[list[str]]:

@@ -163,7 +163,7 @@ def test_from_bots_to_types(
     main(["discover", *labels, "labeler=hypotheses", "output=found", "held_out=false"])
     found = pd.read_csv(tmp_path / "found" / "assignment.csv").set_index("observer")["type"]
     observers = pd.read_csv(data / "observers.csv").set_index("observer").loc[found.index]
-    # What they state is what they are: simulated people know what they hold wrong.
+    # What they state is what they are: simulated people know what they believe incorrectly.
     stated = observers.filter(like="stated_").agg("".join, axis=1)
     assert adjusted_rand_score(stated, found) >= 0.95
     types = LearnedTypes.load(tmp_path / "found" / "types.npz")

@@ -163,7 +163,7 @@ def test_once_somebody_is_known_a_share_of_questions_asks_whether_that_is_all(
     setting, monkeypatch, check, least, most
 ):
     """Every fact of the hypotheses is told, and everybody whom one fits finds it explicable. None
-    is asked before it is known what they hold wrong."""
+    is asked before it is known what they believe incorrectly."""
     checked = []
 
     class Kept(Questionnaire):

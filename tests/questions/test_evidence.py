@@ -1,4 +1,4 @@
-"""Hypotheses are guesses: how well they foretell answers, against labels alone."""
+"""Hypotheses are guesses: how well they predict answers, against labels alone."""
 
 import logging
 from dataclasses import replace

@@ -26,7 +26,7 @@ from xplain.learning.mixture.partition import partition
 
 
 def known_of(hypotheses_seed=0, facts=3, transitions=5, variants=1, unwritten=0):
-    """Of random labels; ``unwritten`` messages are about facts that no candidate holds wrong."""
+    """Random labels. No candidate believes the facts of ``unwritten`` messages incorrectly."""
     rows = np.arange(transitions, dtype=np.float64)[:, None]
     made = random_hypotheses(
         *(hypotheses_seed, facts, transitions, variants),
@@ -265,7 +265,7 @@ def test_the_prior_of_what_nobody_wrote_down_is_of_those_who_hold_it():
 
 
 def odd_people(known, facts, count, rng, odd):
-    """As :func:`people`; whoever holds fact 3 wrong, too, finds the transitions ``odd``
+    """As :func:`people`; whoever believes fact 3 incorrectly, too, finds the transitions ``odd``
     inexplicable until told."""
     said = people(known, [held & 7 for held in facts], count, rng, 0.03)
     for held, one in zip(facts, said, strict=True):

@@ -42,7 +42,7 @@ def test_with_all_sets_it_is_the_whole_table(most):
 
 
 def test_fewer_facts_are_likelier_than_more():
-    """Each fact is held wrong by one in ten, whatever else is."""
+    """Each fact is believed incorrectly by one in ten, whatever else is."""
     known = few_sets(2)
     one, two = known.prior[known.row(np.array([1, 3]))]
     assert two / one == pytest.approx(0.1 / 0.9)

@@ -235,8 +235,8 @@ def test_bad_files_are_one_line(tmp_path):
 
 
 class Toll(Corridor):
-    """The corridor; who holds the toll wrong thinks it so much. Where both facts are held wrong,
-    models with a toll in ``refused`` (low, high) are ambiguous."""
+    """The corridor; who believes the toll incorrectly thinks it so much. Where both facts are
+    believed incorrectly, models with a toll in ``refused`` (low, high) are ambiguous."""
 
     def __init__(self, inaccurate, refused=(0.0, 0.0)):
         super().__init__()
@@ -251,7 +251,7 @@ class Toll(Corridor):
 
 
 def labels_at(domain, values):
-    """Who holds both facts wrong, at these values."""
+    """Who believes both facts incorrectly, at these values."""
     setting = Setting.build(domain, (UserType("one", values),))
     return setting.label_table(setting.reachable)[0, :, 0]
 
@@ -295,7 +295,7 @@ def test_a_variant_that_is_lost_is_told(caplog):
 
 def test_a_value_that_ties_does_not_cost_the_variant_of_others(caplog):
     """Half of a discount of 0.6 leaves gaps of 1.7e-10; half of the step cost and of the penalty do
-    not. Who holds all other facts wrong at half the value is among the variants."""
+    not. Who believes all other facts incorrectly at half the value is among the variants."""
     domain = instantiate(
         composed(
             "observe", ["domain=four_rooms", "domain.parameters.discount.inaccurate=0.6"]

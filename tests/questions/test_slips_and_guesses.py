@@ -13,7 +13,7 @@ FACTS, ITEMS = 3, 9
 
 
 def table(rng: np.random.Generator) -> np.ndarray:
-    """[2^3, T] labels: 0 where a fact is held wrong that the item needs."""
+    """[2^3, T] labels: 0 where a fact is believed incorrectly that the item needs."""
     sets = np.arange(1 << FACTS)[:, None]
     needed = rng.integers(1, 1 << FACTS, ITEMS)
     needed[:FACTS] = 1 << np.arange(FACTS)  # so that all can be told apart

@@ -99,7 +99,7 @@ def test_a_policy_is_worth_the_same(both: Both) -> None:
 
 
 def warehouse(n: int = 60, types: int = 8, facts: int = 6, steps: int = 20) -> Problem:
-    """Types of six facts each: a transition puzzles who holds its fact wrong."""
+    """Types of six facts each: a transition puzzles who believes its fact incorrectly."""
     rng = np.random.default_rng(0)
     relevant = np.stack([rng.permutation(n)[:facts] for _ in range(types)])
     puzzles = rng.random((types, steps, facts)) < 0.15

@@ -178,8 +178,9 @@ def test_known_type_asks_for_the_type() -> None:
 
 
 def test_conformant_pays_for_every_type_undivided() -> None:
-    """N equal types are worth N times the cost to it: a message dearer than one type's zeros, but
-    cheaper than all of theirs, is given; QMDP, which weighs by the belief, keeps silent."""
+    """N equal types are worth N times the cost to it: a message more expensive than one type's
+    zeros, but cheaper than all of theirs, is given; QMDP, which weighs by the belief, keeps
+    silent."""
     p = np.zeros((3, 1, 2))
     p[:, :, 1] = 1
     problem = Problem(p, np.array([2.0]), discount=1.0)
@@ -228,7 +229,7 @@ def test_ties_prefer_explain_then_the_first_message() -> None:
 
 
 def needs_two_or_one(price: float = 1.0) -> Problem:
-    """{0, 1} and {2} mend all at the same price; 3 would too, and is dearer."""
+    """{0, 1} and {2} mend all at the same price; 3 would too, and is more expensive."""
     p = np.zeros((1, 1, 16))
     for shown in range(16):
         p[:, :, shown] = shown & 0b0011 == 0b0011 or shown & 0b1100 != 0

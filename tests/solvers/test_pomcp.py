@@ -68,9 +68,9 @@ def root_edges(tree: Tree) -> dict[int, np.void]:
 )
 def test_is_the_plain_search(backup: Any, depth: int | None, depth_unit: Any) -> None:
     """Same words, same visits and values, from the start and in the middle, for random tables and
-    one with exchangeable and uninformative labels, for every discounting, where a 0 is the dearest
-    and where a message is. (Where messages do not discount, their orders tie, and rounding decides:
-    one message then.)"""
+    one with exchangeable and uninformative labels, for every discounting, where a 0 is the most
+    expensive and where a message is. (Where messages do not discount, their orders tie, and
+    rounding decides: one message then.)"""
     solver = POMCP(
         simulations=700, depth=depth, depth_unit=depth_unit, exploration=1.5, backup=backup
     )

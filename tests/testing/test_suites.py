@@ -166,7 +166,7 @@ QUERIES = [
 
 
 def parameter_of(setting):
-    """What the first type holds wrong."""
+    """What the first type believes incorrectly."""
     wrong = setting.types[0].inaccurate
     return next(p for p in setting.domain.parameters if p.name in wrong)
 

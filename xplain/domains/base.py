@@ -1,4 +1,4 @@
-"""The interface of a domain: a robot's task with parameters that people may hold wrong.
+"""The interface of a domain: a robot's task with parameters that people may believe incorrectly.
 
 docs/method.md, section 1.
 """
@@ -22,9 +22,9 @@ class Parameter:
     Attributes:
         name: also the name of the message that tells it.
         accurate: the robot's value.
-        inaccurate: the value of a user who holds it wrong.
+        inaccurate: the value of a user who believes it incorrectly.
         message: the sentence that tells the robot's value.
-        belief: the sentence that a user who holds it wrong would say (for briefings).
+        belief: the sentence that a user who believes it incorrectly would say (for briefings).
     """
 
     name: str

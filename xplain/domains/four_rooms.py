@@ -1,7 +1,7 @@
 """Four rooms (Sutton, Precup & Singh 1999): reach a goal through the doors of four rooms.
 
-Five facts about the task can be held wrong: the positions of the goals and of the penalty cells,
-the discount, the cost of a step, and the penalty. Their values are ours: docs/choices.md.
+Five facts about the task can be believed incorrectly: the positions of the goals and of the penalty
+cells, the discount, the cost of a step, and the penalty. Their values are ours: docs/choices.md.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from xplain.learning.types import TablesOf
 from xplain.randomness import stream
 
 TOLD = 0.01
-"""A fact less likely held wrong than this is taken to be as it was after its message."""
+"""A fact less likely believed incorrectly than this is taken to be as it was after its message."""
 MOST_TOLD = 12
 """Facts of a type whose messages are taken to set them right, the likeliest."""
 
@@ -128,11 +128,12 @@ def belief_questions(
 
     Args:
         setting: of the true types.
-        wrong: [N, n] P(a user of a learned type holds a fact wrong).
+        wrong: [N, n] P(a user of a learned type believes a fact incorrectly).
         seed: of the run; it decides which sentence is shown first.
 
     Raises:
-        InputError: nothing is known of what types hold wrong, or no fact has two sentences.
+        InputError: nothing is known of what types believe incorrectly, or no fact has two
+        sentences.
     """
     if wrong is None:
         wanted = "clips; or types with fact sets, as labeler=truth and labeler=hypotheses give"

@@ -68,9 +68,9 @@ class Certify:
         ``_low`` and a ``_high`` end, 95 % limits where the value is simulated. A solver that is
         told the user's type has no value of its own here. docs/method.md, section 7.
 
-        Where the belief update does not take labels to be drawn afresh, the bounds are still those
-        of the POMDP that does; the policy decides by another belief, so that nothing is said of
-        its value, and ``fresh_labels`` is 0.
+        Where the belief update does not take labels to be drawn independently, the bounds are still
+        those of the POMDP that does; the policy decides by another belief, so that nothing is said
+        of its value, and ``fresh_labels`` is 0.
 
         Traces that pose the same problem are simulated once: their errors are one error. A trace
         whose certificate would take more memory than allowed has none, and is not in ``traces``.

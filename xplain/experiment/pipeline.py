@@ -106,7 +106,8 @@ class Prepared:
         scene: the map, if there is one.
         cases: one a trace.
         habits: of people, as far as the observers' answers tell.
-        wrong: [N, n] P(a user of a learned type holds a fact wrong); None where that is unknown.
+        wrong: [N, n] P(a user of a learned type believes a fact incorrectly); None where that is
+        unknown.
         new: P(a user is of none of the learned types).
     """
 

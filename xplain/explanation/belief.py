@@ -96,7 +96,7 @@ class Assuming:
     Attributes:
         error: how often an answer is the opposite of what it would have been.
         accept: how often a message is taken in when it is said.
-        forget: how often a fact set right is lost, a step.
+        forget: how often a corrected fact is lost, a step.
     """
 
     open: ClassVar[bool] = False
@@ -121,7 +121,7 @@ class Assuming:
 
 @dataclass(frozen=True)
 class Independent(Assuming):
-    """The paper: at every step all labels of the prefix are drawn afresh, all are evidence."""
+    """The paper: the labels of the prefix are drawn anew at every step, and all are evidence."""
 
     fresh_labels: ClassVar[bool] = True
 

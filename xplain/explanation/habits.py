@@ -1,7 +1,7 @@
 """How users listen and answer: the paper's take in every message for ever, and never err.
 
 A user answers the opposite of what they would have with probability e; takes a message in with
-probability α when it is said; and loses a fact set right with probability φ at each step, after
+probability α when it is said; and loses a corrected fact with probability φ at each step, after
 their labels. Nobody's *habits* are known, so they are a hidden part of the explanation beside the
 user type, on a small grid. Costs depend on what a user thinks, evidence on what they answer.
 """

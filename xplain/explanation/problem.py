@@ -1,7 +1,7 @@
 """The explanation problem of one trace: all that a solver needs to know (docs/method.md §5).
 
-The literal POMDP has states ⟨k, L, E_given, E_next, t⟩. Labels are drawn afresh each step, so
-(k, H, belief) with H = E_given ∪ E_next is a sufficient state, and one table of label
+The literal POMDP has states ⟨k, L, E_given, E_next, t⟩. Labels are drawn independently each step,
+so (k, H, belief) with H = E_given ∪ E_next is a sufficient state, and one table of label
 probabilities (:mod:`xplain.explanation.label_table`) is the whole model.
 """
 
@@ -310,7 +310,7 @@ def distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
     if prior.shape != (types,) or (prior < 0).any() or abs(prior.sum() - 1) > 1e-6:
         raise InputError("prior", prior.tolist(), f"{types} probabilities that sum to 1")
     # A prior that sums to 1 but for rounding stays to the last bit, however often a problem is
-    # made of another: decisions and replays must not hang on it.
+    # made of another: decisions and replays must not depend on it.
     return prior / prior.sum() if abs(prior.sum() - 1) > 1e-12 else prior
 
 

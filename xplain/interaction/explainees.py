@@ -43,7 +43,7 @@ class Person(Protocol):
 
     @property
     def knows(self) -> int | None:
-        """Bitmask of the facts set right that they have right now; None for all that was said."""
+        """Bitmask of the corrected facts that they have right now; None for all that was said."""
         return None
 
     def hear(self, new: int) -> None:
@@ -332,7 +332,7 @@ class Heedless(Explainee):
 
     Args:
         accept: probability that a message is taken in when it is given, > 0.
-        forget: probability, < 1, that a fact set right is lost, at each step, after its labels.
+        forget: probability, < 1, that a corrected fact is lost, at each step, after its labels.
     """
 
     accept: Annotated[float, Range(0, 1, "(]")] = 0.8

@@ -49,7 +49,7 @@ class Labeler(Protocol):
             questions mean that there were too few to hold any out.
         means_truth: P(label = 1) is what people think, without errors in their answers. Otherwise
             it is what they answer, and the confidence is measured on answers in any case.
-        wrong: [n] P(a person of the type holds a fact wrong); None where that is unknown.
+        wrong: [n] P(a person of the type believes a fact incorrectly); None where that is unknown.
     """
 
     n_messages: int
@@ -238,7 +238,7 @@ class LabelerTrainer:
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
         """The trainer for a dataset whose observers' types [O] are given; how its people err when
-        they answer; and how well hypotheses foretold it: None where the trainer learns neither."""
+        they answer; and how well hypotheses predicted it: None where the trainer learns neither."""
         return self, None, None
 
     def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> MeasuredLabeler:
@@ -300,7 +300,7 @@ class LabelerTrainer:
 
 
 def cheap() -> LabelerTrainer:
-    """Learns from labels alone at little cost: a pruned tree foretells about as well as boosting
+    """Learns from labels alone at little cost: a pruned tree predicts about as well as boosting
     (benchmarks/README.md)."""
     from sklearn.tree import DecisionTreeClassifier
 

@@ -112,7 +112,7 @@ class UserTypes:
         prior: [N] P(type) of the next user.
         answers: how labels became answers, of the dataset's transitions and observers; None where
             nobody learned it.
-        evidence: how well hypotheses foretold the answers; None where there are none.
+        evidence: how well hypotheses predicted the answers; None where there are none.
         everything: the labeler of somebody who believes every fact incorrectly; None where facts
             are unknown.
     """

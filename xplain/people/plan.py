@@ -35,7 +35,7 @@ class Fact:
     Attributes:
         name: of the parameter and of its message.
         message: the sentence that tells the robot's value.
-        belief: the sentence of someone who holds it wrong.
+        belief: the sentence of someone who believes it incorrectly.
     """
 
     name: str
@@ -47,7 +47,7 @@ def facts_of(parameters: Sequence[Parameter]) -> tuple[Fact, ...]:
     """The parameters' sentences.
 
     Raises:
-        InputError: a parameter lacks the sentence of those who hold it wrong.
+        InputError: a parameter lacks the sentence of those who believe it incorrectly.
     """
     wanted = "a sentence that a user who holds it wrong would say; the pages need it"
     for parameter in parameters:

@@ -1,1 +1,1 @@
-"""What to ask people: hypotheses of what they hold wrong, and questions that tell them apart."""
+"""Questions that tell apart hypotheses of what people believe incorrectly."""

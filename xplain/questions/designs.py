@@ -1,5 +1,5 @@
-"""Query designs that know what people might hold wrong: one list for everybody, which tells all
-candidates apart, or a questionnaire for each person (docs/what-to-ask.md).
+"""Query designs that know what people might believe incorrectly: one list for everybody, which
+tells all candidates apart, or a questionnaire for each person (docs/what-to-ask.md).
 
 A question separates two candidates when they label it differently. The list is a greedy cover of
 all pairs of candidates that behave differently, each ``redundancy`` times, so that errors are
@@ -182,8 +182,9 @@ class Adaptive:
     """A questionnaire for each observer; what is thought of a person at first comes half from
     those asked before.
 
-    A person is asked as many labels as agreed: once it is known what they hold wrong, further
-    questions go on telling the most they can, which confirms it, and finds where hypotheses err.
+    A person is asked as many labels as agreed: once it is known what they believe incorrectly,
+    further questions go on telling the most they can, which confirms it, and finds where hypotheses
+    err.
 
     Attributes:
         error: share of wrong answers to be expected; not 0, as people err.
@@ -191,7 +192,8 @@ class Adaptive:
         misread: share of clips that are misunderstood as a whole.
         none: probability that no hypothesis fits a person.
         from_others: weight of the observers before in the prior of the next.
-        check: once it is known what a person holds wrong, share of the questions that ask whether
+        check: once it is known what a person believes incorrectly, share of the questions that ask
+        whether
             it is all: every fact that hypotheses know of is told, and what the robot often does
             should be explicable.
         in_turn: a question each in turn, as of people who answer at the same time, each by what is

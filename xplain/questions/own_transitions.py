@@ -44,7 +44,8 @@ class OwnTransitions:
 
     @cached_property
     def hypotheses(self) -> Hypotheses:
-        """All sets of the facts; a transition is labelled 0 by whoever holds one of its own wrong.
+        """All sets of the facts; a transition is labelled 0 by whoever believes one of its own
+        incorrectly.
 
         Raises:
             InputError: nobody wrote facts down, or too many.
@@ -80,9 +81,9 @@ def with_features(known: Hypotheses) -> Hypotheses:
 def read_transitions(path: str | Path) -> OwnTransitions:
     """Reads a table, one row a transition: ``text``, what the robot does; optionally ``image``, and
     ``alt``, what it shows in words; ``inexplicable_if``, the facts joined by ``;`` of which each
-    makes the transition inexplicable to who holds it wrong (not needed where one asks without
-    hypotheses). All other columns are features: numbers, or text, which becomes one column a value,
-    as in tables of labels.
+    makes the transition inexplicable to who believes it incorrectly (not needed where one asks
+    without hypotheses). All other columns are features: numbers, or text, which becomes one column
+    a value, as in tables of labels.
 
     Raises:
         InputError: no such table, a row without text, or a feature missing.

@@ -2,11 +2,11 @@
 
     Hypotheses ── Questionnaire ── next() / answer(label) ── … ── done, posterior
 
-Each question is the one whose answer tells most, in expectation, about what the person holds wrong,
-at which values (the variant of the hypotheses), and whether any hypothesis fits: the largest mutual
-information under the present posterior (Lindley 1956; adaptive design optimisation; computerised
-adaptive tests). The variant counts, as labels depend on it and explanations on the labels:
-docs/what-to-ask.md.
+Each question is the one whose answer tells most, in expectation, about what the person believes
+incorrectly, at which values (the variant of the hypotheses), and whether any hypothesis fits: the
+largest mutual information under the present posterior (Lindley 1956; adaptive design optimisation;
+computerised adaptive tests). The variant counts, as labels depend on it and explanations on the
+labels: docs/what-to-ask.md.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Asked:
 
 
 class Questionnaire:
-    """Finds out what one person holds wrong.
+    """Finds out what one person believes incorrectly.
 
     A person of candidate R gives the label f_τ(R \\ H), flipped with probability ``error``,
     independently; with probability ``misread`` a whole clip is misunderstood, and its labels are

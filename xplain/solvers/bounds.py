@@ -54,7 +54,7 @@ def bounds(
 ) -> Bounds:
     """Certified bounds of the optimal value: by HSVI; where its tables would take more than the
     effort's memory by one step of lookahead; where messages are too many for that too, from
-    above by known types and from below by plans that heed no answer.
+    above by known types and from below by plans that use no answer.
 
     Args:
         problem: from the start of the trace.

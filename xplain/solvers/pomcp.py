@@ -89,7 +89,7 @@ class POMCP:
         takes j + 1 searches.
     depth: d ≥ 1, where simulations end; None for the end of the trace.
     depth_unit: ``actions`` (messages and *explain*) or ``steps`` (*explain* alone).
-    exploration: c of UCB1, in units of the dearest single cost (a 0 label, or a message).
+    exploration: c of UCB1, in units of the most expensive single cost (a 0 label, or a message).
     backup: ``mean`` (the paper) or ``max``.
     memory_gib: most that tables and the tree may take.
     """

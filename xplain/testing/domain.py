@@ -79,8 +79,8 @@ class DomainConformance(Conformance):
         assert labels.all(), "the robot's own model finds the robot inexplicable"
 
     def test_every_message_can_matter(self, component: Any) -> None:
-        """For somebody who holds everything wrong, each message changes some label, together with
-        some other messages."""
+        """For somebody who believes everything incorrectly, each message changes some label,
+        together with some other messages."""
         setting = _setting(component)
         labels = setting.labels_by_type(setting.reachable)
         for j, name in enumerate(setting.message_names):
@@ -109,8 +109,8 @@ class DomainConformance(Conformance):
 
 
 def _setting(domain: Domain) -> Setting:
-    """One type that holds everything wrong: it has every model that a type can have. If these are
-    too many, a type for each parameter, which holds this one wrong.
+    """One type that believes everything incorrectly: it has every model that a type can have. If
+    these are too many, a type for each parameter, which believes this one incorrectly.
 
     Raises:
         AssertionError: a model is not valid, or its ties are ambiguous.

@@ -26,7 +26,7 @@ class TypeSourceConformance(Conformance):
     def test_types_hold_parameters_of_the_domain_wrong(
         self, component: Any, domain: Domain
     ) -> None:
-        """At least one type, each with a unique name and at least one fact held wrong."""
+        """At least one type, each with a unique name and at least one fact believed incorrectly."""
         known = {parameter.name for parameter in domain.parameters}
         types = _types(component, domain, 0)
         assert types, "no types"

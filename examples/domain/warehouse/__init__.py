@@ -103,7 +103,7 @@ class Warehouse:
 
 
 def sentences(kind: str, way: str, cells: tuple[Any, ...], worth: float) -> tuple[str, str]:
-    """What is true of a stretch, and what somebody believes who holds it wrong."""
+    """What is true of a stretch, and what somebody believes who believes it incorrectly."""
     where = f"from {cells[0]} to {cells[-1]}"
     if kind == "wet":
         return (

@@ -10,13 +10,13 @@ from xplain import Domain, InputError, UserType
 @dataclass(frozen=True)
 class OneFactEach:
     """Attributes:
-    newcomer: whether there is a type that holds everything wrong.
+    newcomer: whether there is a type that believes everything incorrectly.
     """
 
     newcomer: bool = True
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """Named after what they hold wrong. Nothing is random here."""
+        """Named after what they believe incorrectly. Nothing is random here."""
         wrong = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
         if self.newcomer and len(wrong) < 2:
             raise InputError("users.newcomer", True, "false where the domain has one parameter")

@@ -14,7 +14,7 @@ from xplain.learning.mixture.sampler import Prior, SortedLabels, merge_types
 def test_who_says_nothing_of_a_type_joins_the_many(many: int, other: int) -> None:
     """Four hold the one fact of ``many`` wrong; whichever of the two types' numbers is larger."""
     rows = [(o, 0, h, int(h & many > 0)) for o in range(1, 5) for h in range(4) for _ in "12"]
-    rows += [(0, 1, 3, 1)]  # of all messages told, who holds what wrong is not seen
+    rows += [(0, 1, 3, 1)]  # of all messages told, who believes what incorrectly is not seen
     observer, transition, message_set, label = map(np.array, zip(*rows, strict=True))
     dataset = Dataset(
         features=np.arange(2.0)[:, None],

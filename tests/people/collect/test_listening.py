@@ -150,9 +150,10 @@ def test_what_one_person_tells_equals_enumeration(seed: int) -> None:
 )
 def test_rates_of_simulated_people_are_found_again(accept: float, forget: float, seed: int) -> None:
     """Within four standard errors, and what the documented shares pull, had half as many been
-    there. On the street a person holds two of four facts wrong. Of a page where such a fact is told
-    at first the label is 1 with p = α (1 − e) + (1 − α) e, so that α is known to sd(p) / (1 − 2e);
-    a fact taken in is there three pages later with (1 − φ)³, the slope of which is 3 at most."""
+    there. On the street a person believes two of four facts incorrectly. Of a page where such a
+    fact is told at first the label is 1 with p = α (1 − e) + (1 − α) e, so that α is known to sd(p)
+    / (1 − 2e); a fact taken in is there three pages later with (1 − φ)³, the slope of which is 3 at
+    most."""
     people, error = 120, 0.05
     habits = bot.Habits(error, forgetting=1 - accept, losing=forget, mistake=0)
     states: list[CollectState] = []

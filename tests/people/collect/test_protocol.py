@@ -117,7 +117,8 @@ def test_whoever_never_errs_is_found_consistent_and_attentive(design: Battery | 
         assert state.consistency == 1.0
         likeliest = max((f for f in state.belief if f != "none"), key=lambda f: state.belief[f])
         assert int(likeliest) == known.essential[row]
-        # Who holds more wrong, but one fact on the other side, may answer all questions alike.
+        # Who believes more incorrectly, but one fact on the other side, may answer all questions
+        # alike.
         assert state.belief[likeliest] > 0.85
 
 
@@ -258,7 +259,7 @@ def test_half_of_a_prior_is_what_others_hold_wrong() -> None:
 
 
 def test_later_people_need_fewer_questions() -> None:
-    """What everybody before holds wrong is believed of the next one sooner."""
+    """What everybody before believes incorrectly is believed of the next one sooner."""
     held = 6
 
     def needed(others: dict[str, float]) -> int:

@@ -50,13 +50,13 @@ GIVEN = {
 
 
 def sense(row: int, wrong: set[str]) -> int:
-    """The label of somebody who holds these facts wrong, by the table."""
+    """The label of somebody who believes these facts incorrectly, by the table."""
     return int(not wrong & {*WHEN[row].split(";")})
 
 
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two tables, an image, and the types of people who hold one fact wrong each."""
+    """Two tables, an image, and the types of people who believe one fact incorrectly each."""
     rows = [f"Step {i} & <more>,{when},{i}," for i, when in enumerate(WHEN)]
     rows[0] += "red.png,A red cable"
     rows[1:] = [f"{row}," for row in rows[1:]]

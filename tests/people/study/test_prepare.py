@@ -73,7 +73,7 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
     )
     plan = study_plan(cfg)
     assert plan.scene is not None
-    assert plan.scene.items == ()  # goals and penalties are among what types hold wrong
+    assert plan.scene.items == ()  # goals and penalties are among what types believe incorrectly
     assert "four rooms" in plan.texts.introduction[0]
     for role in plan.roles:
         assert len(role.quiz) == 4

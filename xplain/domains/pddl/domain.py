@@ -32,7 +32,7 @@ from xplain.errors import (
 log = logging.getLogger(__name__)
 
 COMBINATIONS = 1024
-"""Sets of facts held wrong that are tried before a fact is reported to have no effect."""
+"""Sets of facts believed incorrectly that are tried before a fact is reported to have no effect."""
 
 
 @checks("domain")
@@ -207,7 +207,7 @@ class PDDL:
         """Warns of facts that change no label of the robot's transitions, with any other facts.
 
         Raises:
-            InputError: people who hold one fact wrong have no plan.
+            InputError: people who believe one fact incorrectly have no plan.
         """
         for j, parameter in enumerate(self.parameters):
             try:

@@ -1,7 +1,7 @@
-r"""Hypotheses: what people might hold wrong, and how each such person would label.
+r"""Hypotheses: what people might believe incorrectly, and how each such person would label.
 
-A candidate is a set R of facts held wrong. Somebody of candidate R who was told the messages H
-still holds R \ H wrong and labels transition τ by ``labels[R \ H, τ]``, but for errors
+A candidate is a set R of facts believed incorrectly. Somebody of candidate R who was told the
+messages H still holds R \ H wrong and labels transition τ by ``labels[R \ H, τ]``, but for errors
 (docs/what-to-ask.md).
 """
 
@@ -76,7 +76,7 @@ def table_of_labels(labels: ArrayLike) -> NDArray[np.uint8]:
 
 
 FEW = 0.1
-"""Prior probability that a fact is held wrong, where facts are too many to list all sets."""
+"""Prior probability that a fact is believed incorrectly, if too many facts to list all sets."""
 TEXTS = ("messages", "feature_names", "phrases")
 ARRAYS = ("labels", "facts", "messages", "prior", "variants", "features", "states",
           "variant_weight", "feature_names", "phrases")  # fmt: skip
@@ -85,7 +85,7 @@ ARRAYS = ("labels", "facts", "messages", "prior", "variants", "features", "state
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """C candidates for what somebody may hold wrong, and their labels of T transitions.
+    """C candidates for what somebody may believe incorrectly, and their labels of T transitions.
 
     Attributes:
         labels: [C, T] uint8, the label of somebody who holds exactly ``facts[c]`` wrong.
@@ -171,7 +171,8 @@ class Hypotheses:
 
         Args:
             domain: the robot's task.
-            most: parameters held wrong together; None: as many as MAX_MODELS models allow.
+            most: parameters believed incorrectly together; None: as many as MAX_MODELS models
+            allow.
             scales: of the variants (:func:`~xplain.domains.users.inaccurate_values.variants_of`).
 
         Raises:
@@ -260,7 +261,7 @@ class Hypotheses:
 
     @cached_property
     def complete(self) -> bool:
-        """Whether all sets of the facts that any candidate holds wrong are candidates."""
+        """Whether all sets of the facts that any candidate believes incorrectly are candidates."""
         return len(self.facts) == 1 << int(np.bitwise_or.reduce(self.facts)).bit_count()
 
     @property

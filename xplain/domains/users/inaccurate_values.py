@@ -71,7 +71,7 @@ def variants_of(
 
     Args:
         domain: its inaccurate values are those assumed.
-        most: parameters held wrong together.
+        most: parameters believed incorrectly together.
         scales: one variant each: all inaccurate values that are numbers times this. Further
             variants have them on the other side of the robot's values, all at once or, up to EACH
             facts, one alone.
@@ -102,7 +102,7 @@ def without_ties(
 
     Args:
         domain: its inaccurate values must leave no tie ambiguous.
-        most: parameters held wrong together.
+        most: parameters believed incorrectly together.
         wanted: for each parameter a value that the domain takes.
     """
     try:
@@ -204,8 +204,8 @@ def _taken(domain: Domain, parameter: Parameter, other: Callable[[float, float],
 
 
 def few(facts: NDArray[np.int64], n: int, share: float) -> NDArray[np.float64]:
-    """[C] probabilities of the sets, were each of n facts held wrong with probability ``share``,
-    independently, and no other sets possible."""
+    """[C] probabilities of the sets, were each of n facts believed incorrectly with probability
+    ``share``, independently, and no other sets possible."""
     size = np.bitwise_count(facts).astype(np.float64)
     weight = share**size * (1 - share) ** (n - size)
     return np.asarray(weight / weight.sum())

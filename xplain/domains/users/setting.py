@@ -128,7 +128,7 @@ class Setting:
 
     @property
     def wrong(self) -> NDArray[np.float64]:
-        """[M, n] 1 where a type holds a fact wrong, else 0."""
+        """[M, n] 1 where a type believes a fact incorrectly, else 0."""
         names = self.message_names
         return np.array([[name in one.inaccurate for name in names] for one in self.types], float)
 

@@ -177,7 +177,8 @@ class RandomCover:
 @checks("users")
 @dataclass(frozen=True)
 class FewFacts:
-    """Types drawn at random for domains with many facts: each type holds a few facts wrong.
+    """Types drawn at random for domains with many facts: each type believes a few facts
+    incorrectly.
 
     Attributes:
         count: types to draw.

@@ -58,8 +58,8 @@ class Observed:
 
     @cached_property
     def hypotheses(self) -> Hypotheses | None:
-        """What people may hold wrong: the domain's, with the fact sets that the questions found
-        likely. None where there is only a table."""
+        """What people may believe incorrectly: the domain's, with the fact sets that the questions
+        found likely. None where there is only a table."""
         if self.setting is None:
             return None
         own = hypotheses_of(self.setting.domain, None)

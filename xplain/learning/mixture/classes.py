@@ -1,9 +1,9 @@
 """Types as classes of answers, for tables in which nobody was told anything.
 
-Without messages labels say nothing of which facts a person holds wrong; all that types can be is
-people who answer alike. A class k answers question q with 1 with probability P[k, q] ~ Beta(c m_q,
-c (1 − m_q)): m_q is everybody's mean, so a class of few answers is drawn towards it, and by how
-much (c) is learned. Observers share classes by a Dirichlet process, drawn in blocks (Ishwaran &
+Without messages labels say nothing of which facts a person believes incorrectly; all that types can
+be is people who answer alike. A class k answers question q with 1 with probability P[k, q] ~ Beta(c
+m_q, c (1 − m_q)): m_q is everybody's mean, so a class of few answers is drawn towards it, and by
+how much (c) is learned. Observers share classes by a Dirichlet process, drawn in blocks (Ishwaran &
 James 2001, "Gibbs sampling methods for stick-breaking priors", section 5). What is expected of an
 observer is averaged over all draws: one sharing of classes is surer than answers allow.
 """

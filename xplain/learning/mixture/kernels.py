@@ -1,5 +1,5 @@
 """The compiled steps of the sampler: (S_τ, ε_τ) of each transition given everybody's facts held
-wrong, and the facts R that each observer holds wrong given all others' answers.
+wrong, and the facts R that each observer believes incorrectly given all others' answers.
 
 A cell of transition τ is one value of M ∩ S_τ (see :mod:`xplain.learning.mixture.sampler`), its
 facts packed into the lowest bits of an integer. The kernels index arrays in full: a row taken out
@@ -295,8 +295,8 @@ def _from_prior(members, number, new, rng):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _combine(facts, order, width, masks):  # type: ignore[no-untyped-def]
-    """Writes to ``masks`` [2^width] ``facts`` with the first ``width`` of ``order`` held wrong or
-    not, in all ways."""
+    """Writes to ``masks`` [2^width] ``facts`` with the first ``width`` of ``order`` believed
+    incorrectly or not, in all ways."""
     rest = facts
     for j in range(width):
         rest &= ~(np.int64(1) << order[j])

@@ -1,4 +1,4 @@
-"""A labeler of hypotheses: P(label = 1) of people of one type, by what they may hold wrong
+"""A labeler of hypotheses: P(label = 1) of people of one type, by what they may believe incorrectly
 (docs/what-to-ask.md).
 
 What it knows of a type is a posterior over fact sets. Where a cell was asked about and the answers
@@ -326,7 +326,7 @@ class KnownAnswers:
         return Clustering.by_facts(facts, "hypotheses", expected=expected)
 
     def evidence(self, assignment: NDArray[np.int64]) -> Evidence:
-        """How well hypotheses foretell the answers, the observers' types [O] being given."""
+        """How well hypotheses predict the answers, the observers' types [O] being given."""
         data = self.dataset
 
         def by_hypotheses(train: Dataset, test: Dataset) -> NDArray[np.float64]:
@@ -395,7 +395,7 @@ class EverythingWrong(Labeler):
 
 @dataclass(frozen=True)
 class HypothesisTrainer(LabelerTrainer):
-    """Fits labelers that know what people might hold wrong.
+    """Fits labelers that know what people might believe incorrectly.
 
     Labels of another task (with other features or messages) say nothing about the hypotheses, and
     are learned without them; so are transitions that the hypotheses do not know. Where people of a
@@ -408,7 +408,7 @@ class HypothesisTrainer(LabelerTrainer):
         path: an ``.npz`` file of hypotheses with features; None: the observers' domain's.
         hypotheses: in place of both.
         answers: how the dataset's people err when they answer; None: all as often.
-        evidence: how well the dataset's answers were foretold; None: hypotheses are believed.
+        evidence: how well the dataset's answers were predicted; None: hypotheses are believed.
         types: [O] of the dataset's observers, as in ``evidence``.
     """
 

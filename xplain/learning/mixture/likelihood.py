@@ -1,8 +1,8 @@
 r"""The likelihood of answers, where hypotheses may be wrong here and there, and the candidates that
 it compares.
 
-Who holds the facts R wrong and was told H is in the *cell* (τ, R \ H) when asked about τ. Its
-label f is that of the hypotheses but with probability δ, and an answer is not a label
+Who believes the facts R incorrectly and was told H is in the *cell* (τ, R \ H) when asked about τ.
+Its label f is that of the hypotheses but with probability δ, and an answer is not a label
 (:mod:`xplain.learning.answers`)::
 
     P(answers in a cell) = Σ_f P(f | hypotheses, δ) Π P(answer | f)
@@ -105,7 +105,7 @@ def posterior_by(
 
 
 UNWRITTEN = 0.1
-"""Probability that somebody holds a fact wrong that has a message, but is in no hypothesis."""
+"""Probability that somebody believes a fact incorrectly that no hypothesis has."""
 MATTERS = 0.2
 """Share of what is explicable otherwise that such a fact makes inexplicable."""
 
@@ -142,7 +142,8 @@ class KnownTransitions:
     label may be 0 instead, and answers say where it is.
 
     Attributes:
-        hypotheses: with features; with the candidates who hold a fact wrong that nobody wrote down.
+        hypotheses: with features; with the candidates who believe a fact incorrectly that nobody
+        wrote down.
         unwritten: these facts, as a bitmask.
         features: [U, F] float32, distinct.
         share: [1 + V, C, U] float64, of the transitions with these features those labelled 1.
@@ -267,8 +268,8 @@ class KnownTransitions:
 
 
 def _with_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
-    """With each candidate those who hold one fact more wrong that has a message, but that no
-    candidate holds wrong; and these facts. Their labels are as without it."""
+    """With each candidate those who believe one fact more incorrectly that has a message, but that
+    no candidate believes incorrectly; and these facts. Their labels are as without it."""
     written = int(np.bitwise_or.reduce(hypotheses.facts))
     open_facts = [1 << j for j in range(hypotheses.n_messages) if not written >> j & 1]
     candidates = len(hypotheses.facts)
@@ -290,7 +291,7 @@ def _with_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
 
 
 def _certain(held: NDArray[np.int64], unwritten: int) -> NDArray[np.float64]:
-    """P(the label is that of the hypotheses) of who holds these facts wrong, of any shape."""
+    """P(the label is that of the hypotheses) for people who believe these facts incorrectly."""
     return np.where(held & unwritten, 1 - MATTERS, 1.0)
 
 
@@ -330,7 +331,7 @@ class Cells:
     Attributes:
         which: [N] number of the fact set that a cell belongs to.
         where: [R, P] the cell of each answer, by fact set.
-        key: [N] row of what is held wrong · U + transition; ascending for each fact set.
+        key: [N] row of what is believed incorrectly · U + transition; ascending for each fact set.
         one: [N, 1 + V, D] P(f = 1) before any answer, by variant and δ.
     """
 

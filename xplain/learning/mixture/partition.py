@@ -170,7 +170,7 @@ class _Search:
 
     def alike(self) -> NDArray[np.float64]:
         """All answers err as often, with the probability that makes them likeliest, everybody being
-        of a type of their own. Returns what each then holds wrong: [O, R]."""
+        of a type of their own. Returns what each then believes incorrectly: [O, R]."""
         levels = by_level(self.every.label)
         alone = np.stack([self._log_sum(rows, self.facts, levels) for rows in self.rows])
         alone += self.log_new[:, None]

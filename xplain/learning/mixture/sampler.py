@@ -1,14 +1,17 @@
-r"""A generative model of labels: people hold some facts wrong, and each message sets one right.
+r"""A generative model of labels: people believe some facts incorrectly, and each message sets one
+right.
 
-An observer is of a type R, the set of facts (= messages) held wrong. Asked about transition τ
-under message set H, it still holds M = R \ H wrong, and the label depends on τ and M alone::
+An observer is of a type R, the set of facts (= messages) that they believe incorrectly. Asked about
+transition τ under message set H, they still believe M = R \ H incorrectly, and the label depends on
+τ and M alone::
 
     label(τ, H) = f_τ(M ∩ S_τ), flipped with probability ε_τ
 
 f_τ is a table of 0 and 1 over the few facts S_τ that matter at τ. Nothing of this is given: f, S
 and ε are learned from everybody's labels together, so that independent questions, which hardly
 ever coincide, still speak of the same things. Assumed is what the paper assumes: a message that
-tells what one knows changes nothing, and people who hold the same facts wrong expect the same.
+tells what one knows changes nothing, and people who believe the same facts incorrectly expect the
+same.
 
 Inference is collapsed Gibbs sampling (f integrated out, cell by cell: a Beta-like two-point prior
 makes the predictive probability a function of ones − zeros): R of each observer given the
@@ -56,8 +59,8 @@ from xplain.randomness import derived_seed, stream
 NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """ε_τ is one of these; how often each occurs is learned."""
 CELL = np.array([0.25, 0.98])
-"""P(f_τ = 1) before any answer: where a fact that matters is held wrong, which mostly makes people
-wonder, and where none is."""
+"""P(f_τ = 1) before any answer: where a fact that matters is believed incorrectly, which mostly
+makes people wonder, and where none is."""
 SUBSET = 0.5
 """Each further fact that matters at a transition halves the prior of S_τ."""
 
@@ -419,8 +422,9 @@ class DirichletMixture(Clusterer):
         """Types, what each needs to be told, and the posterior over their number.
 
         Where nobody was told anything, types are classes of answers
-        (:mod:`xplain.learning.mixture.classes`). Hypotheses of what people might hold wrong, where
-        the trainer has some, take the place of the prior over which facts matter where.
+        (:mod:`xplain.learning.mixture.classes`). Hypotheses of what people might believe
+        incorrectly, where the trainer has some, take the place of the prior over which facts matter
+        where.
 
         Raises:
             TooLargeError: ``depth`` is too large for so many messages.

@@ -155,8 +155,8 @@ def schedule(plan: CollectPlan, number: int) -> tuple[ClipTask, ...]:
 
 
 def shared(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """What people asked before hold wrong, as the next one's prior takes it: the mean of their
-    posteriors, rounded, so that it does not depend on who came first."""
+    """What people asked before believe incorrectly, as the next one's prior takes it: the mean of
+    their posteriors, rounded, so that it does not depend on who came first."""
     total: dict[str, float] = {}
     for belief in beliefs:
         some = 1 - belief.get("none", 0.0)

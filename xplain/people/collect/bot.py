@@ -1,5 +1,5 @@
-"""Simulated observers: they read what a page says, answer as what they hold wrong makes them, err
-now and then, lapse, and leave.
+"""Simulated observers: they read what a page says, answer as what they believe incorrectly makes
+them, err now and then, lapse, and leave.
 
 The same observer takes part in the bare flow, over HTTP, and in a real browser.
 """
@@ -49,7 +49,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
 
     Args:
         plan: for the sentences, and the labels of people of each role.
-        held: bitmask of the facts that they hold wrong; a briefing changes it.
+        held: bitmask of the facts that they believe incorrectly; a briefing changes it.
         habits: how they behave.
         rng: their stream.
     """
@@ -129,7 +129,8 @@ def take_part(
         collection: the plan at work.
         person: who answers.
         number: of the participant.
-        others: what those asked before hold wrong (:func:`xplain.people.collect.asking.shared`).
+        others: what those asked before believe incorrectly
+        (:func:`xplain.people.collect.asking.shared`).
         role: whose briefing they get, if any.
     """
     consent = {"number": number, "role": role, "others": others}
@@ -151,8 +152,8 @@ def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[Col
 
 
 def truth_of(plan: CollectPlan, people: int) -> NDArray[np.int64]:
-    """[people] the facts that each simulated observer holds wrong; roles that behave alike are
-    one."""
+    """[people] the facts that each simulated observer believes incorrectly; roles that behave alike
+    are one."""
     known = plan.hypotheses
     held = np.array([plan.roles[i % len(plan.roles)].held for i in range(people)])
     return known.essential[known.row(held)]

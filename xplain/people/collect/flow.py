@@ -179,7 +179,8 @@ class Collection(Flow[CollectPlan, CollectState]):
 
     def admit(self, person: Participant[CollectState], people: People) -> dict[str, Any]:
         """The participant's number, the role whose briefing they get, and what those asked before
-        hold wrong: the posteriors of the finished ones of the same stream, whose numbers are kept.
+        believe incorrectly: the posteriors of the finished ones of the same stream, whose numbers
+        are kept.
         """
         own = [one for one in people if one.row["stream"] == person.row["stream"]]
         kept = {
@@ -200,7 +201,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         return consent | {"role": int(rng.choice(fewest))}
 
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """The number, whose briefing they get, and what others hold wrong."""
+        """The number, whose briefing they get, and what others believe incorrectly."""
         return {key: payload[key] for key in ("number", "role", "others")}
 
     def forget(self) -> None:

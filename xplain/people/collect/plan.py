@@ -57,12 +57,12 @@ class CollectRules:
 
 @dataclass(frozen=True)
 class CollectRole:
-    """Somebody who holds certain facts wrong: simulated people are one of several, and with
-    assigned briefings real ones are told what one knows, to see whether it is found again.
+    """Somebody who believes certain facts incorrectly: simulated people are one of several, and
+    with assigned briefings real ones are told what one knows, to see whether it is found again.
 
     Attributes:
         name: of the user type.
-        held: bitmask of the facts that it holds wrong.
+        held: bitmask of the facts that it believes incorrectly.
         briefing: one sentence a fact, as this type knows it.
     """
 
@@ -79,7 +79,7 @@ class CollectPlan(StoredPlan):
         example, rules: see their types.
         roles: of simulated people.
         assigned: whether each participant is told what one of the roles knows.
-        hypotheses: what people might hold wrong, with phrases.
+        hypotheses: what people might believe incorrectly, with phrases.
         whole: the same of all transitions, also those that nobody is asked about because others
             have the same features: what types are learned with. None where these are all.
         subject: who does what the phrases say; "" where they are whole sentences.

@@ -36,7 +36,7 @@ from xplain.people.flow import CANNOT_TELL, Participant, People
 CONCENTRATION = 1.0
 """Of the process over types; that of ``clusterer=dirichlet``."""
 SURE = 0.95
-"""Posterior above which it is known what somebody holds wrong."""
+"""Posterior above which it is known what somebody believes incorrectly."""
 
 
 def dataset_of(plan: CollectPlan, people: Mapping[str, CollectState]) -> Dataset:
@@ -70,9 +70,10 @@ class FoundType:
     """A type that was found.
 
     Attributes:
-        wrong: names of the facts that it holds wrong.
+        wrong: names of the facts that it believes incorrectly.
         members: positions of its people.
-        posterior: mean probability that one of them, judged alone, holds exactly these wrong.
+        posterior: mean probability that one of them, judged alone, believes exactly these
+        incorrectly.
     """
 
     wrong: tuple[str, ...]
@@ -89,7 +90,7 @@ class KnownSoFar:
         error: share of wrong answers that was learned.
         unsure: people of whom no fact set has a posterior above SURE.
         unlike: mean probability that no hypothesis fits somebody.
-        evidence: how well hypotheses foretold the answers.
+        evidence: how well hypotheses predicted the answers.
         new_types: that another ten people are expected to bring.
         next_new: probability that the next person is of a type not seen so far.
     """
@@ -104,8 +105,8 @@ class KnownSoFar:
 
 
 def fact_sets(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[NDArray[np.int64], float]:
-    """[N] the facts that each person's type holds wrong, and the share of wrong answers: the
-    Dirichlet process over fact sets that ``discover`` runs with the same hypotheses."""
+    """[N] the facts that each person's type believes incorrectly, and the share of wrong answers:
+    the Dirichlet process over fact sets that ``discover`` runs with the same hypotheses."""
     asked = _asked(plan, people)
     found, data = asked.partition(CONCENTRATION), asked.dataset
     return found.facts, found.answers.wrong(asked.place[data.transition], data.observer)
@@ -330,7 +331,7 @@ class Asked:
     """The pages of one person.
 
     Attributes:
-        known: labels of people who hold some facts wrong.
+        known: labels of people who believe some facts incorrectly.
         held: [N] fact sets that may be the person's, as bitmasks.
         prior: [N] how likely each is before any answer.
         clips: all pages but the obvious step, in order, with their labels.

@@ -121,7 +121,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         ]
 
     def _lose(self, probability: float) -> None:
-        """Each fact that was taken in, of those that they held wrong."""
+        """Each fact that was taken in, of those that they believed incorrectly."""
         wrong = self.plan.wrong[self.user_type]
         for j in indices(self.known):
             if j in wrong and self.chance(probability):

@@ -20,12 +20,12 @@ from xplain.explanation.problem import Problem
 from xplain.people.plan import Clip, LabQuestion, StoredPlan, Told, Way
 
 PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
-"""Names of conditions that something hangs on: the policy of the last may ask before it speaks."""
+"""Conditions that the code knows by name. The policy of the last may ask questions."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What everybody is told and nobody holds wrong: a sentence, and what would be wrong."""
+    """What everybody is told and believes: a true sentence, and a false one."""
 
     right: str
     wrong: str
@@ -55,7 +55,7 @@ class StudyRole:
 
     Attributes:
         name: of the user type.
-        wrong: positions of the facts that this type holds wrong.
+        wrong: positions of the facts that this type believes incorrectly.
         briefing: one sentence a fact, as this type knows it; none for people as they are.
         eligibility: one question a fact, answered as this type knows it; or none.
         quiz: the statements of the last test, true ones first.
@@ -106,7 +106,8 @@ class StudyPlan(StoredPlan):
         known: what everybody is told.
         before: questions before the briefing.
         roles: [N].
-        kinds: [M] facts that each kind of simulated people holds wrong, where participants come as
+        kinds: [M] facts that each kind of simulated people believes incorrectly, where participants
+        come as
             they are: then there is one role, which nobody is briefed for. None otherwise.
         shown: [m + Q] the trace, then what the condition ASKING may ask about.
         taken: [m + 1] names of the items that are off the map after each number of steps; or none.
@@ -171,7 +172,7 @@ class StudyPlan(StoredPlan):
 
     @property
     def wrong(self) -> tuple[tuple[int, ...], ...]:
-        """[M] positions of the facts that people of each role, or kind, hold wrong."""
+        """[M] positions of the facts that people of each role, or kind, believe incorrectly."""
         return self.kinds or tuple(role.wrong for role in self.roles)
 
     @property

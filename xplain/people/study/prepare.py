@@ -131,7 +131,7 @@ def _quiz(
 
     Args:
         facts, known: of the plan.
-        wrong: facts that the type holds wrong.
+        wrong: facts that the type believes incorrectly.
         need: bitmask of the facts that it had to have corrected.
         number: of the type; odd ones get the other one of two for true.
     """
