@@ -54,6 +54,7 @@ html_show_sourcelink = False
 SIDEBAR = {
     "Start": [
         "docs/tour.md",
+        "docs/gallery.md",
         "docs/glossary.md",
         "docs/method.md",
         "docs/choices.md",
