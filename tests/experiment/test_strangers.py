@@ -6,10 +6,24 @@ import numpy as np
 import pytest
 
 from xplain.experiment.config import composed
+from xplain.experiment.explanations import Costs, evaluate
 from xplain.experiment.from_config import components_of
 from xplain.experiment.pipeline import prepare
 from xplain.experiment.strangers import with_others
-from xplain.interaction.explainees import AllWrong, Backlash, Explainee, Union, Unseen
+from xplain.explanation.belief import Independent
+from xplain.interaction.explainees import (
+    AllWrong,
+    Backlash,
+    Between,
+    Expert,
+    Explainee,
+    Misreads,
+    Sticky,
+    Union,
+    Unseen,
+)
+from xplain.solvers.greedy import QMDP, KnownType
+from xplain.solvers.simple import SayAll
 
 TRUE = ("domain=rescue", "labeler=truth", "clusterer=perfect", "traces=3")
 RESCUE = {
@@ -55,3 +69,15 @@ def test_their_labels_are_those_of_the_task_that_they_believe_in(explainee: Expl
             for case in others.cases:
                 labels = case.labels.label_probabilities(len(case.transitions), given)[t]
                 assert np.array_equal(labels, optimal.labels(case.transitions)[0])
+
+
+@pytest.mark.parametrize("explainee", [Expert(), Between(), Misreads(), Sticky(0.4)])
+def test_nobody_costs_less_than_their_own_clairvoyant(explainee: Explainee) -> None:
+    """Without a discount: it plans with what this very person thinks."""
+    costs = Costs(1.0, 1.0, 1.0, 1.0, "action", "uniform")
+    prepared = prepare(components_of(composed("config", TRUE)))
+    solvers = {"clairvoyant": KnownType("labels"), "qmdp": QMDP(), "everything": SayAll()}
+    records = evaluate(prepared, costs, solvers, Independent(), explainee, seed=3)
+    paid = {(one.solver, one.trace, one.user_type): one.episode.cost for one in records}
+    for (solver, trace, user), own in paid.items():
+        assert own >= paid["clairvoyant", trace, user] - 1e-9, solver

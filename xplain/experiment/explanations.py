@@ -129,9 +129,11 @@ def problem_for(
     solver: Solver,
     belief_update: BeliefUpdate,
     user: int,
+    thoughts: LabelTable | None = None,
 ) -> Problem:
     """What a solver may plan with when a user of the true type ``user`` is in front of it, who is
-    taken to listen and answer as the belief update assumes.
+    taken to listen and answer as the belief update assumes. The clairvoyant knows ``thoughts``, the
+    labels of this user; without them, those of the type.
 
     Raises:
         InputError: the solver needs the observers' true types, and they are unknown.
@@ -149,7 +151,7 @@ def problem_for(
             )
         return costs.problem(case.everyone, prepared.messages, ("everyone",), alone)
     if solver.knows == "labels":
-        truth = case.labels.of_types([user])
+        truth = case.labels.of_types([user]) if thoughts is None else thoughts
         return costs.problem(truth, prepared.messages, (name,), alone)
     if case.perfect is None:
         raise InputError(
@@ -184,24 +186,28 @@ def evaluate(
     records = []
     for index, case in progress.track(enumerate(prepared.cases), what, len(prepared.cases)):
         truth, same = what_is_thought(case)
+        steps = range(len(case.labels.p))
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")
             # The clairvoyant sees what was taken in and lost, too.
             habits = explainee.habits if solver.knows == "labels" else PAPER
             policy = problem = None
             for user in range(len(prepared.types)):
+                labels = truth.of_types([user])
+                own = derived_seed(seed, "explainee", index, user)
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
-                    problem = problem_for(prepared, case, costs, solver, belief_update, user)
+                    thoughts = explainee.thoughts(labels, same, own).of_steps(steps)
+                    problem = problem_for(
+                        prepared, case, costs, solver, belief_update, user, thoughts
+                    )
                     if not habits.take_all_in:
                         problem = problem.with_habits(habits)
                     planned = solver.plan(problem, trace_seed(seed, index))
                     if index == 0:  # kernels load at the first decision: no decision's time
                         planned.decide(VisibleState(), problem.start)
                     policy = CachedPolicy(planned)
-                person = explainee.meet(
-                    truth.of_types([user]), same, derived_seed(seed, "explainee", index, user)
-                )
+                person = explainee.meet(labels, same, own)
                 episode = explain(problem, policy, person, belief_update, solver.knows == "labels")
                 right = np.ones(problem.n_user_types, dtype=bool)
                 if solver.knows == "types":

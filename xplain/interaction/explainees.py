@@ -93,8 +93,17 @@ class Explainee(Protocol):
         """
         return ()
 
+    def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
+        """What somebody new thinks of the transitions: by default the labels of their type. The
+        clairvoyant knows it.
+
+        Args:
+            labels, same, seed: as :meth:`meet` has them.
+        """
+        return labels
+
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """Somebody new.
+        """Somebody new; by default one who says what they think.
 
         Args:
             labels: of one type, of zeros and ones: what the person thinks of m transitions, and
@@ -103,6 +112,7 @@ class Explainee(Protocol):
                 about copies.
             seed: the person's.
         """
+        return SimulatedUser(self.thoughts(labels, same, seed))
 
 
 @dataclass(frozen=True)
@@ -142,10 +152,6 @@ class SimulatedUser(Person):
 @dataclass(frozen=True)
 class Exact(Explainee):
     """The paper's users."""
-
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """As :class:`Explainee` has it."""
-        return SimulatedUser(labels)
 
 
 @checks("explainee")
@@ -243,15 +249,15 @@ class _Sticky(SimulatedUser):
 class Expert(Explainee):
     """Users who believe nothing incorrectly."""
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+    def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
         """As :class:`Explainee` has it."""
-        return SimulatedUser(replace(labels, p=np.ones_like(labels.p)))
+        return replace(labels, p=np.ones_like(labels.p))
 
 
 class Between(Explainee):
     """Users who believe one fact of their type incorrectly at half of the transitions only."""
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+    def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
         """As :class:`Explainee` has it."""
         rng, p = stream(seed, "between"), labels.p.copy()
         effective = labels.effective()[0]
@@ -259,7 +265,7 @@ class Between(Explainee):
             bit = labels.rows[0].index(int(rng.choice(effective)))
             right = rng.random(len(p))[same] < 0.5
             p[right] = p[right][:, np.arange(p.shape[1]) | 1 << bit]
-        return SimulatedUser(replace(labels, p=p))
+        return replace(labels, p=p)
 
 
 @checks("explainee")
@@ -273,12 +279,12 @@ class Misreads(Explainee):
 
     messages: Annotated[int, Range(2)] = 2
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+    def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
         """As :class:`Explainee` has it."""
         rng, rows = stream(seed, "misreads"), labels.rows[0]
         effective = labels.effective()[0]
         if not effective or len(rows) < 2:
-            return SimulatedUser(labels)
+            return labels
         first = int(rng.choice(effective))
         others = rng.permutation([j for j in rows if j != first])[: self.messages - 1]
         mixed = [rows.index(int(j)) for j in (first, *others)]
@@ -286,7 +292,7 @@ class Misreads(Explainee):
         understood = sets & ~sum(1 << bit for bit in mixed)
         for bit, other in zip(mixed, mixed[1:] + mixed[:1], strict=True):
             understood |= (sets >> bit & 1) << other
-        return SimulatedUser(replace(labels, p=labels.p[:, understood]))
+        return replace(labels, p=labels.p[:, understood])
 
 
 @checks("explainee")
