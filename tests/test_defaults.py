@@ -110,9 +110,10 @@ def test_a_default_that_differs_is_seen() -> None:
 @pytest.mark.parametrize(
     ("config", "key", "made", "elsewhere"),
     [
-        # `server.file` names a file with the other keys; `demo` is the key `consent`.
-        ("study", "server", Server, {"file", "demo"}),
-        ("collect", "server", Server, {"file", "demo"}),
+        # `server.file` names a file with the other keys, where `key` stands alone; `demo` is the
+        # key `consent`.
+        ("study", "server", Server, {"file", "demo", "key"}),
+        ("collect", "server", Server, {"file", "demo", "key"}),
         ("config", "tracking", MLflow, set()),
     ],
 )

@@ -184,5 +184,6 @@ def test_examples_test_themselves_in_three_lines():
         tests = (ROOT / "examples" / name / "tests").glob("test_*.py")
         lines = [[line for line in test.read_text().splitlines() if line.strip()] for test in tests]
         assert min(map(len, lines)) == 3
-        (choice,) = (ROOT / "examples" / name / "conf").rglob("*.yaml")
-        assert "# " in choice.read_text()
+        choices = [*(ROOT / "examples" / name / "conf").rglob("*.yaml")]
+        assert choices
+        assert all("# " in choice.read_text() for choice in choices)

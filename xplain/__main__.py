@@ -1,6 +1,11 @@
 """``python -m xplain``, the same as the console script ``xplain``."""
 
-from xplain.cli.main import main
+import signal
 
 if __name__ == "__main__":
+    # Ctrl-C while modules are loaded ends the process without a traceback.
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from xplain.cli.main import main
+
+    signal.signal(signal.SIGINT, before)
     main()

@@ -139,7 +139,6 @@ def test_every_method_bears_what_people_do(run, tmp_path: Path, caplog, method: 
         ("observe", ("domain=mars",), "unknown choice"),
         ("observe", ("queries=magic",), "unknown choice"),
         ("observe", ("queries.trace_length=0",), "queries.trace_length"),
-        ("observe", ("observers.queries=shared",), "queries=independent, queries=shared"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(

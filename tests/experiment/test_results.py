@@ -104,6 +104,7 @@ def test_every_episode_is_there_with_its_figures(results):
             "inexplicable_labels": sum(labels.count(0) for labels in triangle),
             "questions": 0,
             "questions_cost": 0.0,
+            "fit": episode.fit,
             "steps_until_sure": next((k for k, b in enumerate(belief) if b > 0.9), len(belief)),
         }
 
