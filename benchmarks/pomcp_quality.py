@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from omegaconf import OmegaConf
 from pomcp import problem_of
 
-from xplain.experiment.config import CONF
+from xplain.experiment.config import composed
+from xplain.experiment.from_config import component
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
@@ -100,10 +100,8 @@ class LimitPolicy:
 
 def solver_of(choice: str, changes: list[str]) -> Solver:
     """As conf/solver/ has it, with changes."""
-    from hydra.utils import instantiate
-
-    config = OmegaConf.load(CONF / "solver" / f"{choice}.yaml")
-    solver: Solver = instantiate(OmegaConf.merge(config, OmegaConf.from_dotlist(changes)))
+    keys = [f"solver={choice}", *(f"solver.{change}" for change in changes)]
+    solver: Solver = component(composed("config", keys), "solver")
     return solver
 
 
