@@ -24,11 +24,12 @@ def differences(kept: Any, now: Any, where: str = "") -> list[str]:
 
 
 def alike(kept: Any, now: Any) -> bool:
-    """Equal, or numbers (also written as text in a table) within 1e-9."""
+    """Equal, or numbers (also written as text in a table) within 1e-9, or missing in both."""
     if kept == now:
         return True
     try:
-        return math.isclose(float(kept), float(now), rel_tol=1e-9, abs_tol=1e-9)
+        a, b = float(kept), float(now)
+        return math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-9) or (math.isnan(a) and math.isnan(b))
     except (TypeError, ValueError):
         return False
 
@@ -54,3 +55,5 @@ def test_differences_are_seen() -> None:
     assert differences(kept, {**kept, "rows": [["a", "0.250001"]]})
     assert differences(kept, {**kept, "rows": [["a"]]})
     assert differences(kept, {"cost": 2.5})
+    assert differences(kept, {**kept, "cost": math.nan})
+    assert not differences({"cost": math.nan}, {"cost": math.nan})
