@@ -1,4 +1,4 @@
-"""Explaining to people nobody assumed (docs/people-who-err.md).
+"""Explaining to people nobody assumed (docs/people-nobody-assumed.md).
 
     python benchmarks/anybody.py true       every kind of people, with true types and labels
     python benchmarks/anybody.py learned    the same, with types learned from 20 labels, 5 % wrong

@@ -81,6 +81,7 @@ SIDEBAR = {
         "docs/table1.md",
         "docs/asking.md",
         "docs/people-who-err.md",
+        "docs/people-nobody-assumed.md",
         "docs/ablation.md",
         "benchmarks/README.md",
     ],
