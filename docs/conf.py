@@ -82,7 +82,6 @@ SIDEBAR = {
         "docs/asking.md",
         "docs/people-who-err.md",
         "docs/people-nobody-assumed.md",
-        "docs/ablation.md",
         "benchmarks/README.md",
     ],
     "Project": ["CONTRIBUTING.md", "CHANGELOG.md"],
