@@ -47,7 +47,7 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
     assert list(known.columns) == ["observer", "type", "behaves_like"]
 
     (tmp_path / "said.yaml").write_text("fire: Fires can be put out.\n")
-    options = "output=found", "none_of_these=1", "sentences=said.yaml"
+    options = "output=found", "sentences=said.yaml"
     code, out, err = run("discover", f"data={name}", *options)
     assert code == 0, err
     answer = json.loads(out.splitlines()[-1])
@@ -61,7 +61,7 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
     assert answer["held_out_log_likelihood"] < 0
 
     types = LearnedTypes.load(tmp_path / "found" / "types.npz")
-    assert types.names == ("type_0", "type_1", "type_2", "type_3", "type_4", "none of these")
+    assert types.names == tuple(f"type_{t}" for t in range(5))
     assert types.sentences == {"fire": "Fires can be put out."}
     summary = json.loads((tmp_path / "found" / "summary.json").read_text())
     assert sum(one["labels"] for one in summary["types"]) == told["labels"]
@@ -86,16 +86,6 @@ def test_the_papers_learner_draws_its_curve(run, tmp_path: Path) -> None:
     assert answer["held_out_log_likelihood"] is None
     assert answer["method"] == "kmeans"
     assert (tmp_path / "outputs" / "discover" / "curve.png").is_file()
-
-
-def test_observers_may_be_unequal(run, tmp_path: Path) -> None:
-    options = ("observers.points=[5,40]", "observers.per_type=[1,2,3,1,1]")
-    assert run("observe", "domain=rescue", *options)[0] == 0
-    table = pd.read_csv(tmp_path / "labels.csv")
-    sizes = table.groupby("observer").size()
-    assert len(sizes) == 8
-    assert sizes.between(5, 40).all()
-    assert sizes.nunique() > 1
 
 
 @pytest.mark.parametrize("method", ["dirichlet", "kmeans", "agglomerative", "single"])
@@ -131,7 +121,6 @@ def test_every_method_bears_what_people_do(run, tmp_path: Path, caplog, method: 
         ("discover", ("data=good.csv", "features=[colour]"), "colour"),
         ("discover", ("data=good.csv", "output=good.csv"), "output"),
         ("discover", ("data=good.csv", "seed=-1"), "seed"),
-        ("discover", ("data=good.csv", "none_of_these=-1"), "none_of_these"),
         ("observe", ("output=x.txt",), "output"),
         ("observe", ("truth=labels.csv",), "truth"),
         ("observe", ("observers.points=0",), "observers.points"),

@@ -72,28 +72,6 @@ def test_rewards_are_for_entering_and_add_up() -> None:
         assert model.reward[state] == pytest.approx(np.where(enters, -0.25 + 5 - 2, -0.25))
 
 
-def test_phrases_and_scene_tell_the_place() -> None:
-    domain = domain_of(FOUR_ROOMS)
-    number, right = domain.grid.number, domain.actions.index("right")
-    assert domain.describe(np.array([number[1, 1], right, number[1, 2]])) == "moves right to (1, 2)"
-    assert domain.describe(np.array([number[1, 5], right, number[1, 5]])) == (
-        "tries to move right and stays at (1, 5)"
-    )
-    goals, penalty = accurate(domain)["goals"], accurate(domain)["penalty_cells"]
-    drawn = [(item.symbol, item.cells) for item in domain.scene.items]
-    assert drawn == [
-        *(("G", (tuple(goal["cell"]),)) for goal in goals),
-        ("x", tuple(map(tuple, penalty))),
-    ]
-
-
-def test_starts_may_be_marked_on_the_map() -> None:
-    rows = given("four_rooms")["map"].splitlines()
-    rows[1] = "#s...s#.....#"
-    domain = FourRooms(**edited("map", "\n".join(rows)))
-    assert [domain.position(start) for start in domain.starts] == [(1, 1), (1, 5)]
-
-
 def test_traces_end_at_a_goal() -> None:
     setting = setting_of(FOUR_ROOMS)
     model, optimal = setting.models[0], setting.optimal[0]
@@ -148,13 +126,6 @@ def test_bad_input_is_one_clear_line(path: str, value: Any, text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_parameter_is_named() -> None:
-    arguments = given("four_rooms")
-    del arguments["parameters"]["penalty"]
-    with pytest.raises(InputError, match="penalty"):
-        FourRooms(**arguments)
-
-
 def test_a_goal_behind_walls_is_refused() -> None:
     """The four doors are shut; nothing else lies in the walls."""
     rows = [list(row) for row in given("four_rooms")["map"].splitlines()]
@@ -167,24 +138,3 @@ def test_a_goal_behind_walls_is_refused() -> None:
     penalty_cells["accurate"], penalty_cells["inaccurate"] = [[1, 1]], [[1, 2]]
     with pytest.raises(InputError, match="no path from the start to the goal"):
         FourRooms(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("map", "goals"),
-    [
-        ("...#.", [0, 4]),  # the one goal behind a wall, or the other
-        ("...#.", [4, 0]),
-        ("..s#s", [0]),  # the one start behind a wall, or the other
-        ("s#s..", [4]),
-    ],
-)
-def test_each_goal_needs_a_path_from_each_start(map: str, goals: list[int]) -> None:
-    arguments = edited("map", map)
-    arguments["parameters"]["goals"] |= {
-        "accurate": [{"cell": [0, column], "reward": 5.0} for column in goals],
-        "inaccurate": [{"cell": [0, goals[0]], "reward": 2.0}],
-    }
-    arguments["parameters"]["penalty_cells"] |= {"accurate": [], "inaccurate": [[0, 2]]}
-    with pytest.raises(InputError, match="no path from the start to the goal"):
-        FourRooms(**arguments)
-    FourRooms(**arguments | {"map": map.replace("#", ".")})

@@ -60,12 +60,6 @@ def test_the_robots_model_is_what_the_environment_does(name: str) -> None:
             assert abs(seen - p) <= 5 * np.sqrt(p * (1 - p) / len(reached)) + 1e-9
 
 
-def test_states_decode_as_the_environment_says() -> None:
-    taxi = gymnasium.make("Taxi-v4").unwrapped
-    for state in range(500):
-        assert domain("taxi").state_features[state].tolist() == list(map(int, taxi.decode(state)))
-
-
 def test_an_added_reward_is_added_where_the_change_says() -> None:
     before, after = held("cliff_walking"), held("cliff_walking", "rocks")
     difference = after.reward - before.reward
@@ -90,17 +84,6 @@ def test_a_changed_transition_leads_where_the_change_says() -> None:
     assert changed.sum() == 2 * 5 * 4
 
 
-def test_other_arguments_are_the_other_environment() -> None:
-    model = held("frozen_lake", "ice")
-    table = gymnasium.make("FrozenLake-v1", is_slippery=False).unwrapped.P
-    for s in np.flatnonzero(~model.terminal):
-        for a in range(4):
-            ((p, after, reward, _),) = table[s][a]
-            assert model.probability[s, a].tolist() == [p]
-            assert model.successor[s, a, 0] == after
-            assert model.reward[s, a, 0] == reward
-
-
 def test_like_another_action() -> None:
     """Of frozen_lake, in one row: its states, probabilities and rewards; all else is as it was."""
     arguments = given("frozen_lake")
@@ -113,45 +96,6 @@ def test_like_another_action() -> None:
         like = down if a == left and made.position(s)[0] == 3 else a
         for key in ("successor", "probability", "reward"):
             assert np.array_equal(getattr(after, key)[s, a], getattr(before, key)[s, like])
-
-
-def test_like_another_action_takes_its_chances_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A task of two states with one sure action and one that may do nothing."""
-    sure, unsure = [(1.0, 1, 3.0, True)], [(0.25, 1, 3.0, True), (0.75, 0, 0.0, False)]
-    stays = [(1.0, 1, 0.0, True)]
-    shown({0: {0: sure, 1: unsure}, 1: {0: stays, 1: stays}}, monkeypatch)
-    wrong = [{"actions": ["sure"], "like": "unsure"}]
-    parameters = {"luck": {"inaccurate": wrong, "message": "It is sure."}}
-    task = Gymnasium("Two", {"place": 2}, ["sure", "unsure"], 0.9, parameters)
-    assert task.model({"luck": []}).probability[0].tolist() == [[1.0, 0.0], [0.25, 0.75]]
-    assert task.model({"luck": wrong}).probability[0].tolist() == [[0.25, 0.75]] * 2
-
-
-def test_a_condition_holds_where_all_its_features_do() -> None:
-    """A list is any of its values."""
-    wrong = [{"when": {"row": [0, 2], "column": 3}, "actions": ["up", "left"], "add": -1.5}]
-    arguments = given("cliff_walking")
-    arguments["parameters"] = {"wind": {"inaccurate": wrong, "message": "No wind."}}
-    made = Gymnasium(**arguments)
-    added = made.model({"wind": wrong}).reward - made.model({"wind": []}).reward
-    for s, (a, action) in product(range(48), enumerate(made.actions)):
-        here = made.position(s) in {(0, 3), (2, 3)} and action in {"up", "left"}
-        assert added[s, a].tolist() == [-1.5 * here] * added.shape[2]
-
-
-def test_a_parameters_arguments_outdo_those_of_the_environment() -> None:
-    arguments = given("frozen_lake")
-    arguments["arguments"] = {"is_slippery": False}
-    wrong = [{"arguments": {"is_slippery": True}}]
-    arguments["parameters"] = {"ice": {"inaccurate": wrong, "message": "No ice."}}
-    made = Gymnasium(**arguments)
-    assert set(made.model({"ice": []}).probability.ravel()) == {1.0}
-    model = made.model({"ice": wrong})
-    slippery = gymnasium.make("FrozenLake-v1", is_slippery=True)
-    for s, row in slippery.unwrapped.P.items():
-        for a, outcomes in row.items():
-            chances = [p for p, *_ in outcomes]
-            assert model.probability[s, a, : len(chances)].tolist() == chances
 
 
 def shown(table: dict[int, dict[int, list[Any]]], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,18 +159,6 @@ def test_an_outcome_that_never_comes_ends_nothing(monkeypatch: pytest.MonkeyPatc
     parameters = {"x": {"inaccurate": change, "message": "No."}}
     made = Gymnasium("Two", {"place": 2}, ["go"], 0.9, parameters)
     assert not made.model({"x": []}).terminal.any()
-
-
-def test_only_listed_actions_are_available_and_a_state_without_a_row_ends(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A corridor of three cells: left is not possible in the first; the last has no row."""
-    right = [[(1.0, s + 1, -1.0, s == 1)] for s in range(2)]
-    shown({0: {1: right[0]}, 1: {0: [(1.0, 0, -1.0, False)], 1: right[1]}}, monkeypatch)
-    model, _ = read_model("Corridor", {}, 0.9)
-    assert model.terminal.tolist() == [False, False, True]
-    assert model.probability.sum(axis=2).tolist() == [[0, 1], [1, 1], [0, 0]]
-    assert mdp.optimal_actions([model])[0].tolist() == [[False, True], [False, True], [False] * 2]
 
 
 END = {0: [(1.0, 2, 0.0, True)], 1: [(1.0, 2, 0.0, True)]}
@@ -301,43 +233,12 @@ def test_an_environment_that_cannot_be_made_is_refused_in_a_line(
         read_model("Mine", {}, 0.9)
 
 
-def test_no_trace_starts_at_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown({0: {0: [(1.0, 1, 0.0, True)]}, 1: {0: [(1.0, 1, 0.0, True)]}}, monkeypatch)
-    assert read_model("Two", {}, 0.9)[1].tolist() == [0]
-
-
 def test_an_end_that_depends_on_the_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     ways = {0: [(1.0, 1, 0.0, True)], 1: [(1.0, 1, 0.0, False)]}
     shown({0: ways, 1: ways}, monkeypatch)
     parameters = {"x": {"inaccurate": [{"add": 1.0}], "message": "No."}}
-    with pytest.raises(InputError, match="end depends on the state alone"):
+    with pytest.raises(InputError, match="an end that depends on the state alone: state 1"):
         Gymnasium("Two", {"place": 2}, ["end", "go on"], 0.9, parameters)
-
-
-def test_items_lie_in_rows_and_columns() -> None:
-    scene = domain("frozen_lake").scene
-    assert scene is not None
-    cells = {item.name: item.cells for item in scene.items}
-    rows = gymnasium.make("FrozenLake-v1", map_name="4x4").unwrapped.desc
-    for name, letter in (("hole", b"H"), ("goal", b"G"), ("start", b"S")):
-        assert cells[name] == tuple(map(tuple, np.argwhere(rows == letter).tolist()))
-
-
-def test_only_rows_and_columns_make_a_map() -> None:
-    arguments = given("cliff_walking")
-    arguments["parameters"] = {"x": {"inaccurate": [{"add": 1.0}], "message": "No."}}
-    lone = Gymnasium(**arguments | {"states": {"row": 4, "depth": 12}, "starts": None})
-    assert lone.scene is None
-    assert lone.position(0) is None
-
-
-def test_the_map_has_rows_and_columns_and_starts_where_said() -> None:
-    arguments = given("cliff_walking")
-    made = Gymnasium(**arguments | {"starts": {"row": [2, 3], "column": [0, 11]}})
-    assert (made.scene.rows, made.scene.columns) == (4, 12)
-    assert [made.position(s) for s in (0, 11, 12, 47)] == [(0, 0), (0, 11), (1, 0), (3, 11)]
-    # (3, 11) is the goal: nothing starts there.
-    assert sorted(map(made.position, made.starts)) == [(2, 0), (2, 11), (3, 0)]
 
 
 def test_phrases_name_what_changes() -> None:
@@ -399,23 +300,6 @@ def test_bad_input_is_one_clear_line(changes: dict[str, Any], text: str) -> None
         Gymnasium(**given("cliff_walking") | changes)
     assert caught.value.key.startswith("domain.")
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(("states", "actions"), [(3, 1), (2, 2)])
-def test_arguments_that_change_the_states_or_actions_are_refused(
-    states: int, actions: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def make(id: str, size: tuple[int, int] = (2, 1)) -> SimpleNamespace:
-        go_on = [(1.0, 1, 0.0, False)]
-        table = {s: dict.fromkeys(range(size[1]), go_on) for s in range(size[0])}
-        unwrapped = SimpleNamespace(P=table, initial_state_distrib=None)
-        return SimpleNamespace(unwrapped=unwrapped, close=lambda: None)
-
-    monkeypatch.setattr(gymnasium, "make", make)
-    wrong = [{"arguments": {"size": (states, actions)}}]
-    parameters = {"size": {"inaccurate": wrong, "message": "It is small."}}
-    with pytest.raises(InputError, match="keep the states"):
-        Gymnasium("Some", {"place": 2}, ["go"], 0.9, parameters)
 
 
 def test_without_gymnasium_the_error_names_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,6 @@ import pytest
 from tests.domains.configs import domain_of, given
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.task import Source
-from xplain.errors import TooLargeError
 
 up = pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")
 
@@ -122,18 +121,6 @@ def test_the_robots_model_is_what_the_simulator_does(problem: Any, name: str) ->
                 state = int(robot.successor[state, a, 0])
 
 
-def test_features_are_the_atoms_and_the_counts_asked_for() -> None:
-    made = domain("blocks")
-    column = dict(zip(made.feature_names, made.state_features.T, strict=True))
-    on = sum(column[name] for name in made.feature_names if name.startswith("on "))
-    assert np.array_equal(column["stacked"], on)
-    assert set(np.unique(column["free"])) <= set(range(5))
-    holding = sum(column[name] for name in made.feature_names if name.startswith("holding "))
-    robot = made.model({p.name: p.accurate for p in made.parameters})
-    robots = np.isfinite(robot.steps_from(0))  # others may believe in two hands
-    assert np.array_equal(column["handempty"][robots], 1 - holding[robots])
-
-
 def test_a_pattern_counts_the_ways_in_which_it_holds() -> None:
     arguments = given("blocks") | {
         "features": {"towers": ["(on ?x ?y)", "(ontable ?y)"], "under a": "(on a ?y)"}
@@ -200,114 +187,6 @@ def test_phrases_come_from_names_and_templates(tmp_path: Path) -> None:
     assert domain("blocks").describe(transition) == "takes c off b"
     told = {p.name: (p.message, p.belief) for p in plain.parameters}
     assert told["top"] == ("The goal needs: d on a.", "The goal does not need: d on a.")
-
-
-def test_a_pkg_path_is_a_file_inside_a_package() -> None:
-    from importlib.resources import files
-
-    inside = files("xplain").joinpath("domains/pddl/tasks/blocks/domain.pddl")
-    own = Source.read("", str(inside))
-    packaged = Source.read("", "pkg://xplain/domains/pddl/tasks/blocks/domain.pddl")
-    assert packaged.text == own.text
-
-
-SWAPS = """(define (domain swaps)
-  (:requirements :strips :typing :conditional-effects)
-  (:types place)
-  (:constants a b - place)
-  (:predicates (at ?x - place) (done))
-  (:action move :parameters (?x ?y - place) :precondition (at ?x)
-    :effect (and (not (at ?x)) (at ?y)))
-  (:action swap :parameters ()
-    :effect (and (when (at a) (at b)) (when (at a) (not (at a)))
-                 (when (at b) (at a)) (when (at b) (not (at b)))))
-  (:action finish :parameters () :precondition (at b) :effect (done)))
-"""
-
-
-def test_effects_happen_at_once_and_what_is_added_stays(tmp_path: Path) -> None:
-    """By PDDL's definition: moving from a to a leaves the robot there; a swap swaps once."""
-    (tmp_path / "d.pddl").write_text(SWAPS)
-    (tmp_path / "p.pddl").write_text(
-        "(define (problem p) (:domain swaps) (:init (at a)) (:goal (done)))"
-    )
-    facts = {"swap": {"change": {"action": "finish", "add_precondition": "(not (at a))"}}}
-    facts["dear"] = {"change": {"action": "swap", "cost": 3}}
-    made = PDDL(str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), facts=facts)
-    robot = made.model({p.name: p.accurate for p in made.parameters})
-    number = {made.state(s): s for s in range(len(made.state_features))}
-    assert set(number) == {("(at a)",), ("(at b)",), ("(at b)", "(done)")}
-    at = {name: number[f"(at {name})",] for name in "ab"}
-    leads = {
-        (name, action): made.state(int(robot.successor[at[name], a, 0]))
-        for name in "ab"
-        for a, action in enumerate(made.actions)
-        if robot.probability[at[name], a, 0]
-    }
-    assert leads == {
-        ("a", "move a a"): ("(at a)",),
-        ("a", "move a b"): ("(at b)",),
-        ("a", "swap"): ("(at b)",),
-        ("b", "move b a"): ("(at a)",),
-        ("b", "move b b"): ("(at b)",),
-        ("b", "swap"): ("(at a)",),
-        ("b", "finish"): ("(at b)", "(done)"),
-    }
-    assert robot.to_go[0] == 2  # actions cost 1 where there is no metric
-
-
-def test_a_subtype_s_subtype_is_of_the_type(tmp_path: Path) -> None:
-    """Objects of each level are arguments where their type or one above it is asked for."""
-    (tmp_path / "d.pddl").write_text(
-        """(define (domain levels)
-          (:requirements :strips :typing)
-          (:types vehicle thing - object car - vehicle cab - car taxi - cab)
-          (:predicates (used ?x - object))
-          (:action drive :parameters (?x - vehicle) :precondition () :effect (used ?x))
-          (:action hail :parameters (?x - cab) :precondition () :effect (used ?x))
-          (:action touch :parameters (?x - object) :precondition () :effect (used ?x)))"""
-    )
-    (tmp_path / "p.pddl").write_text(
-        """(define (problem p) (:domain levels)
-          (:objects v - vehicle c - car b - cab t - taxi s - thing)
-          (:init) (:goal (used t)))"""
-    )
-    facts = {"dear": {"change": {"action": "hail", "cost": 3}}}
-    made = PDDL(str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), facts=facts)
-    expected = {f"drive {x}" for x in "vcbt"} | {f"hail {x}" for x in "bt"}
-    assert set(made.actions) == expected | {f"touch {x}" for x in "vcbts"}
-
-
-SWITCHES = """(define (domain switches) (:types switch) (:predicates (on ?x - switch))
-  (:action turn-on :parameters (?x - switch) :precondition (not (on ?x)) :effect (on ?x))
-  (:action turn-off :parameters (?x - switch) :precondition (on ?x) :effect (not (on ?x))))"""
-
-
-@pytest.mark.parametrize("switches", [3, 10])
-def test_every_state_is_found_once_however_many_there_are(switches: int, tmp_path: Path) -> None:
-    """Switches that turn one by one: each of the 2^k sets of them is reached, and has an edge to
-    each set that differs in one, but for the goal, where nobody goes on."""
-    names = [f"s{i}" for i in range(switches)]
-    (tmp_path / "d.pddl").write_text(SWITCHES)
-    (tmp_path / "p.pddl").write_text(
-        f"(define (problem p) (:domain switches) (:objects {' '.join(names)} - switch) (:init)"
-        f" (:goal (and {' '.join(f'(on {name})' for name in names)})))"
-    )
-    arguments: dict[str, Any] = {
-        "file": str(tmp_path / "d.pddl"),
-        "problem": str(tmp_path / "p.pddl"),
-        "facts": {"dear": {"change": {"action": "turn-on", "cost": 2}}},
-    }
-    count = 1 << switches
-    made = PDDL(**arguments, max_states=count)
-    robot = made.model({"dear": []})
-    assert len({made.state(s) for s in range(count)}) == robot.n_states == count
-    source, action = np.nonzero(robot.probability[:, :, 0])
-    pairs = np.stack([source, robot.successor[source, action, 0]])
-    assert len(np.unique(pairs, axis=1).T) == (count - 1) * switches
-    assert all(len({*made.state(a)} ^ {*made.state(b)}) == 1 for a, b in pairs.T)
-    with pytest.raises(TooLargeError, match=f"max_states={count - 1}"):
-        PDDL(**arguments, max_states=count - 1)
 
 
 @pytest.mark.parametrize("facts", [2, 8])

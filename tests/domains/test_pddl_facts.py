@@ -13,7 +13,7 @@ import pytest
 
 from tests.domains.configs import given
 from xplain.domains.pddl.domain import PDDL
-from xplain.domains.pddl.facts import Words, describe, find_differences, gerund, read_changes
+from xplain.domains.pddl.facts import Words, describe, find_differences, read_changes
 from xplain.domains.pddl.task import Source, changed, read_task, texts
 
 pytest.importorskip("fast_downward", reason="pip install 'xplain-hri[pddl]'")
@@ -212,19 +212,6 @@ def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: 
     assert seen > 20
 
 
-def test_a_domain_file_alone_may_be_believed(tmp_path: Path) -> None:
-    pair(tmp_path, "blocks", [("(ontable ?x) (handempty))", "(ontable ?x))")], [])
-    made = PDDL(**given("blocks") | {"believed": str(tmp_path / "file.pddl"), "facts": {}})
-    assert [p.name for p in made.parameters] == ["pick_up_needs_handempty"]
-    assert made.parameters[0].message == "Picking up needs: the hand empty."
-
-
-def test_objects_must_be_the_same(tmp_path: Path) -> None:
-    robot, believed = pair(tmp_path, "blocks", [], [("a b c d - block", "a b c d e - block")])
-    with pytest.raises(ValueError, match=r"believed='e': objects and types must be the same"):
-        find_differences(robot, believed, "domain.believed")
-
-
 def test_a_fact_without_effect_is_named(caplog: pytest.LogCaptureFixture) -> None:
     """Nobody ever drives from the crater to the ridge: what lies there is no matter."""
     own = given("rover")
@@ -265,23 +252,6 @@ def test_a_fact_that_matters_only_with_another_is_not_said_to_have_no_effect(
     both = made.model(values | {"letter": []}).explicable(transitions)
     assert not np.array_equal(jam, both)
     assert not caplog.messages
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("pick-up", "Picking up"),
-        ("put-down", "Putting down"),
-        ("drive", "Driving"),
-        ("stack", "Stacking"),
-        ("unload", "Unloading"),
-        ("sample_rock", "Sampling rock"),
-        ("free", "Freeing"),
-        ("fly", "Flying"),
-    ],
-)
-def test_gerunds(name: str, expected: str) -> None:
-    assert gerund(name) == expected
 
 
 CHANGES: list[tuple[str, Any, Callable[[Any, Any], bool], str]] = [

@@ -6,9 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from hydra.utils import instantiate
 
 from tests.domains.configs import given
 from tests.domains.downward import plan_cost
@@ -16,7 +14,6 @@ from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.task import Source
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import XplainError
-from xplain.experiment.config import composed
 
 pytest.importorskip("fast_downward", reason="pip install 'xplain-hri[pddl]'")
 
@@ -218,36 +215,6 @@ def test_an_action_without_a_cost_does_not_exist(tmp_path: Path) -> None:
     wrong = {p.name: p.inaccurate for p in made.parameters if p.name == "new_road"}
     assert not made.model(accurate).probability[:, drive].any()
     assert made.model(accurate | wrong).probability[:, drive].any()
-
-
-BLOCKS = "pkg://xplain/domains/pddl/tasks/blocks"
-OWN = ("domain=pddl", f"domain.file={BLOCKS}/domain.pddl", f"domain.problem={BLOCKS}/problem.pddl")
-HAND = 'two_hands: {change: {action: pick-up, drop_precondition: "(handempty)"}}'
-FAR = "far: {change: {action: put-down, cost: 3}, message: The table is near.}"
-
-
-@pytest.mark.parametrize("sign", ["", "+"])
-def test_facts_and_words_are_taken_from_the_command_line(sign: str) -> None:
-    inline = (
-        f"{sign}domain.facts={{{HAND}, {FAR}}}",
-        f"{sign}domain.words={{pick-up: 'grasps {{x}}'}}",
-    )
-    made = instantiate(composed("config", [*OWN, *inline]).domain)
-    assert [p.name for p in made.parameters] == ["two_hands", "far"]
-    assert made.parameters[1].message == "The table is near."
-    grasp = made.actions.index("pick-up a")
-    assert made.describe(np.array([0, grasp, 0])) == "grasps a"
-
-
-def test_an_empty_conjunction_among_conditions_asks_for_nothing(tmp_path: Path) -> None:
-    own = edited(tmp_path, "file", PRECONDITION, f"(and) {PRECONDITION}")
-    plain = edited(tmp_path, "problem", "(:goal", "(:goal")
-    one, other = (PDDL(**given) for given in (own, plain))
-    assert one.actions == other.actions
-    robots = [made.model({p.name: p.accurate for p in made.parameters}) for made in (one, other)]
-    for field in ("successor", "probability", "reward"):
-        ours, theirs = (getattr(model, field) for model in robots)
-        assert (ours == theirs).all()
 
 
 def test_a_type_whose_beliefs_leave_no_plan_is_named() -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.domains.configs import setting_of
 from xplain.domains.rescue import Rescue
 from xplain.errors import InputError
 
@@ -104,54 +103,6 @@ def test_the_model_plays_by_the_rules(seed: int) -> None:
     follow(domain, ROWS, start, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("kept", ["A", "U", "FU", "Ar", "Uf", ""])
-def test_with_fewer_facts_it_plays_by_the_same_rules(kept: str, seed: int) -> None:
-    """What is no parameter is floor; flags and actions are of what is left."""
-    rows = ["".join(s if s in f"{kept}pSV#s" else "." for s in row) for row in ROWS]
-    given = {REWARD[symbol]: parameters()[REWARD[symbol]] for symbol in f"{kept}p"}
-    domain = rescue(map="\n".join(rows), parameters=given)
-    bonuses = len({*"AFU"} & {*kept})
-    assert len(domain.actions) == 4 + bonuses + 1
-    assert len(domain.state_features) == len(domain.grid.cells) << bonuses + 1
-    follow(domain, rows, int(domain.starts[0]), np.random.default_rng(seed))
-
-
-@pytest.mark.parametrize(("slip", "carrying"), [(0.0, False), (0.0, True), (0.2, False)])
-def test_bumping_enters_nothing(slip: float, carrying: bool) -> None:
-    """From each kind of cell, into a wall or over the edge: the robot stays and earns nothing."""
-    domain = rescue(slip=slip)
-    model = domain.model(VALUES)
-    bumped = set()
-    for cell in range(len(domain.grid.cells)):
-        flags = model.n_states // len(domain.grid.cells)
-        state = cell * flags + (flags // 2 if carrying else 0)
-        r, c = domain.position(state)
-        for action, (dr, dc) in enumerate(STEPS.values()):
-            inside = 0 <= r + dr < len(ROWS) and 0 <= c + dc < len(ROWS[0])
-            if (inside and ROWS[r + dr][c + dc] != "#") or model.terminal[state]:
-                continue
-            bumped.add(ROWS[r][c])
-            stays = model.successor[state, action] == state
-            assert model.probability[state, action][stays].sum() >= 1 - slip
-            assert not model.reward[state, action][stays].any(), (r, c, action)
-    assert bumped == set("".join(ROWS)) - {"#"} - ({"S"} if carrying else set())
-
-
-def test_items_are_used_once_and_only_where_they_lie() -> None:
-    domain = rescue()
-    model = domain.model(dict.fromkeys(parameters(), 1.0))
-    rows = MAP.strip().split("\n")
-    available = model.probability.sum(axis=2) > 0
-    for action, symbol in enumerate("AFUV", start=4):
-        for s in np.flatnonzero(available[:, action]):
-            r, c = domain.position(s)
-            assert rows[r][c] == symbol
-            assert not available[model.successor[s, action, 0], action]
-    # In each of the 4 cells, half of the 16 combinations of flags leave the item to be used.
-    assert available[:, 4:].sum() == 4 * 8
-
-
 def test_a_slip_goes_to_one_of_the_two_sides() -> None:
     """From every cell: 0.8 ahead, 0.1 to each side; a wall or the edge stops the robot."""
     domain = rescue(slip=0.2)
@@ -172,13 +123,6 @@ def test_a_slip_goes_to_one_of_the_two_sides() -> None:
         ):
             reached[domain.position(after)] += p
         assert reached == pytest.approx(expected), (cell, ahead)
-
-
-def test_the_labeler_sees_the_location_only() -> None:
-    domain = rescue()
-    assert domain.feature_names == ("row", "column")
-    for state, features in enumerate(domain.state_features):
-        assert tuple(features) == domain.position(state)
 
 
 @pytest.mark.parametrize(
@@ -218,10 +162,6 @@ def test_bad_input_is_one_clear_line(changes: dict, key: str, text: str) -> None
         rescue(**changes)
     assert caught.value.key.startswith(key)
     assert "\n" not in str(caught.value)
-
-
-def test_default_types_differ_in_behaviour() -> None:
-    assert len(np.unique(setting_of(RESCUE).distinct)) == 5
 
 
 def told(domain: Rescue, script: str) -> list[str]:

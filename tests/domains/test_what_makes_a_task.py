@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 
-from tests.domains.configs import domain_of, setting_of
+from tests.domains.configs import setting_of
 from tests.domains.properties import (
     count_traces,
     inexplicable_alone,
     on_policy_traces,
     problems,
-    share_through,
 )
-from tests.domains.rescue_maps import random_map
 from tests.domains.users.corridor import Corridor
-from xplain.domains.mdp import MDP
 from xplain.domains.users.setting import Setting, UserType
 from xplain.randomness import stream
 
@@ -47,13 +40,6 @@ def test_the_corridor_is_as_by_hand() -> None:
     assert found.commonest == 0.25
     assert found.puzzling == 0.5
     assert inexplicable_alone(domain, traces) == {"end": 1.0, "toll": pytest.approx(2 / 10)}
-
-
-def test_traces_that_differ_in_what_nobody_doubts_are_one_problem() -> None:
-    setting = Setting.build(Corridor(), (TOLL,))
-    found = problems(setting, [walk(3, 4), walk(4), walk(2, 3, 4), walk(2, 3), walk(1, 2)])
-    assert found.tables == 2
-    assert found.commonest == pytest.approx(3 / 5)
 
 
 def smallest_and_silence(table: np.ndarray) -> tuple[int, int]:
@@ -103,56 +89,3 @@ def test_traces_are_counted_as_if_one_by_one(choice: str, max_length: int) -> No
         pytest.importorskip("gymnasium")
     setting = setting_of(f"domain={choice}")
     assert count_traces(setting, max_length) == len(enumerated(setting, max_length))
-
-
-@pytest.mark.parametrize("starts", [[0], [0, 1], [0, 0, 1]])
-def test_any_number_of_traces_is_counted(starts: list[int]) -> None:
-    """Four ways at each of 40 steps: more than a machine word holds; each start once."""
-    model = MDP(
-        np.ones((2, 4, 1), dtype=np.int64),
-        np.ones((2, 4, 1)),
-        np.zeros((2, 4, 1)),
-        0.9,
-        np.zeros(2, dtype=bool),
-    )
-    domain = SimpleNamespace(starts=np.array(starts))
-    reachable = np.array([(state, action, 1) for state in (0, 1) for action in range(4)])
-    setting: Any = SimpleNamespace(models=[model], reachable=reachable, domain=domain)
-    assert count_traces(setting, 40) == len(set(starts)) * 4**40
-
-
-def test_traces_are_the_robots_own() -> None:
-    setting = setting_of("domain=rescue")
-    traces = on_policy_traces(setting, 20, stream(0, "test"), 6)
-    assert {tuple(map(tuple, trace.tolist())) for trace in traces} <= enumerated(setting, 6)
-
-
-def test_a_door_is_passed_only_between_start_and_end() -> None:
-    domain = domain_of("domain=four_rooms")
-    right = domain.actions.index("right")
-    cells = [domain.grid.number[3, column] for column in range(4, 9)]
-    way = np.array([[s, right, t] for s, t in pairwise(cells)])
-    door = {(3, 6)}
-    assert share_through(domain, [way, way[:2], way[2:], way[:3]], door) == 0.5
-    assert share_through(domain, [way[1:]], door) == 1  # after a single step
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_random_map_holds_what_it_should(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    for _ in range(50):
-        rows = random_map(rng).splitlines()
-        assert [len(row) for row in rows] == [6] * 6
-        symbols = "".join(rows)
-        assert all(symbols.count(one) == 1 for one in "SVAFU")
-        assert all(1 <= symbols.count(obstacle) <= 3 for obstacle in "rpf")
-        assert symbols.count("#") <= 9
-        assert set(symbols) <= set("SVAFUrpf#.")
-
-
-def test_every_thing_may_be_drawn_anywhere() -> None:
-    """A thousand maps: the shelter lies in each of 36 cells about as often (6 standard errors)."""
-    rng = np.random.default_rng(0)
-    at = [random_map(rng).replace("\n", "").index("S") for _ in range(1000)]
-    share = np.bincount(at, minlength=36) / 1000
-    assert share == pytest.approx(np.full(36, 1 / 36), abs=6 * (1 / 36 / 1000) ** 0.5)

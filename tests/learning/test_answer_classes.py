@@ -107,12 +107,3 @@ def test_answers_without_types_support_none() -> None:
         assert known.types > known.question_mean - 0.02  # and cost next to nothing
         verdicts.append(known.verdict)
     assert all("not" in verdict for verdict in verdicts)
-
-
-def test_the_order_of_rows_and_the_process_do_not_matter() -> None:
-    data, *_ = people(1, per_class=10)
-    again = data.take(np.random.default_rng(0).permutation(len(data)))
-    one, other = (answer_classes(own, 1.0, 2, 5) for own in (data, again))
-    assert np.array_equal(one.expected, other.expected)
-    assert np.array_equal(one.assignment, other.assignment)
-    assert one.posterior == other.posterior

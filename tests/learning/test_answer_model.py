@@ -7,20 +7,11 @@ import numpy as np
 import pytest
 
 from xplain.learning.answers import (
-    RATE_PRIOR,
     RATES,
     AnswerModel,
     CellAnswers,
-    answered,
     learned,
-    truth,
 )
-
-
-def test_an_answer_is_what_is_thought_but_for_slips_guesses_and_errors():
-    found = answered(np.array([0.1]), np.array([0.3]))
-    assert found[0, 1] == pytest.approx(0.9 * (1 - RATES) + 0.1 * RATES)
-    assert found[0, 0] == pytest.approx(0.3 * (1 - RATES) + 0.7 * RATES)
 
 
 def simulated(seed, errors, slips, people=20, each=40, types=4, sure=0.9995):
@@ -63,12 +54,6 @@ def test_errors_that_all_share_are_slips(error):
     assert (model.slip[-1] + model.guess[-1]) / 2 == pytest.approx(error, abs=0.03)
     assert model.habits.error @ model.habits.prior == pytest.approx(error, abs=0.03)
     assert mean_rate(model).mean() < 0.02
-
-
-def test_faultless_people_are_taken_to_be_so():
-    model, _ = simulated(2, [0.0], [0.0] * 60, people=60)
-    assert model.habits.error @ model.habits.prior < 0.02
-    assert mean_rate(model).max() < 0.01
 
 
 def test_slips_of_single_questions_are_found():
@@ -128,18 +113,3 @@ def test_what_is_said_of_an_answer_is_a_mean_over_the_persons_rates():
     ]
     assert np.exp(model.log_given(question, who, label)) == pytest.approx(np.array(expected))
     assert model.wrong(question[:1], who[:1]) == pytest.approx((0.1 + 0.05) / 2)
-
-
-def test_an_accuracy_measured_on_answers_is_corrected():
-    low, high = np.array([0.05, 0.2]), np.array([0.9, 0.7])
-    f = np.array([0.3, 0.8])
-    assert truth(f * high + (1 - f) * low, low, high) == pytest.approx(f)
-    assert truth(np.array([0.99, 0.1]), low, high).tolist() == [1.0, 0.0]
-
-
-def test_what_is_taken_without_answers_is_mostly_no_error():
-    assert RATES[0] == 0
-    assert RATE_PRIOR.argmax() == 0
-    nobody = learned(CellAnswers(*np.zeros((4, 0), dtype=np.int64)), np.zeros(0), 3, 2)
-    assert nobody.prior == pytest.approx(RATE_PRIOR)
-    assert nobody.slip == pytest.approx(nobody.slip[-1])

@@ -6,39 +6,17 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.learning.conftest import made
-from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.data.observers import Observed
-from xplain.learning.labelers import Labeler, LabelerTrainer
-from xplain.learning.paper import Agglomerative, Elbow, KMeans
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.paper import Elbow, KMeans
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import (
     AskedOnce,
-    UserTypes,
     label_table,
     learn_types,
 )
-
-
-def test_k_means_counts_every_observer() -> None:
-    # Three points in a row, the middle one as far from either end: it joins the smaller crowd, for
-    # that moves the mean of fewer.
-    row = np.array([[0, 0], [0, 1], [1, 1]], dtype=np.uint8)
-    for crowds, joined in (([10, 3, 1], 2), ([1, 3, 10], 0)):
-        groups = KMeans().partition(np.repeat(row, crowds, axis=0), 2, 0)
-        first, middle, last = (groups[i] for i in (0, crowds[0], -1))
-        assert first != last
-        assert middle == (first, middle, last)[joined]
-
-
-def test_linkages_join_by_nearest_or_farthest_members() -> None:
-    # Points at 0, 2, 4, 6 and 9 on a line: the nearest neighbours chain up to 6; by their farthest
-    # members {4, 6} is nearer to 9 (5) than to {0, 2} (6).
-    line = np.array([[i < place for i in range(9)] for place in (0, 2, 4, 6, 9)], dtype=np.uint8)
-    for linkage, expected in (("single", [0, 0, 0, 0, 1]), ("complete", [0, 0, 1, 1, 1])):
-        groups = Agglomerative(linkage).partition(line, 2, 0)
-        assert (groups == groups[0]).tolist() == [one == 0 for one in expected]
 
 
 def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> None:
@@ -55,21 +33,6 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
     assert (table[1, 2] > 0.5).tolist() == [bool(h & 4) for h in range(16)]
 
 
-@pytest.mark.parametrize(
-    ("make", "key"),
-    [
-        (lambda: Elbow(KMeans(), few=1.0), "few"),
-        (lambda: Elbow(KMeans(), few=-0.1), "few"),
-        (lambda: Elbow(KMeans(), max_types=0), "max_types"),
-        (lambda: KMeans(starts=0), "starts"),
-        (lambda: Agglomerative("ward"), "linkage"),
-    ],
-)
-def test_bad_values_are_named(make: Any, key: str) -> None:
-    with pytest.raises(InputError, match=rf"clusterer\.(partition\.)?{key}="):
-        make()
-
-
 @pytest.mark.parametrize("most", [1, 2, 4, 9])
 def test_no_more_types_are_tried_than_allowed(rng: np.random.Generator, most: int) -> None:
     """Of eight observers with many different vectors."""
@@ -78,27 +41,6 @@ def test_no_more_types_are_tried_than_allowed(rng: np.random.Generator, most: in
     assert found.curve is not None
     assert len(found.curve) == min(most, 8)
     assert found.n_types <= most
-
-
-def test_known_labelers_are_not_fitted_again(rng: np.random.Generator) -> None:
-    dataset, _ = made(rng, [[0], [1], [2]], per_type=2)
-    fitted = []
-
-    class Trainer(LabelerTrainer):
-        def fit(self, dataset: Dataset, seed: int) -> Labeler:
-            fitted.append(sorted(set(dataset.observer.tolist())))
-            return super().fit(dataset, seed)
-
-    def types(groups: list[int], **known: Any) -> UserTypes:
-        given = Clustering(np.array(groups), "test", "given")
-        return learn_types(dataset, given, Trainer(), 0, **known)
-
-    perfect = types([0, 0, 1, 1, 2, 2])
-    del fitted[:]
-    # Observers 0 and 1 are together again, the others are not, and clusters come in another order.
-    found = types([0, 0, 1, 2, 2, 2], known=perfect.by_observers)
-    assert fitted == [[2], [3, 4, 5]]
-    assert found.labelers[0] is perfect.labelers[0]
 
 
 @dataclass(frozen=True)
@@ -170,25 +112,3 @@ def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(
     assert np.array_equal(tables(dataset, np.minimum(truth, 1))[0], found[0])
     everyone = trainer.fit(dataset, 7).table(dataset.features).array(dataset.n_messages)[0]
     assert np.array_equal(tables(dataset, truth * 0)[0], everyone)
-
-
-def test_more_clusters_than_distinct_vectors_keep_the_last_partition(
-    rng: np.random.Generator,
-) -> None:
-    """There is nothing left to part: the curve goes on level to the number of observers."""
-    dataset, _ = made(rng, [[0], [1]], per_type=4, shared=True, noise=0.1)
-    asked: list[int] = []
-
-    class Counted(Agglomerative):
-        def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
-            asked.append(k)
-            return super().partition(vectors, k, seed)
-
-    found = Elbow(Counted()).cluster(Observed(dataset), 0)
-    assert found.vectors is not None
-    assert found.curve is not None
-    distinct = len(np.unique(found.vectors))
-    assert asked == list(range(1, distinct + 1))
-    assert len(found.curve) == 8
-    assert (found.curve[distinct - 1 :] == found.curve[distinct - 1]).all()
-    assert found.n_types <= distinct

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -34,12 +33,6 @@ def test_each_question_counts_once(rng: np.random.Generator) -> None:
     repeated = dataset.take(np.tile(np.arange(len(dataset)), 3))
     once, thrice = (fresh_accuracy(data, LabelerTrainer(), 4) for data in (dataset, repeated))
     assert once == thrice
-
-
-def test_one_message_set_alone_tells_nothing(rng: np.random.Generator) -> None:
-    dataset, _ = made(rng, [[0]])
-    silent = replace(dataset, message_set=np.zeros_like(dataset.message_set))
-    assert math.isnan(fresh_accuracy(silent, LabelerTrainer(), 0))
 
 
 def test_it_is_what_fresh_questions_show() -> None:

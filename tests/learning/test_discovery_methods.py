@@ -1,6 +1,5 @@
 """Methods for independent questions: mixtures and the Dirichlet process."""
 
-from dataclasses import replace
 from math import lgamma
 
 import numpy as np
@@ -10,10 +9,8 @@ from hypothesis import strategies as st
 from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
-from xplain.errors import InputError, TooLargeError
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
-from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.kernels import WIDE
 from xplain.learning.mixture.sampler import (
     CELL,
@@ -23,16 +20,6 @@ from xplain.learning.mixture.sampler import (
     Prior,
     SortedLabels,
     sample,
-)
-from xplain.learning.prediction import held_out
-from xplain.learning.types import Clustering
-from xplain.learning.user_types import (
-    Perfect,
-    Single,
-    base_rate,
-    label_table,
-    learn_types,
-    with_none_of_these,
 )
 
 TYPES = [[0, 1], [2], [1, 3]]
@@ -69,25 +56,6 @@ def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> 
         assert sum(posterior.values()) == pytest.approx(1)
     assert sure[3] > 0.9
     assert max(unsure.values()) < sure[3]
-
-
-def test_chains_in_threads_change_nothing() -> None:
-    dataset, _ = made(np.random.default_rng(7), TYPES, size=60)
-    one, two = (
-        DirichletMixture(sweeps=30, jobs=jobs).cluster(Observed(dataset), 2) for jobs in (1, 2)
-    )
-    assert (one.assignment == two.assignment).all()
-    assert one.posterior == two.posterior
-
-
-def test_many_messages() -> None:
-    dataset, truth = made(np.random.default_rng(8), [[0, 7], [3], [9, 11]], n=12, size=600)
-    found = DirichletMixture(depth=1, sweeps=60).cluster(Observed(dataset), 0)
-    # Ten transitions ask for the first ten messages only, so {9, 11} behaves as {9}.
-    assert adjusted_rand_score(truth, found.assignment) == 1
-    wide = replace(dataset, messages=tuple(f"m{j}" for j in range(40)))
-    with pytest.raises(TooLargeError, match="depth"):
-        DirichletMixture(depth=6).cluster(Observed(wide), 0)
 
 
 @pytest.mark.parametrize("n", [20, 30])
@@ -182,49 +150,3 @@ def test_score_is_the_joint_probability_by_its_definition(n: int, seed: int) -> 
                 terms.append(value)
         expected += np.logaddexp.reduce(terms)
     assert score == pytest.approx(expected, abs=1e-6)
-
-
-def test_true_types_predict_better_than_one_for_all() -> None:
-    dataset, truth = made(np.random.default_rng(3), TYPES, size=300)
-
-    class Known(Perfect):
-        def cluster(self, observed: Observed, seed: int) -> Clustering:
-            return super().cluster(Observed(observed.dataset, truth), seed)
-
-    found = held_out(dataset, Known(), LabelerTrainer(), 0)
-    assert found.one_type < found.types < 0
-    assert found.gain[0] > 0
-    assert held_out(dataset, Single(), LabelerTrainer(), 0).types == found.one_type
-
-
-def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
-    dataset, truth = made(rng, TYPES, size=100)
-    clustering = Perfect().cluster(Observed(dataset, truth), 0)
-    others = learn_types(dataset, clustering, LabelerTrainer(), 0)
-    assert with_none_of_these(others, dataset, 0.0) is others
-    types = with_none_of_these(others, dataset, 1.0)
-    assert types.names[-1] == "none of these"
-    assert types.prior == pytest.approx([0.3, 0.3, 0.3, 0.1])
-    heavy = with_none_of_these(others, dataset, 3.0)
-    assert heavy.prior == pytest.approx([0.25] * 4)
-    stranger = label_table(types.labelers, dataset.features).array(dataset.n_messages)[-1]
-    assert np.ptp(stranger) == 0
-    assert stranger[0, 0] == pytest.approx(dataset.label.mean(), abs=0.01)
-    only = dataset.take(np.flatnonzero(dataset.label == 0))
-    assert base_rate(only).table(only.features).array(only.n_messages)[0].max() < 0.1
-    with pytest.raises(InputError, match="none_of_these"):
-        with_none_of_these(others, dataset, -1.0)
-
-
-@pytest.mark.parametrize(
-    ("component", "options", "key"),
-    [
-        (DirichletMixture, {"concentration": 0.0}, "concentration"),
-        (DirichletMixture, {"sweeps": 3}, "sweeps"),
-        (DirichletMixture, {"heat": 0.99}, "heat"),
-        (DirichletMixture, {"depth": 0}, "depth"),
-    ],
-)
-def test_bad_values_are_named(component: type, options: dict[str, float], key: str) -> None:
-    with pytest.raises(InputError, match=f"clusterer.*{key}"):
-        component(**options)

@@ -56,29 +56,6 @@ def test_search_by_predictions_is_enumeration(model: object, seed: int) -> None:
     assert minimal_message_set(classifier, features, 5) == enumerated(classifier, features, 5)
 
 
-class AnyOf:
-    """Says 1 to transition t wherever one of its messages ``wanted[t]`` is given."""
-
-    def __init__(self, wanted: NDArray[np.int64]) -> None:
-        self.wanted = wanted
-
-    def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
-        t = x[:, 0].astype(int)
-        given = (x[:, 1:] @ (1 << np.arange(x.shape[1] - 1))).astype(int)
-        return (given & self.wanted[t] != 0).astype(int)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_tree_that_looks_at_few_of_thirty_messages_is_searched_over_these(seed: int) -> None:
-    n, rng = 30, np.random.default_rng(seed)
-    wanted = 1 << rng.choice(n, 4, replace=False)
-    rule = AnyOf(wanted)
-    features = np.arange(4.0)[:, None]
-    x = inputs(np.repeat(features, 300, axis=0), rng.integers(0, 1 << n, 1200), n)
-    tree = DecisionTreeClassifier(random_state=0).fit(x, rule.predict(x))
-    assert minimal_message_set(tree, features, n) == wanted.sum()
-
-
 def test_classifiers_that_look_at_too_many_messages_are_refused() -> None:
     tree, features = fitted(DecisionTreeClassifier(random_state=0), 0, 30, 0.5, rows=900)
     with pytest.raises(TooLargeError, match="of 30 messages"):

@@ -44,20 +44,6 @@ def test_an_observer_is_predicted_by_the_types_that_their_labels_speak_for(
     assert np.array_equal(found, predicted(few, types, replace(asked, label=1 - asked.label)))
 
 
-def test_calibration_compares_what_was_said_with_what_is():
-    """Each tenth has as many labels; a label that comes as often as was said is within its
-    interval in 19 of 20 tenths, and one that comes less often is not."""
-    rng = np.random.default_rng(0)
-    said = rng.random(20_000)
-    found = calibration(said, (rng.random(20_000) < said).astype(np.uint8))
-    assert [one.labels for one in found] == [2000] * 10
-    assert [one.said for one in found] == pytest.approx(np.arange(0.05, 1, 0.1), abs=0.01)
-    assert all(0 <= one.low < one.ones < one.high <= 1 for one in found)
-    assert sum(one.low <= one.said <= one.high for one in found) >= 8
-    off = calibration(said, (rng.random(20_000) < said**2).astype(np.uint8))
-    assert not any(one.low <= one.said <= one.high for one in off[1:9])
-
-
 def test_intervals_of_calibration_are_wilsons():
     """Solved from |ones − p| = z √(p (1 − p) / n) at their ends."""
     [one] = calibration(np.full(1, 0.5), np.array([1], dtype=np.uint8))

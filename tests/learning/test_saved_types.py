@@ -1,6 +1,5 @@
 """Saved types say what they said before saving; a doctored file is refused, never run."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,7 @@ from sklearn.ensemble import GradientBoostingClassifier, RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
-from xplain import Explainer, LearnedTypes
+from xplain import LearnedTypes
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits
 from xplain.learning.data.dataset import Dataset, encoded
@@ -87,22 +86,6 @@ def test_what_was_saved_says_the_same(tmp_path, classifier, confidence):
     again.save(tmp_path / "types")
     twice = LearnedTypes.load(tmp_path / "types")
     np.testing.assert_array_equal(array_of(twice, rows), array_of(again, rows))
-
-
-def test_an_explainer_tells_the_learned_types_apart():
-    types, _ = learned(DecisionTreeClassifier())
-    rows = [[3.0, 0.0]] * 4
-    session = Explainer(types, trade_off=1.0).session(rows)
-    (said,) = session.messages()  # a or b: the types are equally likely
-    session.observe([0])  # who needs it alone would have said 1: this user needs the other
-    told = array_of(types, rows[:1])[:, 0, {"a": 0b001, "b": 0b010}[said]]
-    likelihood = 1 - told
-    assert list(session.belief.values()) == pytest.approx(likelihood / likelihood.sum())
-    assert session.belief[{"a": "type_1", "b": "type_0"}[said]] > 0.95
-    with pytest.raises(InputError, match="rows of 2 numbers: row, column"):
-        session.extend([[1.0]])
-    with pytest.raises(InputError, match=r"finite"):
-        session.extend([[1.0, float("nan")]])
 
 
 class Mine(LogisticRegression):
@@ -185,18 +168,6 @@ def test_a_doctored_tree_is_refused_in_one_line(tmp_path, key, value, inside):
     assert "\n" not in str(error.value)
 
 
-def test_files_of_another_kind_are_refused_in_one_line(tmp_path):
-    (tmp_path / "text").write_text("hello")
-    (tmp_path / "pickle").write_bytes(pickle.dumps({"a": 1}))
-    (tmp_path / "empty").touch()
-    np.save(tmp_path / "one.npy", np.ones(3))
-    np.savez(tmp_path / "other.npz", a=np.ones(3))
-    for name in ("text", "pickle", "empty", "one.npy", "other.npz", "absent", "."):
-        with pytest.raises(InputError) as error:
-            LearnedTypes.load(tmp_path / name)
-        assert "\n" not in str(error.value)
-
-
 def test_a_transition_is_encoded_from_its_columns_as_the_table_was(tmp_path):
     """Whatever the order of columns: every row of a table with text comes out as it was read."""
     rng = np.random.default_rng(1)
@@ -229,20 +200,6 @@ def test_a_transition_is_encoded_from_its_columns_as_the_table_was(tmp_path):
 def test_what_cannot_be_encoded_is_refused_by_name(transition, named):
     with pytest.raises(InputError, match=named):
         encoded(transition, ("zone=river", "load", "zone=hill"))
-
-
-def test_learned_types_encode_what_they_explain():
-    types, data = learned(DecisionTreeClassifier())
-    row = types.encode({"column": data.features[3, 1], "row": int(data.features[3, 0])})
-    np.testing.assert_array_equal(
-        array_of(types, [row]), array_of(types, data.features[3:4].tolist())
-    )
-
-
-def test_types_of_which_nobody_learned_how_people_err_say_so(tmp_path):
-    types, _ = learned(DecisionTreeClassifier())
-    types.save(tmp_path / "types.npz")
-    assert LearnedTypes.load(tmp_path / "types.npz").habits is None
 
 
 @pytest.mark.parametrize(

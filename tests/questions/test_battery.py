@@ -3,13 +3,11 @@
 from itertools import combinations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.questions.tables import random_hypotheses
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.errors import InputError
 from xplain.questions.designs import battery
 
 
@@ -67,25 +65,9 @@ def test_of_questions_that_separate_the_same_the_shortest_is_asked():
         assert (1, 0b10) not in zip(transitions.tolist(), told.tolist(), strict=True)
 
 
-def test_sixty_four_fact_sets_need_at_most_ten_questions():
-    """Labels as tasks have them: every transition depends on one to three facts."""
-    rng = np.random.default_rng(4)
-    held = np.arange(64)
-    masks = [int(sum(1 << int(j) for j in rng.permutation(6)[: 1 + t % 3])) for t in range(40)]
-    labels = np.stack([(held & mask) == 0 for mask in masks], axis=1)
-    h = Hypotheses.of(labels)
-    assert len(np.unique(h.classes)) == 64
-    assert len(battery(h)[0]) <= 10
-
-
 def test_a_longer_list_begins_with_the_shorter():
     h = random_hypotheses(2)
     short, long = battery(h, seed=3), battery(h, seed=3, at_least=40)
     assert len(long[0]) >= 40
     for one, other in zip(short, long, strict=True):
         assert np.array_equal(one, other[: len(one)])
-
-
-def test_redundancy_is_a_whole_number():
-    with pytest.raises(InputError, match="redundancy"):
-        battery(random_hypotheses(0), 0)

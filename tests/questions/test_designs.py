@@ -84,15 +84,6 @@ def asked_of(setting, design, sizes, types):
     return [(a.transitions.tolist(), a.message_sets.tolist()) for a in found], order
 
 
-def test_in_turn_everybody_is_asked_one_question_after_the_other(setting):
-    sizes = [3, 1, 2]
-    _, order = asked_of(setting, Adaptive(in_turn=True), sizes, [0, 1, 2])
-    assert order == [0, 1, 2, 0, 2, 0]
-    asked, order = asked_of(setting, Adaptive(in_turn=True, clip=2), [3, 1, 4], [0, 1, 2])
-    assert order == [0, 1, 2, 0, 2]
-    assert [len(told) for _, told in asked] == [3, 1, 4]
-
-
 def test_in_turn_the_others_answers_tell_and_nothing_else_differs(setting):
     """Without regard for others it does not matter when anybody is asked; with it, the first is
     asked other questions where others answer otherwise, unless they are done before them."""
@@ -130,32 +121,6 @@ def test_hypotheses_must_be_about_the_robots_transitions(setting):
     foreign = Hypotheses.of(full.labels, messages=names, features=full.features + 50)
     with pytest.raises(InputError, match="transitions that the robot can make in corridor"):
         transitions_of(foreign, setting)
-
-
-@pytest.mark.parametrize(
-    ("design", "keys"),
-    [
-        (Adaptive, {"error": 0.0}),
-        (Adaptive, {"error": 0.4}),
-        (Adaptive, {"clip": 0}),
-        (Adaptive, {"clip": 99}),
-        (Adaptive, {"from_others": 1.0}),
-        (Adaptive, {"misread": 1.0}),
-        (Adaptive, {"check": 1.0}),
-        (Adaptive, {"none": 1.0}),
-        (Adaptive, {"none": -0.1}),
-        (Adaptive, {"in_turn": "yes"}),
-        (Battery, {"redundancy": 0}),
-    ],
-)
-def test_bad_values_name_the_key(design, keys):
-    with pytest.raises(InputError, match=f"queries.{next(iter(keys))}"):
-        design(**keys)
-
-
-def test_hypotheses_need_a_file_or_a_domain():
-    with pytest.raises(InputError, match="hypotheses"):
-        _ = HypothesisTrainer().known
 
 
 @pytest.mark.parametrize(("check", "least", "most"), [(0.0, 0.0, 0.1), (0.5, 0.2, 0.7)])

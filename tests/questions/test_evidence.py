@@ -34,24 +34,6 @@ def test_the_weight_of_hypotheses_makes_the_answers_likeliest(seed):
     assert stacked(first, second) == pytest.approx(grid[value.argmax()], abs=5e-4)
 
 
-def test_hypotheses_that_foretell_no_worse_are_believed_alone():
-    better = np.log(np.array([0.9, 0.8, 0.7]))
-    assert stacked(better, better - 0.2) == 1.0
-    assert stacked(better, better) == 1.0
-    assert stacked(np.zeros(0), np.zeros(0)) == 1.0
-    assert stacked(np.full(400, -6.0), np.full(400, -0.1)) < 0.1
-
-
-def test_quarters_are_each_observers_own_and_in_order():
-    observer = np.random.default_rng(0).integers(0, 5, 137)
-    part = parts(observer)
-    for o in range(5):
-        own = part[observer == o]
-        assert (np.diff(own) >= 0).all()
-        size = np.bincount(own, minlength=4)
-        assert size.max() - size.min() <= 1
-
-
 def crowd(seed=0, each=24, thinks=None):
     """Two kinds of people, three each, one answer in twenty wrong."""
     rng, known = np.random.default_rng(seed), hypotheses()
@@ -80,19 +62,6 @@ def test_no_answer_is_foretold_by_itself_or_a_later_one_or_by_other_types():
     for row, said in zip(rows, logs, strict=True):
         before = (kind == kind[row]) & (part < part[row])
         assert said == pytest.approx(data.label[before].sum() + 0.001 * before.sum())
-
-
-def test_hypotheses_and_labels_alone_give_probabilities_of_the_next_answer():
-    """Of the last quarter: what an answer and its opposite take sums to one, whatever it is."""
-    known, data = crowd()
-    last = parts(data.observer) == 3
-    turned = replace(data, label=np.where(last, 1 - data.label, data.label).astype(np.uint8))
-    one, other = evidence_of(known, data), evidence_of(known, turned)
-    early = np.arange(len(one.of_type)) < len(one.of_type) - last.sum()
-    for name in ("hypotheses", "labels"):
-        said, opposite = getattr(one, name), getattr(other, name)
-        assert said[early] == pytest.approx(opposite[early])
-        assert np.exp(said[~early]) + np.exp(opposite[~early]) == pytest.approx(1)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -146,19 +115,3 @@ def test_hypotheses_are_never_given_up_for_a_coin():
     assert evidence.against > BEATEN  # of a coin
     assert evidence.lost
     assert not evidence.beaten
-
-
-def test_the_words_tell_who_foretells_better():
-    few = np.log(np.full(4, 0.8)), np.log(np.full(4, 0.6)), np.zeros(4, dtype=np.int64)
-    few_doubts = np.array([0.1]), np.array([0.1])
-    fits = Evidence(*few, *few_doubts)
-    assert str(fits).startswith("hypotheses fit what people answer: each")
-    assert "0.22 nats by hypotheses, 0.51 by labels alone, 0.69 by a coin" in str(fits)
-    for key in ("doubt", "unwritten"):
-        odd = replace(fits, **{key: np.array([0.9])})
-        assert "people of 1 of 1 types think otherwise" in str(odd)
-    worse = Evidence(few[1], few[0], few[2], *few_doubts)
-    assert not worse.lost  # four answers are few
-    many = Evidence(*(np.tile(one, 20) for one in (few[1], few[0], few[2])), *few_doubts)
-    assert many.beaten
-    assert str(many).startswith("hypotheses do not fit what people answer: each")

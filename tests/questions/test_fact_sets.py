@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.questions.tables import random_hypotheses
-from xplain.domains.users.hypotheses import Hypotheses
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.mixture.labeler import HypothesisLabeler, HypothesisTrainer
 from xplain.learning.mixture.likelihood import (
@@ -163,30 +162,6 @@ def test_where_answers_contradict_the_hypotheses_the_answers_win():
         assert ((p > 0.5) == truth)[asked].all()
 
 
-def test_answers_of_who_errs_more_count_for_less():
-    """Four answers in one cell contradict the hypotheses: they win unless they tell nothing."""
-    known = known_of(1, facts=3, transitions=20, variants=0)
-    t, told = np.repeat(np.arange(20), 4), np.zeros(80, dtype=np.int64)
-    label = known.hypotheses.labels[5, t].astype(np.int64)
-    label[:4] ^= 1
-    answers = Answers(t, told, label)
-    for error, wins in ((0.02, True), (0.49, False)):
-        wrong = np.where(np.arange(80) < 4, error, 0.02)[:, None]
-        given = np.log(np.where(label[:, None] == np.arange(2), 1 - wrong, wrong))[:, :, None]
-        p = HypothesisLabeler.of(known, answers, None, given).known_rows(t[:1], told[:1])[0]
-        assert (p > 0.5) == (label[0] if wins else 1 - label[0])
-
-
-def test_one_wrong_answer_does_not_win():
-    known = known_of(1, facts=3, transitions=20, variants=0)
-    t, told = np.repeat(np.arange(20), 3), np.tile([0, 1, 2], 20)
-    label = known.hypotheses.labels[5 & ~told, t].astype(np.int64)
-    label[7] ^= 1
-    made = HypothesisLabeler.of(known, Answers(t, told, label), None)
-    p = made.known_rows(t[[7]], told[[7]])[0]
-    assert (p > 0.5) == known.hypotheses.labels[5 & ~told[7], t[7]]
-
-
 def dataset_of(known, said):
     h = known.hypotheses
     return Dataset(
@@ -248,22 +223,6 @@ def test_somebody_may_hold_wrong_what_no_hypothesis_does():
     assert not known.ambiguous.any()
 
 
-def test_the_prior_of_what_nobody_wrote_down_is_of_those_who_hold_it():
-    """Fact 0 is in no hypothesis, facts 1 and 2 are, one likelier than the other."""
-    rows = np.arange(3.0)[:, None]
-    labels = [[1, 1, 1], [0, 1, 1], [1, 0, 1], [0, 0, 1]]
-    prior = [0.4, 0.3, 0.2, 0.1]
-    h = Hypotheses.of(labels, [0, 2, 4, 6], ("a", "b", "c"), prior, features=rows)
-    known = KnownTransitions.of(h)
-    assert known.unwritten == 1
-    assert known.hypotheses.facts.tolist() == list(range(8))
-    for held, weight in zip(range(8), np.repeat(prior, 2), strict=True):
-        share = UNWRITTEN if held & 1 else 1 - UNWRITTEN
-        assert known.hypotheses.prior[held] == pytest.approx(share * weight)
-        said = np.array(labels[held >> 1]) * (1 - MATTERS if held & 1 else 1)
-        assert known.share[0, held] == pytest.approx(said)
-
-
 def odd_people(known, facts, count, rng, odd):
     """As :func:`people`; whoever believes fact 3 incorrectly, too, finds the transitions ``odd``
     inexplicable until told."""
@@ -290,23 +249,3 @@ def test_what_nobody_wrote_down_is_learned_from_answers(caplog):
     # Elsewhere nothing spoke against the hypotheses.
     other = np.flatnonzero(h.labels[1, 8:]) + 8
     assert (made.known_rows(other, np.full(len(other), 0b0110)) > 0.9).mean() > 0.9
-
-
-def test_what_nobody_wrote_down_is_told_of(tmp_path, caplog):
-    known = known_of(1, facts=3, transitions=30, variants=0, unwritten=1)
-    plain = random_hypotheses(
-        *(1, 3, 30, 0),
-        messages=known.hypotheses.messages,
-        features=known.hypotheses.features,
-        feature_names=("row",),
-    )
-    plain.save(tmp_path / "h.npz")
-    trainer = HypothesisTrainer(path=str(tmp_path / "h.npz"))
-    for facts, warned in (([1, 1, 1], False), ([9, 9, 9], True)):
-        caplog.clear()
-        said = odd_people(known, facts, 120, np.random.default_rng(6), np.arange(10))
-        data = dataset_of(known, said)
-        trainer.known_answers(data).cluster(data, 1.0)
-        assert ("fact_3" in caplog.text) == warned
-        evidence = trainer.with_errors(data, np.zeros(3, dtype=np.int64))[2]
-        assert (evidence.unwritten[0] > 0.5, evidence.otherwise, evidence.lost) == (warned,) * 3

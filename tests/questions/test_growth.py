@@ -1,6 +1,5 @@
 """Lists of candidates that grow: what they hold is what the list of all sets holds."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,13 +11,12 @@ from tests.domains.example import warehouse
 from xplain.domains.base import transition_features
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting, UserType
-from xplain.errors import DomainError, TooLargeError
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.data.observers import Observed, SimulatedObservers
 from xplain.learning.mixture.labeler import MOST, HypothesisTrainer
 from xplain.learning.mixture.likelihood import LIKELY, grown, posterior_by
 from xplain.learning.mixture.sampler import DirichletMixture
-from xplain.questions.designs import Adaptive, battery
+from xplain.questions.designs import Adaptive
 
 FACTS = 7
 
@@ -39,14 +37,6 @@ def test_with_all_sets_it_is_the_whole_table(most):
     assert np.array_equal(whole.facts, every_set().facts)
     assert np.array_equal(whole.tables, every_set().tables)
     assert np.array_equal(whole.essential, every_set().essential)
-
-
-def test_fewer_facts_are_likelier_than_more():
-    """Each fact is believed incorrectly by one in ten, whatever else is."""
-    known = few_sets(2)
-    one, two = known.prior[known.row(np.array([1, 3]))]
-    assert two / one == pytest.approx(0.1 / 0.9)
-    assert known.prior.sum() == pytest.approx(1)
 
 
 @given(st.integers(0, 10_000), st.integers(1, 2))
@@ -106,38 +96,3 @@ def test_types_of_more_facts_than_the_list_begins_with_are_found():
         shown = sum(1 << int(j) for j in relevant)
         assert (setting.labels(t, setting.reachable, np.full(len(features), shown)) == 1).all()
         assert shown & mask
-
-
-def test_asking_again_asks_the_same():
-    """What a first round of questions found must not bear on a second."""
-    setting, _ = many_facts()
-    crowd = SimulatedObservers(per_type=1, points=12)
-    one = crowd.collect(setting, Adaptive(), 3).dataset
-    other = crowd.collect(setting, Adaptive(), 3).dataset
-    assert np.array_equal(one.message_set, other.message_set)
-    assert np.array_equal(one.transition, other.transition)
-
-
-@pytest.mark.parametrize("error", [DomainError("ambiguous"), TooLargeError("too many")])
-def test_a_list_stays_as_it_is_where_further_sets_cannot_be_worked_out(error, caplog):
-    caplog.set_level("INFO")
-
-    class Stuck:
-        def of(self, facts):
-            raise error
-
-    known = replace(few_sets(1), further=Stuck())
-    everybody = np.full(len(known.facts), 1 / len(known.facts))
-    likely = np.where(known.facts == 1, 1.0, 0.0)
-    assert grown(known, lambda _: everybody) is known
-    assert not caplog.messages
-    assert grown(known, lambda _: likely) is known
-    assert str(error) in caplog.text
-    fixed = replace(known, further=None)
-    assert grown(fixed, lambda _: likely) is fixed
-
-
-def test_a_battery_of_too_many_questions_is_refused_before_it_is_listed():
-    known = Hypotheses.of_domain(warehouse(40), most=2, scales=())
-    with pytest.raises(TooLargeError, match="queries=adaptive"):
-        battery(known)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from xplain.errors import InputError
-from xplain.questions.own_transitions import OwnTransitions, read_transitions, with_features
+from xplain.questions.own_transitions import read_transitions, with_features
 
 TABLE = """text,image,inexplicable_if,load,zone
 Drives over the cable, cable.jpg ,cable,2.5,river
@@ -52,25 +52,6 @@ def test_without_features_the_text_is_one(tmp_path: Path) -> None:
     assert with_features(known) is known
 
 
-def test_without_facts_there_are_no_hypotheses(tmp_path: Path) -> None:
-    own = read_transitions(written(tmp_path, "text\na\n"))
-    assert own.facts is None
-    with pytest.raises(InputError, match="lacks the column inexplicable_if"):
-        _ = own.hypotheses
-
-
-def test_fourteen_facts_are_the_most() -> None:
-    for count in (14, 15):
-        facts = tuple((f"f{j:02}",) for j in range(count))
-        texts = tuple(f"step {j}" for j in range(count))
-        own = OwnTransitions("own.csv", texts, ("",) * count, None, (), facts)
-        if count == 14:
-            assert own.hypotheses.labels.shape == (1 << 14, 14)
-        else:
-            with pytest.raises(InputError, match="at most 14 facts"):
-                _ = own.hypotheses
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -87,20 +68,3 @@ def test_bad_tables_are_one_line(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
         read_transitions(written(tmp_path, text))
     assert "\n" not in str(caught.value)
-
-
-def test_files_that_are_no_tables_are_one_line(tmp_path: Path) -> None:
-    (tmp_path / "bytes.csv").write_bytes(b"text\n\xff\xfe\n")
-    for name, said in (
-        ("bytes.csv", "UTF-8"),
-        ("none.csv", "no such file"),
-        ("", "ends in"),
-    ):
-        with pytest.raises(InputError, match=said) as caught:
-            read_transitions(tmp_path / name)
-        assert "\n" not in str(caught.value)
-
-
-def test_a_missing_fact_is_none(tmp_path):
-    own = read_transitions(written(tmp_path, "text,inexplicable_if\nb,x\na,NA\nc,\nd,null\n"))
-    assert own.facts == (("x",), (), (), ())

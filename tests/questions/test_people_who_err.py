@@ -15,7 +15,6 @@ from xplain.learning.labelers import Labeler
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.learning.prediction import held_out, predicted
-from xplain.learning.saved import LearnedTypes
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import Single, learn_types
 
@@ -204,14 +203,3 @@ def test_held_out_answers_are_predicted_as_answers():
     trainer = HypothesisTrainer(hypotheses=known)
     found = held_out(data, DirichletMixture(labeler=trainer), trainer, 0)
     assert -0.69 < found.types < -0.5
-
-
-def test_how_people_err_is_kept_with_the_types(tmp_path):
-    rng = np.random.default_rng(9)
-    known = hypotheses()
-    data = erring(asked(known, [3] * 3 + [12] * 3, 40, rng), [0, 0.3] * 3, rng)
-    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
-    LearnedTypes.of(types, data).save(tmp_path / "types.npz")
-    read, own = LearnedTypes.load(tmp_path / "types.npz").habits, types.answers.habits
-    assert np.array_equal(read.error, own.error)
-    assert np.array_equal(read.prior, own.prior)

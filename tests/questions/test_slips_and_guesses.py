@@ -104,21 +104,6 @@ def test_with_nothing_told_no_question_comes_more_often_than_allowed() -> None:
             questions.next()
 
 
-def test_taken_up_again_it_asks_what_it_would_have_asked() -> None:
-    labels, slip, guess, prior = drawn(2)
-    known = {"slip": slip, "guess": guess, "told": False, "repeats": 2}
-    begun = Questionnaire(labels, 0.02, prior, seed=4, **known)
-    for label in (1, 0, 1):
-        begun.next()
-        begun.answer(label)
-    again = Questionnaire.from_json(begun.to_json(), labels)
-    assert np.array_equal(again.posterior, begun.posterior)
-    for label in (0, 1, 1):
-        assert again.next() == begun.next()
-        again.answer(label)
-        begun.answer(label)
-
-
 def test_examinees_are_known_after_ten_questions() -> None:
     """Five skills; of 300 items each needs one to three. A better choice needs fewer questions than
     one that knows a single rate of errors."""
@@ -145,21 +130,3 @@ def test_examinees_are_known_after_ten_questions() -> None:
                     until.append(number)
     assert np.mean(right) >= 0.88  # four standard errors below .95
     assert np.mean(until) <= 11
-
-
-@pytest.mark.parametrize(
-    ("given", "key"),
-    [
-        ({"slip": 1.0}, "slip"),
-        ({"guess": -0.1}, "guess"),
-        ({"slip": [0.1, 0.2]}, "slip"),
-        ({"slip": 0.5, "guess": 0.5}, "slip"),
-        ({"slip": "often"}, "slip"),
-        ({"told": False, "repeats": 0}, "repeats"),
-        ({"told": False, "clip": 2}, "clip"),
-        ({"guess": 0.1, "clip": 2}, "clip"),
-    ],
-)
-def test_bad_values_are_named(given: dict[str, object], key: str) -> None:
-    with pytest.raises(InputError, match=key):
-        Questionnaire(drawn(0)[0], **given)  # type: ignore[arg-type]

@@ -1,8 +1,8 @@
 """Gymnasium environments with a tabular model (``env.unwrapped.P``) as domains.
 
 FrozenLake, CliffWalking, Taxi and other environments that show their model become tasks by
-configuration alone. The robot knows the environment as it is. Each parameter that people may hold
-wrong is a list of changes of its rewards or transitions.
+configuration alone. The robot knows the environment as it is. Each parameter that people may
+believe incorrectly is a list of changes of its rewards or transitions.
 """
 
 from __future__ import annotations
@@ -323,8 +323,9 @@ def read_model(
     possible = (probability > 0) & ~terminal[:, None, None]
     met = reached(starts, states, lambda s: successor[s][possible[s]])
     goes_on = met[:, None, None] & possible & ~ended
-    if (goes_on & terminal[successor]).any():
-        raise InputError("domain.id", id, "an environment whose end depends on the state alone")
+    if len(torn := successor[goes_on & terminal[successor]]):
+        reason = f"state {torn[0]} ends some episodes and not others, or lacks a row"
+        raise InputError("domain.id", id, f"an end that depends on the state alone: {reason}")
     return MDP(successor, probability, reward, discount, terminal), starts[~terminal[starts]]
 
 

@@ -15,7 +15,7 @@ from xplain.errors import InputError, Range, TooLargeError, checks
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import subsets
 from xplain.learning.answers import AnswerModel
-from xplain.learning.data.dataset import Dataset, inputs, query_index
+from xplain.learning.data.dataset import Dataset, inputs, labelled_inputs, query_index
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence
 from xplain.learning.types import Clustering, KnownTypes
@@ -275,28 +275,33 @@ class LabelerTrainer:
 
     def fitted_to(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
         """A labeler fitted to the labels of a dataset, which is not measured yet."""
-        x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
         return FittedLabeler(
-            classifier=self.fitted(x, dataset.label, seed),
+            classifier=self.fitted(dataset, seed),
             n_messages=dataset.n_messages,
             calibrated=self.confidence == "leaf",
         )
 
-    def fitted(self, x: NDArray[np.float32], y: NDArray[np.uint8], seed: int) -> Any:
-        """A fitted clone of the classifier; a constant one where all labels are equal."""
+    def fitted(self, dataset: Dataset, seed: int) -> Any:
+        """A clone of the classifier that is fitted to the labels of a dataset; a constant one where
+        all labels are equal."""
         from sklearn.base import clone
         from sklearn.tree import DecisionTreeClassifier
         from sklearn.utils.validation import has_fit_parameter
 
         # A stump predicts the only label it saw; many classifiers refuse to be fitted to it.
-        model = clone(self.classifier) if y.min() != y.max() else DecisionTreeClassifier()
+        torn = dataset.label.min() != dataset.label.max()
+        model = clone(self.classifier) if torn else DecisionTreeClassifier()
         state = derived_seed(seed, "labeler", "classifier") & 0xFFFFFFFF
         names = [name for name in model.get_params() if name.split("__")[-1] == "random_state"]
         model.set_params(**dict.fromkeys(names, state))
-        if len(x) <= MANY or not has_fit_parameter(model, "sample_weight"):
-            return model.fit(x, y)
-        rows, count = np.unique(np.column_stack([x, y]), axis=0, return_counts=True)
-        return model.fit(rows[:, :-1], rows[:, -1].astype(y.dtype), sample_weight=count)
+        if len(dataset) <= MANY or not has_fit_parameter(model, "sample_weight"):
+            return model.fit(labelled_inputs(dataset), dataset.label)
+        answers = 2 * query_index(dataset) + dataset.label
+        _, first, count = np.unique(answers, return_index=True, return_counts=True)
+        dataset = dataset.take(first)
+        x = labelled_inputs(dataset)
+        order = np.lexsort((dataset.label, *x.T[::-1]))
+        return model.fit(x[order], dataset.label[order], sample_weight=count[order])
 
 
 def cheap() -> LabelerTrainer:

@@ -118,14 +118,13 @@ def minimal_message_sets(dataset: Dataset, trainer: LabelerTrainer, seed: int) -
     Raises:
         TooLargeError: as :func:`minimal_message_set`.
     """
-    x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
     found = np.zeros(len(dataset.observers), dtype=np.int64)
     order = np.argsort(dataset.observer, kind="stable")
     edges = np.searchsorted(dataset.observer[order], np.arange(len(found) + 1))
     for o in range(len(found)):
         own = order[edges[o] : edges[o + 1]]
         if len(own):
-            classifier = trainer.fitted(x[own], dataset.label[own], seed)
+            classifier = trainer.fitted(dataset.take(own), seed)
             features = dataset.features[np.unique(dataset.transition[own])]
             found[o] = minimal_message_set(classifier, features, dataset.n_messages)
     return found

@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 
 from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import user_type
-from xplain.errors import DomainError, InputError, Range, XplainError, number
+from xplain.errors import DomainError, InputError, XplainError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import DENSE, LabelTable, stacked
 from xplain.learning.answers import AnswerModel
-from xplain.learning.data.dataset import Dataset, inputs
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence
-from xplain.learning.labelers import FittedLabeler, Labeler, LabelerTrainer, fresh_accuracy
+from xplain.learning.labelers import Labeler, LabelerTrainer, fresh_accuracy
 from xplain.learning.types import Clustering, KnownTypes, TraceTables, unless_too_large
 
 log = logging.getLogger(__name__)
@@ -221,48 +221,6 @@ def learn_types(
     answers = answers or clustering.answers
     shares, everything = clustering.shares, trainer.everything()
     return UserTypes(labelers, clustering, names, shares, answers, evidence, everything)
-
-
-def with_none_of_these(types: UserTypes, dataset: Dataset, weight: float) -> UserTypes:
-    """Adds a type for users unlike all others: it labels at everybody's rate, whatever is shown and
-    said.
-
-    Args:
-        types: learned from the dataset.
-        dataset: the labels.
-        weight: prior weight of that type, in observers (α in a Dirichlet process); 0: no such type.
-
-    Raises:
-        InputError: a negative weight.
-    """
-    number("none_of_these", weight, Range(0))
-    if weight == 0:
-        return types
-    count = np.append(np.bincount(types.clustering.assignment), weight)
-    return replace(
-        types,
-        labelers=(*types.labelers, base_rate(dataset)),
-        names=(*types.names, "none of these"),
-        prior=count / count.sum(),
-    )
-
-
-def base_rate(dataset: Dataset) -> Labeler:
-    """Says 1 with the probability with which a label of the dataset is 1, whatever is asked."""
-    from sklearn.tree import DecisionTreeClassifier
-
-    x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
-    # A tree that may not split; a labeler of shares reads its root.
-    root = DecisionTreeClassifier(min_samples_split=len(x) + 2).fit(x, dataset.label)
-    ones = int(dataset.label.sum())
-    return FittedLabeler(
-        classifier=root,
-        n_messages=dataset.n_messages,
-        confidence=(max(ones, len(x) - ones) + 1) / (len(x) + 2),
-        accuracy=max(ones, len(x) - ones) / len(x),
-        n_train=0,
-        n_test=len(x),
-    )
 
 
 def find_types(

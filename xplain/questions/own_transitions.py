@@ -91,7 +91,7 @@ def read_transitions(path: str | Path) -> OwnTransitions:
     table = read_cells(Path(path), "transitions")
     if TEXT not in table.columns:
         raise InputError("transitions", str(path), f"lacks the column {TEXT}")
-    words = {name: tuple(table[name].astype(str).str.strip()) for name in table.columns}
+    words = {name: tuple(table[name].str.strip()) for name in table.columns}
     if "" in words[TEXT]:
         row = words[TEXT].index("") + 1
         raise InputError("transitions", TEXT, f"a text in every row; missing in row {row}")

@@ -26,7 +26,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.paper import smallest
 from xplain.learning.prediction import HeldOut, held_out, predicted
 from xplain.learning.saved import LearnedTypes
-from xplain.learning.user_types import UserTypes, with_none_of_these
+from xplain.learning.user_types import UserTypes
 from xplain.randomness import run_seed
 
 if TYPE_CHECKING:
@@ -176,7 +176,6 @@ def discovery(cfg: DictConfig) -> Discovery:
     sentences = sentences_of(cfg.sentences, dataset.messages)
     asked = None if cfg.predict is None else read_questions(cfg.predict, dataset)
     types = finder.find(Observed(dataset), cfg.seed)
-    types = with_none_of_these(types, dataset, cfg.none_of_these)
     unseen = held_out(dataset, finder, trainer, cfg.seed) if cfg.held_out else None
     answers = None
     if asked is not None:

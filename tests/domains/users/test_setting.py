@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, setting_of
-from tests.domains.example import warehouse
 from tests.domains.users.corridor import SIZE, Corridor, Padded
 from xplain.domains import mdp
 from xplain.domains.base import Parameter
@@ -39,20 +38,6 @@ def test_the_label_table_is_what_each_corrected_model_says() -> None:
         assert np.array_equal(table[t, :, given], expected)
         one_by_one = setting.labels(t, transitions, np.full(len(transitions), given))
         assert np.array_equal(one_by_one, expected)
-
-
-def test_told_everything_every_type_agrees_with_the_robot() -> None:
-    setting = setting_of(RESCUE)
-    assert setting.label_table(setting.reachable)[:, :, -1].all()
-
-
-def test_messages_about_what_a_type_knows_change_nothing() -> None:
-    setting = setting_of(RESCUE)
-    table = setting.label_table(setting.reachable)
-    for t, bits in enumerate(setting.bits):
-        for j in set(range(6)) - set(bits):
-            given = np.arange(64)
-            assert np.array_equal(table[t][:, given], table[t][:, given | 1 << j])
 
 
 def test_each_distinct_model_is_solved_once() -> None:
@@ -104,17 +89,6 @@ def test_a_parameter_that_the_domain_reads_and_does_not_have_is_one_line() -> No
     assert "\n" not in str(caught.value)
 
 
-def test_types_that_label_alike_are_one() -> None:
-    domain = domain_of(RESCUE)
-    default = {p.name: p.inaccurate for p in domain.parameters}
-    types = (
-        UserType("one", {"fire": default["fire"]}),
-        UserType("two", {"fire": default["fire"] * 1.01}),
-        UserType("three", {"rubble": default["rubble"]}),
-    )
-    assert Setting.build(domain, types).distinct.tolist() == [0, 0, 1]
-
-
 def test_types_that_other_messages_set_right_are_two() -> None:
     """Two facts of one effect: their types label alike as long as nothing is said."""
 
@@ -127,20 +101,6 @@ def test_types_that_other_messages_set_right_are_two() -> None:
 
     one, other = UserType("one", {"end": "left"}), UserType("other", {"goal": "left"})
     assert Setting.build(Twice(), (one, other)).distinct.tolist() == [0, 1]
-
-
-def test_a_table_of_a_million_message_sets_is_refused() -> None:
-    for facts in (20, 21):
-        domain = warehouse(facts)
-        wrong = domain.parameters[-1]
-        setting = Setting.build(domain, (UserType("A", {wrong.name: wrong.inaccurate}),))
-        few = setting.reachable[:2]
-        if facts == 20:
-            assert setting.label_table(few).shape == (1, 2, 1 << 20)
-        else:
-            with pytest.raises(InputError, match="at most 20 messages"):
-                setting.label_table(few)
-        assert setting.labels_by_type(few).p.shape == (2, 2, 1)
 
 
 def test_bad_types_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,12 +117,6 @@ def test_bad_types_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_MODELS", 3)
     with pytest.raises(TooLargeError, match="more than 3 task models"):
         Setting.build(domain, (UserType("A", {"fire": -1.0, "fence": -1.0}),))
-
-
-def test_labels_by_type_are_those_of_the_table() -> None:
-    setting = setting_of(RESCUE)
-    by_type = setting.labels_by_type(setting.reachable)
-    assert np.array_equal(by_type.array(6), setting.label_table(setting.reachable))
 
 
 def test_types_that_label_alike_are_one_type() -> None:

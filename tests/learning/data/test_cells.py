@@ -144,7 +144,11 @@ def test_where_no_column_can_be_a_feature_it_is_asked_and_the_advice_works(tmp_p
         (["", "m0", "m1", "None", "", "m0"], "data='None': leave the cell empty"),
         (["", "m0", "m1", "m0;NA", "", "m0"], "data='NA': leave the cell empty"),
         (["", "m0", "M0", "m1", "", "m0"], "differs from m0 by case alone"),
-        *(([no, "m0", "m1", no, "m0", ""], "leave the cell empty") for no in ("0", "–", "n/a")),
+        *(
+            ([no, "m0", "m1", no, "m0", ""], "leave the cell empty")
+            for no in ("0", "–", "n/a", ".")
+        ),
+        (["'m0;m1'", "m0", "m1", "", "", "m0"], "looks like messages joined"),
         (["{m0}", "{m1}", "{m1}", "", "", "{m0}"], "looks like messages joined"),
     ],
 )

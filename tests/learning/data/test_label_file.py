@@ -1,5 +1,4 @@
 import gzip
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +6,8 @@ import pandas as pd
 import pytest
 
 from xplain.errors import InputError
-from xplain.learning.data.dataset import align, columns_of
-from xplain.learning.data.label_file import read_table, write_table
+from xplain.learning.data.dataset import align
+from xplain.learning.data.label_file import read_table
 
 ROWS = {
     "observer": ["a", "a", "a", "b", "b", "b"],
@@ -40,23 +39,6 @@ def test_columns_become_a_dataset(tmp_path: Path) -> None:
     ]
     # Equal features are the same transition.
     assert len(dataset.features) == 2
-
-
-@pytest.mark.parametrize("name", ["again.csv", "again.parquet"])
-def test_values_that_hold_an_equals_sign_stay_whole(tmp_path: Path, name: str) -> None:
-    action = ["a=b=c", "a=b", "a=b", "a=b=c", "a=b", "="]
-    dataset = read_table(table(tmp_path, action=action))
-    write_table(dataset, tmp_path / name)
-    load = pd.read_csv if name.endswith("csv") else pd.read_parquet
-    assert load(tmp_path / name)["action"].tolist() == action
-    assert columns_of(dataset)["action"][dataset.transition].tolist() == action
-    again = read_table(tmp_path / name)
-    assert again.feature_names == ("row", "action==", "action=a=b", "action=a=b=c")
-    assert np.array_equal(again.features[again.transition], dataset.features[dataset.transition])
-    # A value that the data lack, and those that share its beginning.
-    wider = align(dataset, ("row", "action==", "action=a", "action=a=b", "action=a=b=c"))
-    assert columns_of(wider)["action"][wider.transition].tolist() == action
-    assert not wider.features[:, 2].any()
 
 
 @pytest.mark.parametrize(
@@ -120,12 +102,6 @@ def test_files_that_are_no_tables(tmp_path: Path, name: str) -> None:
             read_table(tmp_path / broken)
 
 
-def test_a_column_without_a_name_is_left_out_by_the_name_that_pandas_gives(tmp_path: Path) -> None:
-    pd.read_csv(table(tmp_path)).to_csv(tmp_path / "labels.csv")
-    names = read_table(tmp_path / "labels.csv", ignore=["Unnamed: 0"]).feature_names
-    assert names == ("row", "action=left", "action=up")
-
-
 def test_a_feature_may_have_thousands_of_values(tmp_path: Path, rng: np.random.Generator) -> None:
     """Rows that differ are told apart, and equal ones are one, in whatever columns they differ."""
     count = 4000
@@ -159,19 +135,6 @@ def test_spaces_around_names_are_none_of_them(tmp_path: Path) -> None:
     assert dataset.message_set.tolist() == [0, 2, 3, 0, 1, 1]
 
 
-def test_observers_are_called_what_they_are_called(tmp_path: Path) -> None:
-    """Numbers keep their zeros, and "NA" is a name; written in any order, each keeps the own."""
-    dataset = read_table(table(tmp_path, observer=["NA", "NA", "007", "007", "null", "null"]))
-    assert dataset.observers == ("007", "NA", "null")
-    numbers = read_table(table(tmp_path, observer=["007", "07", "7"] * 2))
-    assert numbers.observers == ("007", "07", "7")
-    turned = replace(dataset, observers=("null", "NA", "007"))
-    write_table(turned, tmp_path / "turned.csv")
-    again = read_table(tmp_path / "turned.csv")
-    assert again.observers == ("007", "NA", "null")
-    assert (again.observer == 2 - dataset.observer).all()
-
-
 def test_yes_and_no_are_numbers(tmp_path: Path) -> None:
     wet = [True, False, False, True, False, True]
     pd.DataFrame({**ROWS, "wet": wet}).to_parquet(tmp_path / "labels.parquet", index=False)
@@ -179,17 +142,6 @@ def test_yes_and_no_are_numbers(tmp_path: Path) -> None:
         dataset = read_table(path)
         assert dataset.feature_names == ("row", "action=left", "action=up", "wet")
         assert dataset.features[dataset.transition][:, 3].tolist() == wet
-
-
-def test_62_messages_are_the_most(tmp_path: Path) -> None:
-    for count in (62, 63):
-        names = [f"m{j:02}" for j in range(count)]
-        path = table(tmp_path, messages=["", *names[:4], ";".join(names)])
-        if count == 62:
-            assert read_table(path).message_set.tolist()[-1] == (1 << 62) - 1
-        else:
-            with pytest.raises(InputError, match="at most 62"):
-                read_table(path)
 
 
 def test_columns_that_are_asked_for_or_left_out_must_be_there_once(tmp_path: Path) -> None:
@@ -203,23 +155,6 @@ def test_columns_that_are_asked_for_or_left_out_must_be_there_once(tmp_path: Pat
         read_table(path, features=["row", "row"])
     # Who is asked what is always read.
     assert read_table(path, ignore=["age", "label", "observer"]).observers == ("a", "b")
-
-
-def test_only_ones_own_other_answer_is_a_contradiction(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """One question is answered both ways by b, and both count; that a and b differ is none."""
-    given = {"messages": ["", "m0;m1", "m1", "m1", "m0", "m0"], "label": [1, 1, 0, 1, 1, 0]}
-    one_place = {"row": [1] * 6, "action": ["up"] * 6}
-    path = table(tmp_path, **given, **one_place)
-    assert len(read_table(path, features=["row", "action"])) == 6
-    assert "1 questions were answered both ways" in caplog.text
-
-
-def test_people_may_stop_early(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    dataset = read_table(table(tmp_path, observer=["a"] * 5 + ["b"]))
-    assert (dataset.observer == 1).sum() == 1
-    assert "one label only" in caplog.text
 
 
 def test_features_are_put_in_the_order_of_a_domain(tmp_path: Path) -> None:

@@ -71,24 +71,6 @@ def test_observers_are_asked_one_screen_after_the_other(setting: Setting) -> Non
     assert (at_once.label == in_turn.label).all()
 
 
-def test_a_design_may_need_fewer_questions(setting: Setting) -> None:
-    class Half(Shared):
-        def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> list[Answered]:
-            return super().ask(setting, sizes // np.array([1, 2, 1, 4]), answer, seed)
-
-    dataset, _ = labelled(setting, Half())
-    assert np.bincount(dataset.observer).tolist() == [40, 20, 40, 10]
-
-
-def test_noise_flips_labels_and_nothing_else(setting: Setting) -> None:
-    clean, _ = labelled(setting, points=2000)
-    noisy, _ = labelled(setting, points=2000, label_noise=0.1)
-    assert (clean.transition == noisy.transition).all()
-    assert (clean.message_set == noisy.message_set).all()
-    flipped = (clean.label != noisy.label).mean()
-    assert flipped == pytest.approx(0.1, abs=4 * (0.1 * 0.9 / len(clean)) ** 0.5)
-
-
 @pytest.mark.parametrize("design", DESIGNS)
 def test_observers_err_each_on_their_own(setting: Setting, design: type[Queries]) -> None:
     options = {"queries": design(), "points": 3000, "per_type": 3}
@@ -100,45 +82,6 @@ def test_observers_err_each_on_their_own(setting: Setting, design: type[Queries]
     assert np.diag(both) == pytest.approx(np.full(len(truth), 0.21), abs=0.02)
     apart = both[~np.eye(len(truth), dtype=bool)]
     assert abs(apart).max() < 5 * 0.21 / 3000**0.5
-
-
-def test_each_number_of_labels_is_drawn_as_often(setting: Setting) -> None:
-    """Both ends among them; and observers come in the order of their names, however many."""
-    dataset, truth = labelled(setting, per_type=[100, 200], points=[3, 5])
-    assert np.bincount(truth).tolist() == [100, 200]
-    share = np.bincount(np.bincount(dataset.observer), minlength=6)[3:] / len(truth)
-    assert share == pytest.approx(np.full(3, 1 / 3), abs=5 * (2 / 9 / 300) ** 0.5)
-    assert sorted(dataset.observers) == list(dataset.observers)
-    assert len(set(dataset.observers)) == len(truth)
-    same, _ = labelled(setting, points=[4, 4])
-    assert set(np.bincount(same.observer)) == {4}
-
-
-def test_seeds(setting: Setting) -> None:
-    simulated = SimulatedObservers(points=30)
-    first, again, other = (simulated.collect(setting, Shared(), seed).dataset for seed in (1, 1, 2))
-    assert (first.message_set == again.message_set).all()
-    assert (first.label == again.label).all()
-    assert not (first.message_set == other.message_set).all()
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("per_type", 0),
-        ("per_type", [2, 0]),
-        ("per_type", "many"),
-        ("points", 0),
-        ("points", [9, 3]),
-        ("points", "many"),
-        ("label_noise", -0.1),
-        ("label_noise", 0.6),
-        ("label_noise", "much"),
-    ],
-)
-def test_bad_values_are_named(field: str, value: object) -> None:
-    with pytest.raises(InputError, match=f"observers.{field}"):
-        SimulatedObservers(**{field: value})  # type: ignore[arg-type]
 
 
 def test_counts_must_fit_the_types(setting: Setting) -> None:
@@ -179,20 +122,5 @@ def test_a_file_may_hold_more_than_the_domain_asks_for(
     changing = pd.read_csv(path).assign(age=np.arange(len(dataset)) % 7)
     changing.to_csv(path, index=False)
     with pytest.raises(InputError, match="age") as caught:
-        FileObservers(str(path)).collect(setting, Shared(), 0)
-    assert caught.value.key == "observers.path"
-
-
-@pytest.mark.parametrize(
-    ("column", "value", "said"), [("label", 2, "0 or 1"), ("messages", "wind", "unknown message")]
-)
-def test_a_file_that_does_not_fit_is_named(
-    setting: Setting, tmp_path: Path, column: str, value: object, said: str
-) -> None:
-    dataset, _ = labelled(setting)
-    path = tmp_path / "people.csv"
-    write_table(dataset, path)
-    pd.read_csv(path).assign(**{column: value}).to_csv(path, index=False)
-    with pytest.raises(InputError, match=said) as caught:
         FileObservers(str(path)).collect(setting, Shared(), 0)
     assert caught.value.key == "observers.path"

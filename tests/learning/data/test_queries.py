@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.domains.example import warehouse
 from tests.domains.users.corridor import Corridor
 from xplain.domains.users.setting import Setting, UserType
-from xplain.errors import InputError
 from xplain.learning.data.queries import Answered, Independent, Queries, RandomTraces, Shared
 
 DESIGNS = [pytest.param(Independent, id="independent"), pytest.param(Shared, id="shared")]
@@ -50,17 +48,6 @@ def test_messages_are_given_one_by_one(design: type[RandomTraces]) -> None:
     assert (abs(share - expected) < 4 * (expected * (1 - expected) / 4000) ** 0.5).all()
 
 
-def test_forty_messages_are_given_as_well_as_two() -> None:
-    domain = warehouse(40)
-    wrong = domain.parameters[0]
-    setting = Setting.build(domain, (UserType("A", {wrong.name: wrong.inaccurate}),))
-    (one,) = asked(Independent(message_probability=1.0), [5], setting)
-    assert one.message_sets.tolist() == [(1 << 40) - 1] * 5
-    (one,) = asked(Independent(trace_length=1), [400], setting)
-    share = (one.message_sets[:, None] >> np.arange(40) & 1).mean(axis=0)
-    assert (abs(share - 0.5) < 5 * (0.25 / 400) ** 0.5).all()
-
-
 def test_shared_questions_are_shared_and_independent_ones_are_not() -> None:
     def batteries(queries: Queries) -> set[tuple[bytes, bytes]]:
         return {
@@ -70,19 +57,3 @@ def test_shared_questions_are_shared_and_independent_ones_are_not() -> None:
 
     assert len(batteries(Shared())) == 1
     assert len(batteries(Independent())) == 4
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("trace_length", 0),
-        ("trace_length", 2.5),
-        ("message_probability", 1.5),
-        ("message_probability", float("nan")),
-        ("message_probability", "often"),
-    ],
-)
-@pytest.mark.parametrize("design", DESIGNS)
-def test_bad_values_are_named(design: type, field: str, value: object) -> None:
-    with pytest.raises(InputError, match=f"queries.{field}"):
-        design(**{field: value})

@@ -74,13 +74,3 @@ def test_expected_visits_are_the_mean_of_many_traces(
         assert visits == pytest.approx(by_hand[s] * (0.8 if to == 2 else 0.2))
     steps = [step for trace in traces for step in trace]
     assert len(steps) / COUNT == pytest.approx(found.sum(), abs=0.05)
-
-
-def test_a_start_named_twice_is_twice_as_likely() -> None:
-    model, optimal = small()
-    every = np.array([(s, a, to) for s in (0, 1) for a in (0, 2) for to in (0, 2)])
-    starts, rng = np.array([0, 1, 1]), np.random.default_rng(6)
-    found = expected_visits(model, optimal, starts, every, 1)
-    assert found.reshape(2, 4).sum(axis=1) == pytest.approx([1 / 3, 2 / 3])
-    first = [int(sample_trace(model, optimal, starts, rng, 1)[0, 0]) for _ in range(COUNT)]
-    assert share(first, 1) == near(2 / 3)

@@ -90,14 +90,16 @@ class PDDL:
         self.dead_end_cost = dead_end_cost
         self.task = read_task(file, problem, ("domain.file", "domain.problem"))
         found, other = self._find_differences(file, problem, believed)
-        self.words = Words(self.task, _mapping("words", words, "{predicate or action: its words}"))
-        given = _mapping("facts", facts, "{name: {change, message, belief}}")
+        self.words = Words(
+            self.task, mapping("domain.words", words or {}, "{predicate or action: its words}")
+        )
+        given = mapping("domain.facts", facts or {}, "{name: {change, message, belief}}")
         read = [*self._read_facts(given, found, other)]
         if not read:
             raise InputError("domain.facts", dict(given), "at least one fact, here or by believed")
         self.parameters = tuple(parameter for parameter, _ in read)
         changes = [change for _, change in read]
-        given = _mapping("features", features, "{name: pattern, or a list of them}")
+        given = mapping("domain.features", features or {}, "{name: pattern, or a list of them}")
         counts = {str(name): self._read_patterns(name, given[name]) for name in given}
         self._beliefs = BelievedTask(self.task, changes, dead_end_cost, max_states, counts)
         self._model = cache(self._beliefs.model)
@@ -254,15 +256,6 @@ class PDDL:
     def scene(self) -> None:
         """None: there is no map."""
         return None
-
-
-def _mapping(field: str, given: Any, allowed: str) -> Mapping[str, Any]:
-    """The mapping given for a field; None: an empty one.
-
-    Raises:
-        InputError: it is not a mapping.
-    """
-    return mapping(f"domain.{field}", {} if given is None else given, allowed)
 
 
 def _joined(fields: Any) -> list[str]:

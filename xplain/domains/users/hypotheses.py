@@ -1,8 +1,8 @@
 r"""Hypotheses: what people might believe incorrectly, and how each such person would label.
 
 A candidate is a set R of facts believed incorrectly. Somebody of candidate R who was told the
-messages H still holds R \ H wrong and labels transition τ by ``labels[R \ H, τ]``, but for errors
-(docs/what-to-ask.md).
+messages H still believes R \ H incorrectly, and labels transition τ by ``labels[R \ H, τ]``, but
+for errors (docs/what-to-ask.md).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from math import comb
 from pathlib import Path
 from typing import Any
@@ -22,13 +23,11 @@ from numpy.typing import ArrayLike, NDArray
 from xplain.domains.base import Domain, transition_feature_names, transition_features
 from xplain.domains.users.inaccurate_values import (
     AS_ASSUMED,
-    FurtherLabels,
+    FactLabels,
     few,
-    labels_of,
-    variants_of,
     with_subsets,
 )
-from xplain.domains.users.setting import MAX_MODELS
+from xplain.domains.users.setting import MAX_MODELS, Setting, UserType
 from xplain.errors import InputError, TooLargeError, whole_number
 from xplain.explanation.message_sets import names_of
 from xplain.storage import written_whole
@@ -88,17 +87,17 @@ class Hypotheses:
     """C candidates for what somebody may believe incorrectly, and their labels of T transitions.
 
     Attributes:
-        labels: [C, T] uint8, the label of somebody who holds exactly ``facts[c]`` wrong.
+        labels: [C, T] uint8, the label of somebody who believes exactly ``facts[c]`` incorrectly.
         facts: [C] int64 bitmasks, ascending; with each set all of its subsets are candidates.
-        messages: n names; bit j of a set is fact j, which message j sets right.
+        messages: n names; bit j of a set is fact j, which message j corrects.
         prior: [C] probabilities of the candidates; sums to 1.
         features: [T, F] float64 of the transitions; None where unknown.
         feature_names: F names.
         phrases: T descriptions for people; empty where there are none.
         states: [T, 2] int64 where a transition starts and ends, for clips of transitions in a
             row; None where unknown.
-        variants: [V, C, T] uint8 the labels were the wrong values others (half, double, …), which
-            somebody may hold as well; V may be 0.
+        variants: [V, C, T] uint8 the labels at other wrong values (half, double, …), which people
+            may believe as well; V may be 0.
         variant_weight: [V] prior probabilities of the variants; None: as likely each, and together
             less likely than the values as assumed.
         further: labels of sets that are no candidates yet (:meth:`with_sets`); None where nobody
@@ -115,7 +114,7 @@ class Hypotheses:
     states: NDArray[np.int64] | None = None
     variants: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
     variant_weight: NDArray[np.float64] | None = None
-    further: FurtherLabels | None = None
+    further: FactLabels | None = None
 
     @classmethod
     def of(
@@ -186,15 +185,16 @@ class Hypotheses:
             most = n if 1 << n <= MAX_MODELS else max(most, 1)
         most = min(whole_number("hypotheses.most", most, 1), n)
         assumed = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
-        setting, facts, labels = labels_of(domain, most, assumed)
-        transitions = setting.reachable
-        other = variants_of(domain, most, scales)
+        robot = Setting.build(domain, (UserType("robot", {}),))
+        transitions = robot.reachable
+        facts = with_subsets([sum(1 << j for j in own) for own in combinations(range(n), most)])
+        labels = FactLabels(domain, transitions)
+        other = labels.variants(facts, scales)
         every_value = (assumed, *(values for values, _, _ in other))
-        every = np.arange(len(transitions))
         return cls.of(
-            labels,
+            labels.at(assumed, facts),
             facts,
-            setting.message_names,
+            robot.message_names,
             None if most == n else few(facts, n, FEW),
             features=transition_features(domain, transitions),
             feature_names=transition_feature_names(domain),
@@ -202,7 +202,7 @@ class Hypotheses:
             states=transitions[:, [0, 2]],
             variants=np.array([own for _, own, _ in other], dtype=np.uint8),
             variant_weight=np.array([prior for _, _, prior in other]) if other else None,
-            further=FurtherLabels(domain, every_value, transitions, every) if most < n else None,
+            further=replace(labels, values=every_value) if most < n else None,
         )
 
     @classmethod
@@ -266,7 +266,7 @@ class Hypotheses:
 
     @property
     def n_messages(self) -> int:
-        """n: facts, and messages that set them right."""
+        """n: facts, and messages that correct them."""
         return len(self.messages)
 
     @property
@@ -306,8 +306,8 @@ class Hypotheses:
         return np.append(True, weight >= weight.max(initial=0) / 2)
 
     def told_apart_by_features(self) -> Hypotheses:
-        """Without transitions that share their features with others of other labels: an answer
-        about one of them says nothing to who sees features alone. All of them, where the rest
+        """Leaves out transitions that share their features with others of other labels: an answer
+        about one of them tells nothing if only features are seen. Keeps all of them if the rest
         tells fewer candidates apart."""
         if self.features is None:
             return self
@@ -352,7 +352,7 @@ class Hypotheses:
 
         Candidates that behave alike have an intersection that does, too (give the messages
         outside it), so that each class has one smallest member. A fact j is in it unless for every
-        K ⊆ R \\ j holding K ∪ j wrong labels everything as holding K does.
+        K ⊆ R \\ j people who believe K ∪ j incorrectly label everything as those of K do.
         """
         found = np.zeros_like(self.facts)
         for j, more, less in self.pairs:
@@ -394,7 +394,7 @@ class Hypotheses:
                 "hypotheses",
                 ", ".join(self.messages),
                 "facts that cannot be told apart: no question separates any of them, as every "
-                "transition has one label whatever is held wrong",
+                "transition has one label whatever is believed incorrectly",
             )
 
 

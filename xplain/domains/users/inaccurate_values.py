@@ -1,19 +1,18 @@
-"""Labels of people who hold a domain's inaccurate values, or multiples of them."""
+"""Labels of people who believe a domain's inaccurate values, or multiples of them."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Domain, Parameter
-from xplain.domains.users.setting import Setting, UserType
-from xplain.errors import DomainError, InputError, XplainError
+from xplain.domains.base import Domain
+from xplain.domains.users.setting import MAX_MODELS, task_of
+from xplain.errors import DomainError, InputError, TooLargeError, XplainError
 from xplain.explanation.message_sets import indices, names_of, subsets
 
 log = logging.getLogger(__name__)
@@ -27,180 +26,145 @@ EACH = 8
 NUDGES = (1.0, 1.01, 0.99, 1.02, 0.98, 1.05, 0.95)
 """Where ties at some values are ambiguous, the values times each of these are tried, in this order:
 nobody's idea of a size is so exact."""
-
-
-def labels_of(
-    domain: Domain, most: int, value: Mapping[str, Any]
-) -> tuple[Setting, NDArray[np.int64], NDArray[np.uint8]]:
-    """The sets of at most ``most`` facts [C], and who holds them, at these wrong values, labels
-    what the robot can do [C, T].
-
-    Raises:
-        DomainError: some model's ties are ambiguous.
-        InputError: the domain refuses a value.
-    """
-    n = len(domain.parameters)
-    names = [parameter.name for parameter in domain.parameters]
-    largest = list(combinations(range(n), most))
-    setting = Setting.build(
-        domain,
-        tuple(
-            UserType(str(i), {names[j]: value[names[j]] for j in chosen})
-            for i, chosen in enumerate(largest)
-        ),
-    )
-    model: dict[int, int] = {}
-    for i, chosen in enumerate(largest):
-        own = subsets(chosen)
-        models = setting.model_index(i, int(own[-1]) & ~own)
-        model.update(zip(own.tolist(), models.tolist(), strict=True))
-    facts = np.array(sorted(model))
-    by_model = setting.label_by_model(setting.reachable)
-    return setting, facts, by_model[[model[held] for held in facts.tolist()]]
-
-
-def variants_of(
-    domain: Domain, most: int, scales: Sequence[float]
-) -> list[tuple[dict[str, Any], NDArray[np.uint8], float]]:
-    """Wrong values that people may hold in place of those assumed, by parameter, with their labels
-    [C, T] and their prior probability.
-
-    A value that the domain refuses stays as assumed. Where ties are ambiguous, values are nudged,
-    or stay as assumed with a warning (:func:`without_ties`). Where no value is another than
-    assumed, there is no variant.
-
-    Args:
-        domain: its inaccurate values are those assumed.
-        most: parameters believed incorrectly together.
-        scales: one variant each: all inaccurate values that are numbers times this. Further
-            variants have them on the other side of the robot's values, all at once or, up to EACH
-            facts, one alone.
-    """
-    assumed = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
-    opposite = opposite_values(domain)
-    turned = [opposite]
-    if len(opposite) <= EACH:
-        turned += [assumed | {name: value} for name, value in opposite.items()]
-    scaled = [scaled_values(domain, scale) for scale in scales]
-    found = []
-    for share, wanted in ((1 - AS_ASSUMED - OPPOSITE, scaled), (OPPOSITE, turned)):
-        different = {str(one): one for one in wanted if one != assumed}
-        made = [without_ties(domain, most, one) for one in different.values()]
-        made = [(values, labels) for values, labels in made if values != assumed]
-        found += [(values, labels, share / len(made)) for values, labels in made]
-    return found
-
-
-def without_ties(
-    domain: Domain, most: int, wanted: Mapping[str, Any]
-) -> tuple[dict[str, Any], NDArray[np.uint8]]:
-    """Wrong values as near to those wanted as leaves no tie ambiguous, and their labels [C, T].
-
-    Where ties are ambiguous at those wanted, each parameter in turn takes its wanted value, or the
-    first of its :data:`NUDGES` at which none is, those before it being as found, those after it as
-    assumed. One for which every nudge fails stays as assumed, and a warning tells so.
-
-    Args:
-        domain: its inaccurate values must leave no tie ambiguous.
-        most: parameters believed incorrectly together.
-        wanted: for each parameter a value that the domain takes.
-    """
-    try:
-        return dict(wanted), labels_of(domain, most, wanted)[2]
-    except DomainError:
-        log.debug("hypotheses: ties are ambiguous at %s", wanted)
-    assumed = {one.name: one.inaccurate for one in domain.parameters}
-    chosen, labels = assumed, labels_of(domain, most, assumed)[2]
-    for name in (name for name in wanted if wanted[name] != assumed[name]):
-        for nudge in NUDGES:
-            value = wanted[name]
-            tried = chosen | {name: value * nudge if _is_number(value) else value}
-            try:
-                chosen, labels = tried, labels_of(domain, most, tried)[2]
-                if nudge != 1:
-                    log.info("hypotheses: a variant has %s=%s", name, tried[name])
-                break
-            except (DomainError, InputError) as error:
-                reason = str(error)
-        else:
-            stays = "hypotheses: no variant with %s=%s, it stays %s: %s"
-            log.warning(stays, name, wanted[name], assumed[name], reason)
-    return chosen, labels
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+Values = Mapping[str, Any]
+"""A wrong value of each parameter."""
 
 
 @dataclass(frozen=True)
-class FurtherLabels:
-    """Labels of sets of facts that no list holds yet, worked out when asked for, each once.
+class FactLabels:
+    """Labels of people who believe sets of facts incorrectly; each set is solved once.
 
     Attributes:
         domain: whose models.
-        values: [1 + V] wrong values by parameter: those assumed, and those of the variants.
         transitions: [T, 3].
-        columns: [K] those of the transitions that are asked for.
+        values: [1 + V] those assumed, and those of the variants.
+        columns: [K] the transitions to label; None: all.
     """
 
     domain: Domain
-    values: tuple[Mapping[str, Any], ...]
     transitions: NDArray[np.int64]
-    columns: NDArray[np.int64]
+    values: tuple[Values, ...] = ()
+    columns: NDArray[np.int64] | None = None
     _known: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
 
-    def take(self, columns: NDArray[np.int64]) -> FurtherLabels:
-        """Of some transitions alone; what is worked out is shared."""
-        return replace(self, columns=self.columns[columns])
+    def take(self, columns: NDArray[np.int64]) -> FactLabels:
+        """Labels of some transitions alone; what is solved is shared."""
+        return replace(self, columns=columns if self.columns is None else self.columns[columns])
 
     def of(self, facts: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[1 + V, C, K] labels of who holds these sets [C] wrong.
+        """[1 + V, C, K] labels of people who believe these sets [C] incorrectly.
 
         Raises:
             DomainError: some model's ties are ambiguous.
         """
-        missing = [held for held in facts.tolist() if held not in self._known]
-        if missing:
-            solved = np.stack([self._solved(missing, wrong) for wrong in self.values])
-            self._known.update(zip(missing, np.moveaxis(solved, 1, 0), strict=True))
-        return np.stack([self._known[held][:, self.columns] for held in facts.tolist()], axis=1)
+        missing = np.array([one for one in facts.tolist() if one not in self._known], np.int64)
+        if len(missing):
+            solved = np.stack([self.at(values, missing) for values in self.values], axis=1)
+            self._known.update(zip(missing.tolist(), solved, strict=True))
+        columns = slice(None) if self.columns is None else self.columns
+        return np.stack([self._known[one][:, columns] for one in facts.tolist()], axis=1)
 
-    def _solved(self, facts: list[int], wrong: Mapping[str, Any]) -> NDArray[np.uint8]:
+    def at(self, values: Values, facts: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """[C, T] labels of people who believe these sets [C] incorrectly, at these values.
+
+        Raises:
+            DomainError: some model's ties are ambiguous.
+            InputError: the domain refuses a value.
+            TooLargeError: too many sets.
+        """
+        if len(facts) > MAX_MODELS:
+            raise TooLargeError(f"hypotheses: {len(facts)} sets of facts; at most {MAX_MODELS}")
         accurate = {one.name: one.accurate for one in self.domain.parameters}
-        held = [names_of(one, tuple(accurate)) for one in facts]
-        models = [self.domain.model(accurate | {name: wrong[name] for name in own}) for own in held]
-        whose = [f"who holds {', '.join(own)} wrong" for own in held]
+        wrong = [names_of(one, tuple(accurate)) for one in facts.tolist()]
+        models = [task_of(self.domain, accurate | {x: values[x] for x in own}) for own in wrong]
+        whose = [f"somebody who believes {', '.join(own)} incorrectly" for own in wrong]
         return models[0].solve(models, whose).labels(self.transitions)
+
+    def without_ties(
+        self, wanted: Values, facts: NDArray[np.int64]
+    ) -> tuple[Values, NDArray[np.uint8]]:
+        """Wrong values as near to those wanted as leaves no tie ambiguous, and the labels [C, T] of
+        people who believe these sets [C] incorrectly.
+
+        Where ties are ambiguous at those wanted, each parameter in turn takes its wanted value, or
+        the first of its :data:`NUDGES` at which none is, those before it being as found, those
+        after it as assumed. A warning names one for which every nudge fails: it stays as assumed.
+        """
+        try:
+            return dict(wanted), self.at(wanted, facts)
+        except DomainError:
+            log.debug("hypotheses: ties are ambiguous at %s", wanted)
+        assumed: Values = {one.name: one.inaccurate for one in self.domain.parameters}
+        chosen, labels = assumed, self.at(assumed, facts)
+        for name in (name for name in wanted if wanted[name] != assumed[name]):
+            for nudge in NUDGES:
+                value = wanted[name]
+                tried = {**chosen, name: value * nudge if _is_number(value) else value}
+                try:
+                    chosen, labels = tried, self.at(tried, facts)
+                    if nudge != 1:
+                        log.info("hypotheses: a variant has %s=%s", name, tried[name])
+                    break
+                except (DomainError, InputError) as error:
+                    reason = str(error)
+            else:
+                stays = "hypotheses: no variant with %s=%s, it stays %s: %s"
+                log.warning(stays, name, wanted[name], assumed[name], reason)
+        return chosen, labels
+
+    def variants(
+        self, facts: NDArray[np.int64], scales: Sequence[float]
+    ) -> list[tuple[Values, NDArray[np.uint8], float]]:
+        """Wrong values that people may believe in place of those assumed, with the labels [C, T] of
+        people who believe these sets [C] incorrectly, and their prior probability.
+
+        A value that the domain refuses stays as assumed. Where ties are ambiguous, see
+        :meth:`without_ties`. Where no value is another than assumed, there is no variant.
+
+        Args:
+            facts: the sets.
+            scales: one variant each: all inaccurate values that are numbers times this. Further
+                variants have them on the other side of the robot's values, all at once or, up to
+                EACH facts, one alone: the fire that people fear may also be believed a bonus.
+        """
+        assumed = {one.name: one.inaccurate for one in self.domain.parameters}
+        opposite = other_values(self.domain, lambda right, wrong: 2 * right - wrong)
+        turned = [opposite]
+        if len(opposite) <= EACH:
+            turned += [assumed | {name: value} for name, value in opposite.items()]
+        scaled = [scaled_values(self.domain, scale) for scale in scales]
+        found = []
+        for share, wanted in ((1 - AS_ASSUMED - OPPOSITE, scaled), (OPPOSITE, turned)):
+            different = {str(one): one for one in wanted if one != assumed}
+            made = [self.without_ties(one, facts) for one in different.values()]
+            made = [(values, labels) for values, labels in made if values != assumed]
+            found += [(values, labels, share / len(made)) for values, labels in made]
+        return found
+
+
+def other_values(domain: Domain, other: Callable[[float, float], float]) -> dict[str, Any]:
+    """Wrong values by parameter: ``other`` of the robot's value and the inaccurate one, where both
+    are numbers and the domain takes it; else the inaccurate one."""
+    accurate = {one.name: one.accurate for one in domain.parameters}
+    values = {one.name: one.inaccurate for one in domain.parameters}
+    for name, wrong in values.items():
+        if _is_number(wrong) and _is_number(accurate[name]):
+            tried = other(accurate[name], wrong)
+            try:
+                domain.model({**accurate, name: tried})
+                values[name] = tried
+            except XplainError:
+                log.debug("hypotheses: the domain refuses %s=%s", name, tried)
+    return values
 
 
 def scaled_values(domain: Domain, scale: float) -> dict[str, Any]:
-    """All inaccurate values times ``scale``, by parameter, where they are numbers and the domain
-    takes them."""
-    return {
-        one.name: _taken(domain, one, lambda _, wrong: scale * wrong) for one in domain.parameters
-    }
+    """All inaccurate values times ``scale``, by parameter; see :func:`other_values`."""
+    return other_values(domain, lambda _, wrong: scale * wrong)
 
 
-def opposite_values(domain: Domain) -> dict[str, Any]:
-    """Of each parameter the value as far from the robot's on the other side, where both are numbers
-    and the domain takes it: the fire that people fear may also be believed a bonus."""
-    return {
-        one.name: _taken(domain, one, lambda right, wrong: 2 * right - wrong)
-        for one in domain.parameters
-    }
-
-
-def _taken(domain: Domain, parameter: Parameter, other: Callable[[float, float], float]) -> Any:
-    """Another wrong value, or the inaccurate one where the domain does not take the other."""
-    right, wrong = parameter.accurate, parameter.inaccurate
-    if not _is_number(wrong) or not _is_number(right):
-        return wrong
-    values = {one.name: one.accurate for one in domain.parameters}
-    try:
-        domain.model(values | {parameter.name: other(right, wrong)})
-    except XplainError:
-        return wrong
-    return other(right, wrong)
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def few(facts: NDArray[np.int64], n: int, share: float) -> NDArray[np.float64]:
@@ -213,4 +177,4 @@ def few(facts: NDArray[np.int64], n: int, share: float) -> NDArray[np.float64]:
 
 def with_subsets(facts: Sequence[int]) -> NDArray[np.int64]:
     """These sets and all of their subsets, ascending."""
-    return np.unique(np.concatenate([subsets(indices(held)) for held in facts]))
+    return np.unique(np.concatenate([subsets(indices(one)) for one in facts]))

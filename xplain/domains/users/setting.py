@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from xplain.domains import mdp
 from xplain.domains.base import Domain
 from xplain.errors import InputError, TooLargeError, one_of
-from xplain.explanation.label_table import MAX_RELEVANT, LabelTable
+from xplain.explanation.label_table import LabelTable
 
 MAX_MODELS = 1 << 14
 
@@ -96,7 +96,7 @@ class Setting:
             key = repr([values[name] for name in names])
             if key not in index:
                 index[key] = len(models)
-                models.append(_model(domain, values))
+                models.append(task_of(domain, values))
                 whose.append(who)
             return index[key]
 
@@ -154,13 +154,9 @@ class Setting:
         """The true labels of all types for all message sets: [N, T, 2^n].
 
         Raises:
-            InputError: more than MAX_RELEVANT messages; :meth:`labels_by_type` needs no such table.
+            TooLargeError: messages are too many for such a table.
         """
-        if self.n_messages > MAX_RELEVANT:
-            raise InputError("domain", self.n_messages, f"at most {MAX_RELEVANT} messages")
-        by_model = self.label_by_model(transitions)
-        every = np.arange(1 << self.n_messages)
-        return np.stack([by_model[self.model_index(t, every)].T for t in range(len(self.types))])
+        return self.labels_by_type(transitions).array(self.n_messages).astype(np.uint8)
 
     def labels_by_type(self, transitions: NDArray[np.int64]) -> LabelTable:
         """The true labels of all types, each over the messages that correct it."""
@@ -198,7 +194,7 @@ class Setting:
         return np.array(found)
 
 
-def _model(domain: Domain, values: Mapping[str, Any]) -> mdp.TaskModel:
+def task_of(domain: Domain, values: Mapping[str, Any]) -> mdp.TaskModel:
     """The domain's model of these values.
 
     Raises:

@@ -6,7 +6,7 @@ Each has one method, ``types(domain, rng)``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any, Protocol
@@ -16,6 +16,7 @@ import numpy as np
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import Count, InputError, checks, one_of, whole_number
+from xplain.explanation.message_sets import indices
 
 
 class TypeSource(Protocol):
@@ -126,6 +127,32 @@ ATTEMPTS = 1000
 """Draws before giving up: more than a second or two of them found nothing in any domain here."""
 
 
+def first_distinct(
+    domain: Domain, count: int, draws: Iterable[Sequence[Sequence[int]]], distinct: bool = True
+) -> tuple[UserType, ...]:
+    """The types of the first draw that fits: they differ in the label of some reachable
+    (transition, message set).
+
+    Args:
+        domain: whose parameters they believe incorrectly.
+        count: of the types.
+        draws: each the facts of all types.
+        distinct: False: the first draw fits.
+
+    Raises:
+        InputError: no draw fits.
+    """
+    names = [parameter.name for parameter in domain.parameters]
+    for facts in draws:
+        drawn = tuple(
+            user_type(domain, f"T{i + 1}", [names[j] for j in own]) for i, own in enumerate(facts)
+        )
+        if not distinct or len(np.unique(Setting.build(domain, drawn).distinct)) == count:
+            return drawn
+    allowed = f"no draw of {ATTEMPTS} gives so many types of {domain.name} that behave differently"
+    raise InputError("users.count", count, f"{allowed}; ask for fewer")
+
+
 @checks("users")
 @dataclass(frozen=True)
 class RandomCover:
@@ -148,30 +175,17 @@ class RandomCover:
         Raises:
             InputError: there are fewer subsets than ``count``, or no draw fitted.
         """
-        names = [parameter.name for parameter in domain.parameters]
-        full = (1 << len(names)) - 1
-        if len(names) < 31 and self.count > full:
+        n = len(domain.parameters)
+        full = (1 << n) - 1
+        if n < 31 and self.count > full:
             raise InputError("users.count", self.count, f"at most {full} subsets exist")
-        for _ in range(ATTEMPTS):
-            masks = [int(rng.integers(1, full + 1)) for _ in range(self.count)]
-            if len(set(masks)) < self.count or np.bitwise_or.reduce(masks) != full:
-                continue
-            drawn = tuple(
-                user_type(domain, f"T{i + 1}", [x for j, x in enumerate(names) if mask >> j & 1])
-                for i, mask in enumerate(masks)
-            )
-            if not self.distinct:
-                return drawn
-            behaviour = Setting.build(domain, drawn).distinct
-            if len(np.unique(behaviour)) == self.count:
-                return drawn
-        kind = "behaviourally distinct types" if self.distinct else "types"
-        raise InputError(
-            "users.count",
-            self.count,
-            f"no {kind} that use all of {domain.name}'s parameters in {ATTEMPTS} draws; "
-            "ask for fewer, or set users.distinct=false",
+        masks = (rng.integers(1, full + 1, self.count).tolist() for _ in range(ATTEMPTS))
+        covers = (
+            [indices(mask) for mask in drawn]
+            for drawn in masks
+            if len({*drawn}) == self.count and np.bitwise_or.reduce(drawn) == full
         )
+        return first_distinct(domain, self.count, covers, self.distinct)
 
 
 @checks("users")
@@ -200,23 +214,9 @@ class FewFacts:
         Raises:
             InputError: fewer parameters than ``most``, or no draw fitted.
         """
-        names = [parameter.name for parameter in domain.parameters]
-        if self.most > len(names):
-            raise InputError(
-                "users.most", self.most, f"at most {len(names)}, {domain.name}'s facts"
-            )
-        for _ in range(ATTEMPTS):
-            sizes = rng.integers(self.fewest, self.most + 1, self.count)
-            chosen = [np.sort(rng.permutation(len(names))[:size]) for size in sizes]
-            drawn = tuple(
-                user_type(domain, f"T{i + 1}", [names[j] for j in own])
-                for i, own in enumerate(chosen)
-            )
-            if len(np.unique(Setting.build(domain, drawn).distinct)) == self.count:
-                return drawn
-        raise InputError(
-            "users.count",
-            self.count,
-            f"no {self.count} types of {domain.name} that behave differently in {ATTEMPTS} "
-            "draws; ask for fewer",
-        )
+        n = len(domain.parameters)
+        if self.most > n:
+            raise InputError("users.most", self.most, f"at most {n}, {domain.name}'s facts")
+        sizes = (rng.integers(self.fewest, self.most + 1, self.count) for _ in range(ATTEMPTS))
+        facts = ([sorted(rng.permutation(n)[:size].tolist()) for size in drawn] for drawn in sizes)
+        return first_distinct(domain, self.count, facts)

@@ -49,8 +49,8 @@ def check_format(path: Path, key: str) -> str:
 
 
 def read_cells(path: Path, key: str) -> pd.DataFrame:
-    """A table of texts; a Parquet file's numbers and truth values keep their types. A column
-    without a name is called as pandas calls it, such as "Unnamed: 0".
+    """A table of texts; "" where one is missing. A column without a name is called as pandas calls
+    it, such as "Unnamed: 0".
 
     Args:
         path: a CSV file (comma, semicolon, tab or bar; UTF-8 or UTF-16), or a Parquet file.
@@ -61,7 +61,6 @@ def read_cells(path: Path, key: str) -> pd.DataFrame:
             the header, or there are no rows. Rows without any text do not count.
     """
     import pandas as pd
-    from pandas.api.types import is_numeric_dtype
 
     kind = check_format(path, key)
     if not path.is_file():
@@ -77,10 +76,9 @@ def read_cells(path: Path, key: str) -> pd.DataFrame:
         raise InputError(key, str(path), f"not a readable table ({reason})") from None
     if not len(table):
         raise InputError(key, str(path), "has no rows")
-    for name in table.columns:
-        if not is_numeric_dtype(table[name]):  # truth values are numeric here
-            table[name] = table[name].astype(object).fillna("").astype(str).astype(object)
-    return table
+    table.columns = table.columns.map(str)
+    cells = table.astype(object)
+    return cells.where(table.notna(), "").astype(str).astype(object)
 
 
 def _read_csv(path: Path, key: str) -> pd.DataFrame:
@@ -90,7 +88,7 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
     content = gzip.decompress(content) if path.name.lower().endswith(".gz") else content
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = content.decode("utf-16" if wide else "utf-8-sig")
-    text = re.sub(r"^sep=.\r?\n", "", text)  # Excel's
+    text = re.sub(r"^\ufeff*(sep=.\r?\n)?", "", text)  # Excel's
     if not text.strip():
         raise ValueError("it is empty")
     if "\0" in text:
@@ -124,13 +122,9 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=header, dtype=object)
 
 
-def as_numbers(column: pd.Series[Any]) -> NDArray[np.float64] | None:
-    """[rows] the numbers in a column, true and false as 1 and 0, NaN where one is missing; None if
-    it is text."""
-    if column.dtype.kind != "O":
-        return column.to_numpy(dtype=np.float64, na_value=np.nan)
-    cells = column.drop_duplicates()
-    words = cells.str.strip()
+def as_numbers(words: pd.Series[Any]) -> NDArray[np.float64] | None:
+    """[rows] the numbers in a column of texts without spaces around them, true and false as 1 and
+    0, NaN where one is missing; None if some are no numbers."""
     given = words[~words.isin(MISSING)].drop_duplicates()
     small = given.str.lower()
     if small.isin(["true", "false"]).all():
@@ -139,22 +133,13 @@ def as_numbers(column: pd.Series[Any]) -> NDArray[np.float64] | None:
         numbers = given.astype(float)
         if (twice := given[numbers.duplicated(keep=False)]).any():
             alike = " and ".join(twice[numbers[twice.index] == numbers[twice.index[0]]][:2])
-            log.warning("the column %s is text: %s would be one number", column.name, alike)
+            log.warning("the column %s is text: %s would be one number", words.name, alike)
             return None
     else:
         if given.str.fullmatch(rf"{NUMBER}|\d+,\d+").all():
-            log.warning("the column %s is text: a number is written 1.5, not 1,5", column.name)
+            log.warning("the column %s is text: a number is written 1.5, not 1,5", words.name)
         return None
-    number = words.map(dict(zip(given, numbers, strict=True)))
-    read = column.map(dict(zip(cells, number, strict=True)))
-    return np.asarray(read, dtype=np.float64)
-
-
-def as_words(column: pd.Series[Any]) -> pd.Series[Any]:
-    """The cells of a column as texts without spaces around them."""
-    import pandas as pd
-
-    return pd.Series([str(cell).strip() for cell in column], dtype=object, name=column.name)
+    return np.asarray(words.map(dict(zip(given, numbers, strict=True))), dtype=np.float64)
 
 
 def one_hot(column: str, values: Any) -> tuple[NDArray[np.float64], tuple[str, ...]]:
@@ -173,8 +158,5 @@ def option(key: str, values: Iterable[str]) -> str:
 
 def _quote(value: str) -> str:
     """A text as Hydra reads it; a word needs no quotation marks."""
-    word = re.fullmatch(r"[A-Za-z_]\w*", value, re.ASCII) and value.lower() not in _WORDS
+    word = re.fullmatch(r"(?!(?i:null|true|false|nan|inf)$)[A-Za-z_]\w*", value, re.ASCII)
     return value if word else quoted(value, '"')
-
-
-_WORDS = ("null", "true", "false", "nan", "inf")

@@ -93,6 +93,11 @@ def inputs(
     return np.hstack([features, bits_of(message_sets, n_messages)]).astype(np.float32)
 
 
+def labelled_inputs(dataset: Dataset) -> NDArray[np.float32]:
+    """:func:`inputs` of each label: [P, F + n]."""
+    return inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
+
+
 def encoded(
     transition: Mapping[str, float | str], feature_names: Sequence[str]
 ) -> tuple[float, ...]:

@@ -29,7 +29,6 @@ from xplain.explanation.message_sets import mask_of, names_of
 from xplain.learning.data.cells import (
     MISSING,
     as_numbers,
-    as_words,
     check_format,
     one_hot,
     option,
@@ -45,21 +44,7 @@ log = logging.getLogger(__name__)
 COLUMNS = ("observer", "messages", "label")
 NEARLY_ALL = 0.9
 """A column with more different values than this share of the rows tells no step from another."""
-TRUTH = {"TRUE": "1", "True": "1", "true": "1", "FALSE": "0", "False": "0", "false": "0"}
-NOTHING = (
-    "none",
-    "nothing",
-    "no message",
-    "no messages",
-    "no",
-    "0",
-    "-",
-    "–",
-    "—",
-    "[]",
-    "{}",
-    "()",
-)
+NOTHING = "none|nothing|nil|missing|no|no messages?|n/a|0|[.]|-|–|—|\\[\\]|{}|\\(\\)"
 """Names that look as if nothing was told."""
 MAX_MASK = 62
 """Most messages in a table; a message set is the bits of one integer."""
@@ -172,7 +157,7 @@ def _load(
     """The columns that count, :data:`COLUMNS` first; without the column of messages nobody was told
     anything."""
     table = read_cells(path, "data")
-    columns = [str(name) for name in table.columns]
+    columns = [*table.columns]
     for name in ("observer", "label", *(features or ()), *ignore):
         if name not in columns:
             raise InputError("data", str(path), f"lacks the column {name}; it has {columns}")
@@ -230,7 +215,7 @@ def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, .
 
 def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]:
     """Who was asked, and what they were told before: these attributes of a dataset."""
-    who = as_words(table["observer"])
+    who = table["observer"].str.strip()
     _refuse_missing("observer", who == "")
     observer, observers = _factorized(who)
     seen: dict[str, str] = {}
@@ -258,7 +243,7 @@ def _refuse_missing(name: str, missing: Any, mend: str = "", key: str = "data") 
 def _message_sets(
     column: pd.Series[Any], messages: Sequence[str] | None
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    code, cells = _factorized(as_words(column))
+    code, cells = _factorized(column.str.strip())
     absent = {*MISSING} - {*(messages or ())}
     given = [[" ".join(name.split()) for name in cell.split(";") if name.strip()] for cell in cells]
     given = [[] if len(names) == 1 and names[0] in absent else names for names in given]
@@ -285,9 +270,9 @@ def _ask_about_names(names: Sequence[str]) -> None:
         joined = len(parts) > 1 and all(parts) and (single or {*parts} & {*names})
         others = "|".join(re.escape(other) for other in names if other != name)
         several = rf"\W*({others})((\W|_)+(and\W+)?({others}))+\W*"
-        if name in MISSING or name.casefold() in (*NOTHING, "n/a"):
+        if name in MISSING or re.fullmatch(NOTHING, name, re.IGNORECASE):
             raise InputError("data", name, f"leave the cell empty if nothing was told; {one}")
-        bracket = name[0] in "[{(" or name[-1] in ")}]"
+        bracket = name[0] in "[{('\"" or name[-1] in ")}]"
         if bracket or joined or (others and re.fullmatch(several, name)):
             allowed = f"looks like messages joined by something else than a semicolon; {one}"
             raise InputError("data", name, allowed)
@@ -299,9 +284,10 @@ def _ask_about_names(names: Sequence[str]) -> None:
 def _labels(column: pd.Series[Any]) -> NDArray[np.uint8]:
     import pandas as pd
 
-    words = as_words(column)
+    words = column.str.strip()
     _refuse_missing("label", words.isin(MISSING))
-    numbers = pd.to_numeric(words.replace(TRUTH), errors="coerce")
+    truth = words.str.lower().replace({"true": "1", "false": "0"})
+    numbers = pd.to_numeric(truth, errors="coerce")
     bad = ~numbers.isin([0, 1])
     if bad.any():
         first = words[bad].iloc[0]
@@ -327,9 +313,9 @@ def read_features(
 
     columns: list[NDArray[np.float64]] = []
     names: list[str] = []
-    for name in map(str, table.columns):
-        words = as_words(table[name])
-        numbers = as_numbers(table[name])
+    for name in table.columns:
+        words = table[name].str.strip()
+        numbers = as_numbers(words)
         if name in like and numbers is None:
             numbers = pd.to_numeric(words, errors="coerce").to_numpy(dtype=float)
             bad = np.isnan(numbers) & ~words.isin(MISSING)
@@ -379,8 +365,5 @@ def _check(dataset: Dataset) -> None:
     if single.any():
         log.warning("%d observers gave one label only: kept, placed by it", int(single.sum()))
     own = query * len(dataset.observers) + dataset.observer
-    _, where = np.unique(own, return_inverse=True)
-    ones = np.bincount(where, weights=dataset.label)
-    torn = int(((ones > 0) & (ones < np.bincount(where))).sum())
-    if torn:
+    if torn := len(np.unique(2 * own + dataset.label)) - len(np.unique(own)):
         log.warning("%d questions were answered both ways by one observer: both labels count", torn)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting
-from xplain.errors import InputError, Range, checks
+from xplain.errors import Count, InputError, Range, checks
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import read_table
 from xplain.learning.data.queries import Queries
@@ -101,23 +101,18 @@ class SimulatedObservers:
 
     Attributes:
         per_type: observers per type; a list has a number for each type.
-        points: labels per observer (fewer if the queries need fewer); with a pair [low, high] it
-            is drawn uniformly for each observer.
+        points: labels per observer (fewer if the queries need fewer).
         label_noise: probability that a label is flipped, independently for each label.
     """
 
     per_type: int | Sequence[int] = 3
-    points: int | Sequence[int] = 300
+    points: Count = 300
     label_noise: Annotated[float, Range(0, 0.5)] = 0.0
 
     def __post_init__(self) -> None:
-        counts = _whole_numbers(self.per_type)
-        if not counts or min(counts) < 1:
+        counts = np.asarray(self.per_type)
+        if counts.ndim > 1 or counts.dtype.kind != "i" or counts.min() < 1:
             raise InputError("observers.per_type", self.per_type, "a number ≥ 1, or one a type")
-        points = _whole_numbers(self.points)
-        single = isinstance(self.points, int)
-        if len(points) != (1 if single else 2) or points[0] < 1 or points[0] > points[-1]:
-            raise InputError("observers.points", self.points, "a number ≥ 1, or [low, high]")
 
     def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
         """Labels of all observers and their true types.
@@ -125,9 +120,11 @@ class SimulatedObservers:
         Raises:
             InputError: ``per_type`` does not fit the types.
         """
-        truth = np.repeat(np.arange(len(setting.types)), self._counts(len(setting.types)))
-        low, *_, high = _whole_numbers(self.points) * 2
-        sizes = stream(seed, "observers", "points").integers(low, high + 1, len(truth))
+        types, counts = len(setting.types), np.asarray(self.per_type)
+        if counts.ndim and len(counts) != types:
+            raise InputError("observers.per_type", self.per_type, f"a number, or {types} of them")
+        truth = np.repeat(np.arange(types), counts)
+        sizes = np.full(len(truth), self.points)
         noise = [stream(seed, "observers", "noise", o) for o in range(len(truth))]
 
         def answer(
@@ -139,7 +136,10 @@ class SimulatedObservers:
 
         asked = queries.ask(setting, sizes, answer, seed)
         shown = np.concatenate([one.transitions for one in asked])
-        features = transition_features(setting.domain, shown)
+        # Few transitions are shown often: rows of features take long to compare.
+        keys = np.ravel_multi_index(tuple(shown.T), tuple(shown.max(axis=0) + 1))
+        _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+        features = transition_features(setting.domain, shown[first])
         distinct, transition = np.unique(features, axis=0, return_inverse=True)
         width = len(str(len(truth) - 1))
         dataset = Dataset(
@@ -148,28 +148,13 @@ class SimulatedObservers:
             messages=setting.message_names,
             observers=tuple(f"observer_{o:0{width}d}" for o in range(len(truth))),
             observer=np.repeat(np.arange(len(truth)), [len(one.labels) for one in asked]),
-            transition=transition.ravel(),
+            transition=transition.ravel()[which],
             message_set=np.concatenate([one.message_sets for one in asked]),
             label=np.concatenate([one.labels for one in asked]),
         )
         found = [one.likely for one in asked if one.likely is not None]
         likely = np.unique(np.concatenate(found)) if found else None
         return Observed(dataset, truth, setting, likely)
-
-    def _counts(self, types: int) -> list[int]:
-        counts = _whole_numbers(self.per_type)
-        if isinstance(self.per_type, int):
-            return counts * types
-        if len(counts) != types:
-            raise InputError("observers.per_type", self.per_type, f"a number, or {types} of them")
-        return counts
-
-
-def _whole_numbers(value: object) -> list[int]:
-    """One number or several, as a list; empty where something else is among them."""
-    several = list(value) if isinstance(value, Sequence) else [value]
-    whole = [one for one in several if isinstance(one, int) and not isinstance(one, bool)]
-    return whole if len(whole) == len(several) else []
 
 
 @dataclass(frozen=True)

@@ -36,11 +36,10 @@ def sample_trace(
     state = int(starts[rng.integers(len(starts))])
     steps: list[tuple[int, int, int]] = []
     while len(steps) < max_length and not model.terminal[state]:
-        actions = np.flatnonzero(optimal[state])
+        actions = optimal[state].nonzero()[0]
         action = int(actions[rng.integers(len(actions))])
-        share = model.probability[
-            state, action
-        ].cumsum()  # as choice(p=…) draws, in a third of its time
+        # As choice(p=…) draws, in a third of its time.
+        share = model.probability[state, action].cumsum()
         slot = (share / share[-1]).searchsorted(rng.random(), side="right")
         after = int(model.successor[state, action, slot])
         steps.append((state, action, after))

@@ -317,7 +317,8 @@ class KnownAnswers:
             return None
         if surprise := int(np.bitwise_or.reduce(facts & self.grown.unwritten)):
             names = ", ".join(names_of(surprise, dataset.messages))
-            log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
+            said = "some people believe something incorrectly that no hypothesis has; told by: %s"
+            log.warning(said, names)
         if expected is not None:
             place, count = self.place, len(self.place)
             ones = np.bincount(dataset.transition, dataset.label, count)

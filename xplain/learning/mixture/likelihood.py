@@ -137,9 +137,9 @@ class Answers(NamedTuple):
 class KnownTransitions:
     """The hypotheses by rows of features: transitions that share one are one, of mean label.
 
-    A message whose fact is in no hypothesis might yet set something right. People who hold such a
-    fact wrong, alone or with others, are candidates as well. What it changes nobody knows: each
-    label may be 0 instead, and answers say where it is.
+    A message whose fact is in no hypothesis might yet correct something. People who believe such a
+    fact incorrectly, alone or with others, are candidates as well. What it changes is unknown: each
+    label may be 0 instead, and answers tell where it is.
 
     Attributes:
         hypotheses: with features; with the candidates who believe a fact incorrectly that nobody
@@ -214,8 +214,8 @@ class KnownTransitions:
     def exactly(
         self, held: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(f = 1) by the hypotheses' own transitions [P], whose features may be shared, of who
-        holds these facts [P] wrong: [P, 1 + V, D]."""
+        """[P, 1 + V, D] P(f = 1) of the hypotheses' own transitions [P], whose features may be
+        shared, for people who believe these facts [P] incorrectly."""
         labels = self.hypotheses.tables[:, self.hypotheses.row(held), transitions]
         return self._deviating((labels * _certain(held, self.unwritten)).T)
 
@@ -342,7 +342,7 @@ class Cells:
 
     @classmethod
     def of(cls, known: KnownTransitions, answers: Answers, facts: NDArray[np.int64]) -> Cells:
-        """The cells of P answers, were they of people who hold ``facts`` [R] wrong."""
+        """The cells of P answers, if people believed ``facts`` [R] incorrectly."""
         held = known.hypotheses.row(facts[:, None] & ~answers.message_set)
         size = known.share[0].size
         key = held * known.share.shape[2] + answers.transition

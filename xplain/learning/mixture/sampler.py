@@ -252,8 +252,8 @@ def sample(
 
 
 def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> ChainState:
-    """The state in which observers hold ``first`` [O] wrong, no fact matters anywhere, and all
-    levels of noise are as likely; nothing is counted yet."""
+    """The state in which observers believe ``first`` [O] incorrectly, no fact matters anywhere, and
+    all levels of noise are equally likely; nothing is counted yet."""
     transitions, levels = len(answers.transition_start) - 1, len(prior.log_flip)
     return ChainState(
         facts=first.copy(),
