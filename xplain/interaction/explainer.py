@@ -154,7 +154,7 @@ class Explainer:
     Attributes:
         types: who the users may be.
         solver: plans the messages; any that does without knowing the user's type.
-        trade_off: λ, cost of communication against inexplicability.
+        trade_off: λ, the cost of a message in inexplicable labels.
         message_cost: C_e, one number or one a message.
         inexplicability_cost: C_inexp of each label 0.
         discount: γ_E, for planning.

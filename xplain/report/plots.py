@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from xplain.explanation.message_sets import bits_of
@@ -52,7 +53,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 STYLES = ("-", "--", "-.", ":", "-", "--", "-.", ":")
 
 AXES = {
-    "lambda": "λ, cost of communication against inexplicability",
+    "lambda": "λ, cost of a message in inexplicable labels",
     "users.count": "number of user types (users.count)",
     "observers.label_noise": "share of wrong labels (observers.label_noise)",
     "ask.cost": "κ, cost of a question (ask.cost)",
@@ -89,7 +90,7 @@ def series_style(index: int) -> dict[str, Any]:
 
 @matplotlib.rc_context(STYLE)
 def draw(
-    points: pd.DataFrame, x_label: str, y_label: str, per_row: int = 4, hollow: str = "paper"
+    points: pd.DataFrame, x_label: str, y_label: str, per_row: int = 4, hollow: str = "the paper's"
 ) -> Figure:
     """Lines with intervals.
 
@@ -110,7 +111,8 @@ def draw(
     columns = min(per_row, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
-    every = figure.subplots(rows, columns, squeeze=False, sharey="row").flat
+    every = figure.subplots(rows, columns, squeeze=False, sharey="row").ravel()
+    is_negative = points["low"].min() < 0 or points["mean"].min() < 0
     named: dict[str, Any] = {}
     for axes, panel in zip(every, panels, strict=False):
         for index, line in enumerate(lines):
@@ -126,24 +128,26 @@ def draw(
                 named.setdefault(line, drawn)
             if own["hollow"].notna().any():
                 look = {"marker": style["marker"], "mfc": "white", "ls": "none", "ms": 8}
-                rings = axes.plot(at, own["hollow"], color=style["color"], zorder=1, **look)
-                named[f" {hollow}"] = rings[0]
+                axes.plot(at, own["hollow"], color=style["color"], zorder=1, **look)
         axes.set(xlabel=x_label)
         axes.set_title(panel, loc="left", weight="bold", fontsize=10)
         if len(ticks) <= 8:  # the values that were run, and no others
             axes.set_xticks(list(place.values()), [f"{t:g}" if is_numeric else t for t in ticks])
         else:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        if points["low"].min() < 0 or points["mean"].min() < 0:
+        if is_negative:
             axes.axhline(0, color="#222222", lw=0.8)
-        else:
+    if not is_negative:  # once all are drawn: a limit ends the scaling of a row
+        for axes in every:
             axes.set_ylim(bottom=0)
     for row in range(rows):
         figure.axes[row * columns].set_ylabel(y_label)
     for axes in figure.axes[len(panels) :]:
         axes.set_visible(False)
+    if points["hollow"].notna().any():
+        look = {"marker": "o", "mfc": "white", "ls": "none", "ms": 8}
+        named[hollow] = Line2D([], [], color="#666666", **look)
     if any(name.strip() for name in named):
-        named = dict(sorted(named.items(), key=lambda item: item[0] == f" {hollow}"))
         figure.legend([*named.values()], [*named], loc="outside right center")
     return figure
 
