@@ -135,7 +135,7 @@ def test_what_changes_no_figure_makes_no_table_older(repository: Repository) -> 
     for file, old, new in (
         ("conf/config.yaml", "seed: 0 ", "seed: 7 "),
         ("conf/config.yaml", "traces: 20 ", "traces: 21 "),  # the sweep has its own
-        ("conf/config.yaml", "# λ, cost of", "# λ, the price of"),
+        ("conf/config.yaml", "# λ, the cost of", "# λ, the price of"),
         ("conf/domain/rescue.yaml", "message: ", "message: By the way, "),
         ("conf/solver/lookahead.yaml", "candidates: 16", "candidates: 17"),  # not in this sweep
         ("conf/clusterer/dirichlet.yaml", "chains: ", "chains: 1"),  # the default is not taken
