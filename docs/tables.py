@@ -66,6 +66,9 @@ GONE = {
     "solver.rollout": '"qmdp"',
     "solver.trees": "1",
     "solver.threads": "1",
+    "users.attempts": "1000",
+    "clusterer.jobs": "1",
+    "labeler.refit": "true",
 }
 """Keys that there are no more, with the value that does what is done now."""
 

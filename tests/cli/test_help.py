@@ -65,9 +65,9 @@ NO_OPTION = {
 }
 """Parameters of shipped components that a file of conf/ may leave out, and why."""
 
-UNUSED = {"hypotheses": {"confidence", "refit"}}
+UNUSED = {"hypotheses": {"confidence"}}
 """By choice, inherited parameters that say nothing of the component: its hypotheses say how sure
-they are, and are fitted to all labels."""
+they are."""
 
 
 @pytest.mark.parametrize(("group", "choice"), choices())

@@ -95,7 +95,7 @@ def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(
 ) -> None:
     """The same data give the same labeler: among other clusters, in another order, alone."""
     dataset, truth = made(rng, [[0, 1], [2], [1, 3]], noise=0.1)
-    trainer = LabelerTrainer(holdout=0.4, refit=False)
+    trainer = LabelerTrainer(holdout=0.4)
 
     def tables(data: Dataset, assignment: NDArray[np.int64]) -> list[NDArray[np.float64]]:
         types = learn_types(data, Clustering(assignment, "test", "given"), trainer, 7)

@@ -48,9 +48,12 @@ def test_confidence_is_the_smoothed_share_of_held_out_questions_got_right(
     """Each question once, however often it was answered; of a split vote the share that agrees."""
     once, _ = made(rng, [[0, 1]], noise=0.15)
     dataset = once.take(np.repeat(np.arange(len(once)), repeats))
-    labeler = LabelerTrainer(refit=False).fit(dataset, 7)
-    test = dataset.take(np.flatnonzero(split(dataset, 0.25, derived_seed(7, "labelers"))))
-    said = labeler.predict(test.features[test.transition], test.message_set)
+    labeler, seed = LabelerTrainer().fit(dataset, 7), derived_seed(7, "labelers")
+    dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))
+    held = split(dataset, 0.25, seed)
+    train, test = (dataset.take(np.flatnonzero(rows)) for rows in (~held, held))
+    trained = LabelerTrainer().fitted_to(train, seed)
+    said = trained.predict(test.features[test.transition], test.message_set)
     votes: dict[tuple[int, int], list[bool]] = {}
     for tau, told, hit in zip(test.transition, test.message_set, said == test.label, strict=True):
         votes.setdefault((tau, told), []).append(hit)

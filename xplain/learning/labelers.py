@@ -187,22 +187,20 @@ class LabelerTrainer:
     The labels are split by distinct (transition, message set): duplicates on both sides would
     leak. The confidence is measured on the held-out part by a classifier that saw only the
     training part, and counts each question once: observers who repeat each other are no further
-    evidence. Of a question answered both ways the share that agrees counts as right. With ``refit``
-    the labeler returned is then fitted on all labels: it has seen more than the one measured, so
-    the confidence errs, if at all, on the modest side.
+    evidence. Of a question answered both ways the share that agrees counts as right. The labeler
+    returned is fitted to all labels: it has seen more than the one measured, so the confidence
+    errs, if at all, on the modest side.
 
     Attributes:
         classifier: any scikit-learn classifier, unfitted; it is cloned for every fit.
         holdout: share of the distinct points that is held out, in (0, 1).
         confidence: ``accuracy`` (the paper: one number a labeler) or ``leaf`` (the classifier's
             own probabilities, drawn to that number).
-        refit: fit on all labels once the confidence is measured.
     """
 
     classifier: Any = field(default_factory=paper_tree)
     holdout: Annotated[float, Range(0, 1, "()")] = 0.25
     confidence: Literal["accuracy", "leaf"] = "accuracy"
-    refit: bool = True
 
     def __post_init__(self) -> None:
         for method in ("fit", "predict"):
@@ -258,18 +256,19 @@ class LabelerTrainer:
         dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))
         query, test = query_index(dataset), split(dataset, self.holdout, seed)
         train, held = (dataset.take(np.flatnonzero(rows)) for rows in (~test, test))
-        labeler = self.fitted_to(dataset if self.refit else train, seed)
+        labeler = self.fitted_to(dataset, seed)
         tested = len(np.unique(query[test])) if measured else 0
         right = 0.0
         if tested:
-            trained = self.fitted_to(train, seed) if self.refit else labeler
-            said = trained.predict(held.features[held.transition], held.message_set)
+            said = self.fitted_to(train, seed).predict(
+                held.features[held.transition], held.message_set
+            )
             right = float(by_question(said == held.label, query[test]).sum())
         return replace(
             labeler,
             confidence=(right + 1) / (tested + 2),
             accuracy=right / tested if tested else math.nan,
-            n_train=len(np.unique(query[~test | (self.refit and not tested)])),
+            n_train=len(np.unique(query[~test | (not tested)])),
             n_test=tested,
         )
 

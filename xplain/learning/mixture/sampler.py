@@ -407,7 +407,6 @@ class DirichletMixture(Clusterer):
         sweeps: of each chain, the first half of them heated. Large data need few:
         updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
         heat: initial temperature.
-        jobs: chains run at a time (threads); no result depends on it.
     """
 
     concentration: Positive = 1.0
@@ -416,7 +415,6 @@ class DirichletMixture(Clusterer):
     sweeps: Annotated[int, Range(FEWEST_SWEEPS)] = 100
     updates: Count = 300_000
     heat: Annotated[float, Range(1)] = 4.0
-    jobs: int = 1
 
     def cluster(self, observed: Observed, seed: int) -> Clustering:
         """Types, what each needs to be told, and the posterior over their number.
@@ -445,8 +443,6 @@ class DirichletMixture(Clusterer):
 
     def _sampled(self, dataset: Dataset, seed: int) -> Clustering:
         """By fact sets, of labels for which somebody was told something."""
-        from joblib import Parallel, delayed
-
         observers, n = len(dataset.observers), dataset.n_messages
         long = observers * self.sweeps <= self.updates
         usual = 5 if n <= WIDE and long else 4 if n <= MANY else 3
@@ -457,8 +453,8 @@ class DirichletMixture(Clusterer):
             )
         answers, prior = SortedLabels.of(dataset), Prior.of(n, depth)
         sweeps = min(self.sweeps, max(self.updates // observers, FEWEST_SWEEPS))
-        chains: list[Chain] = Parallel(n_jobs=self.jobs, prefer="threads")(
-            delayed(sample)(
+        chains = [
+            sample(
                 answers,
                 prior,
                 self.concentration,
@@ -468,7 +464,7 @@ class DirichletMixture(Clusterer):
                 stream(seed, "dirichlet", chain),
             )
             for chain in range(self.chains)
-        )
+        ]
         best = max(chains, key=lambda chain: chain.score).best
         return Clustering.by_facts(
             best.facts & facts_that_matter(prior, best),
