@@ -190,11 +190,11 @@ def killed(service: Service, sessions: int, kills: int) -> int:
     took = time.perf_counter() - start
     service.kill()
     with sqlite3.connect(service.database) as stored:
-        rows = stored.execute("SELECT talk, decided FROM event WHERE key = 'begin'").fetchall()
-        persons = stored.execute("SELECT person FROM talk").fetchall()
-    kept = {which: json.loads(decided) for which, decided in rows}
+        sql = "SELECT participant, state, payload ->> 'person' FROM event WHERE kind = 'begin'"
+        rows = stored.execute(sql).fetchall()
+    kept = {which: json.loads(decided) for which, decided, _ in rows}
     wrong = sum(kept.get(which) != decided for which, decided in acknowledged.items())
-    wrong += len(persons) - len(set(persons))
+    wrong += len(rows) - len({person for _, _, person in rows})
     service.start()
     again = random.Random(0).sample(sorted(acknowledged), min(200, len(acknowledged)))
     for which in again:  # the service decides the same from the events

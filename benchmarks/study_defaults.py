@@ -17,16 +17,17 @@ from typing import Any
 
 import numpy as np
 from explainees import DOMAINS, figure, ratio
+from hydra.utils import instantiate
 
 from xplain.experiment.config import composed
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Explainee, Slips
-from xplain.people.material import Material, fixed
+from xplain.people.material import Material, fixed, learned_types
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import PERSONALIZED
-from xplain.people.study.prepare import drafted, learned_table, learned_types, traces_of
+from xplain.people.study.prepare import drafted, learned_table, traces_of
 from xplain.randomness import derived_seed
 
 FIRST = 9600
@@ -51,7 +52,7 @@ def measured(domain: str, labeler: str, seed: int, traces: int) -> dict[tuple[st
     """The mean cost of a seed, by belief and people."""
     cfg = composed("study", [f"domain={domain}", f"seed={seed}", f"labeler={labeler}"])
     config: dict[str, Any] = fixed(cfg)
-    setting, learned = learned_types(cfg)
+    setting, learned = learned_types(cfg, instantiate(cfg.domain))
     task, found = Material.of(setting), defaultdict[tuple[str, str], list[float]](list)
     best = traces_of(task, config["trace"], config["max_steps"], seed)[:traces]
     for number, trace in enumerate(best):

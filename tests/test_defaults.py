@@ -11,7 +11,7 @@ from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.experiment.config import CONF, composed, schema
-from xplain.people.http import Server
+from xplain.people.server import Server
 from xplain.runs.mlflow import MLflow
 
 GROUPS = ("labeler", "clusterer", "users", "observers", "queries", "belief", "domain", "solver")

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from flask import Flask
-from flask.testing import FlaskClient
+from fastapi import FastAPI
 
+from tests.people.client import Client
 from tests.people.study.conftest import person as person
 from tests.people.study.conftest import study as study
 from tests.people.visitors import GENEROUS, Visitor
@@ -28,14 +28,14 @@ def store(tmp_path: Path, study: Study) -> Iterator[Store]:
 def browser(store: Store) -> Callable[[], Visitor]:
     """A new browser at each call."""
     app = create_app(store, GENEROUS)
-    return lambda: Visitor(app.test_client())
+    return lambda: Visitor(Client(app))
 
 
 @pytest.fixture
-def app(store: Store) -> Flask:
+def app(store: Store) -> FastAPI:
     return create_app(store, GENEROUS)
 
 
 @pytest.fixture
-def client(app: Flask) -> FlaskClient:
-    return app.test_client()
+def client(app: FastAPI) -> Client:
+    return Client(app)

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tests.people.server_process import ServerProcess
+from tests.people.visitors import query
 from xplain.errors import InputError
 from xplain.people.bots import Browser, Page, Researcher
 from xplain.people.store import Store
@@ -120,7 +121,8 @@ def _compare(store: Store, visitors: list[Careful]) -> tuple[int, int]:
     stored = 0
     for visitor in visitors:
         who = store.enter_invited(visitor.invitation)
-        rows = store.query(
+        rows = query(
+            store,
             "SELECT source_sequence AS n FROM event WHERE participant = ? AND "
             "source = 'protocol' ORDER BY sequence",
             (who,),
@@ -132,6 +134,6 @@ def _compare(store: Store, visitors: list[Careful]) -> tuple[int, int]:
         assert set(visitor.acknowledged) <= set(numbers)
         assert store.participant(who).state.stage == "done"
         stored += len(rows)
-    assert store.query("PRAGMA integrity_check") == [{"integrity_check": "ok"}]
+    assert query(store, "PRAGMA integrity_check") == [{"integrity_check": "ok"}]
     store.close()
     return sum(len(visitor.acknowledged) for visitor in visitors), stored

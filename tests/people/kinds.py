@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.people.client import Client
 from tests.people.collect import stand_in as collecting
 from tests.people.study import stand_in as studying
 from tests.people.visitors import GENEROUS, Visitor
@@ -49,7 +50,7 @@ def filled(kind: str, path: Path, people: int = 3) -> list[str]:
     store = Store(path, flow_of(kind))
     app = create_app(store, GENEROUS)
     for number, token in enumerate(store.invite(people, "person")):
-        assert visit(Visitor(app.test_client()), bot_of(store.flow, number), token) == "done"
-    found = [row["id"] for row in store.query("SELECT id FROM participant ORDER BY number")]
+        assert visit(Visitor(Client(app)), bot_of(store.flow, number), token) == "done"
+    found = [*store.people]
     store.close()
     return found

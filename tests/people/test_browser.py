@@ -33,6 +33,7 @@ from tests.chromium import (
 from tests.people.kinds import ASKING, flow_of
 from tests.people.server_process import ROOT, ServerProcess
 from tests.people.study.stand_in import FAULTLESS, SCREENS, street_study
+from tests.people.visitors import query
 from xplain.cli.main import main
 from xplain.people.bots import Page, Researcher
 from xplain.people.store import Store
@@ -369,12 +370,11 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
     main(["study", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
     store = Store(path, study)
-    (times,) = store.query(
-        "SELECT count(*) AS n, min(browser) AS low FROM event WHERE kind = 'labels'"
-    )
+    sql = "SELECT count(*) AS n, min(browser) AS low FROM event WHERE kind = 'labels'"
+    (times,) = query(store, sql)
     assert times["n"] == 3 * study.plan.n_steps
     assert times["low"] > 0  # the page's own clock came along
-    pages = store.query("SELECT count(*) AS n FROM event WHERE kind = 'visible'")
+    pages = query(store, "SELECT count(*) AS n FROM event WHERE kind = 'visible'")
     assert pages[0]["n"] >= 3 * (study.plan.n_steps + 6)
     store.close()
 
@@ -464,7 +464,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         wait(lambda: moved_on(driver, here))
         assert len(Page.of_html(driver.page_source).fields) == 3
     store = Store(path, study)
-    kinds = [row["kind"] for row in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
+    kinds = [event.kind for event in store.events("source = 'protocol'")]
     assert kinds == [
         *("consent", *["read"] * SCREENS, "example", "example", "ahead"),
         "eligibility",

@@ -140,8 +140,8 @@ def test_the_facts_of_people_who_answer_in_a_browser_are_found(
     main(["collect", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
     store = Store(path, collection)
-    for number, row in enumerate(store.query("SELECT state FROM seen ORDER BY number")):
-        state = store.flow.STATE.from_text(row["state"])
+    for number, one in enumerate(store.present()):
+        state = one.state
         held = plan.roles[number].held
         best = max((f for f in state.belief if f != "none"), key=lambda f: state.belief[f])
         assert int(best) == plan.hypotheses.essential[plan.hypotheses.row(np.array(held))]

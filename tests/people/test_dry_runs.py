@@ -6,14 +6,12 @@ import time
 import zipfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from hydra.utils import instantiate
 from sklearn.metrics import adjusted_rand_score
 
 from tests.conftest import Command
@@ -21,10 +19,8 @@ from tests.people.collect.stand_in import street_collection
 from tests.people.killing import RATE, survive
 from tests.people.kinds import KINDS, bot_of, flow_of
 from tests.people.server_process import ServerProcess
-from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
-from tests.people.visitors import GENEROUS, Visitor
+from tests.people.study.stand_in import street_study
 from xplain.cli.main import main
-from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
 from xplain.learning.saved import LearnedTypes
 from xplain.people.bots import Browser, Refusal, Researcher, visit
@@ -32,7 +28,6 @@ from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.tables import export
-from xplain.people.web import create_app
 
 
 @pytest.fixture
@@ -93,45 +88,6 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
         print(f"\n{kills} kills: {acknowledged} answers acknowledged, {stored} stored")
     assert least < acknowledged <= stored
     everything_replays(kind, path, capsys)
-
-
-def test_what_is_said_again_survives_kill_9_and_is_counted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """People who miss and forget; the analysis counts what the log has, in one condition alone."""
-    flow = street_study(belief=CONFIG["belief"] | {"accept": 0.8, "forget": "learned"})
-    habits = replace(FAULTLESS, forgetting=0.4, losing=0.3)
-
-    def heedless(*seeds: int) -> StudyBot:
-        return StudyBot(flow.plan, habits, np.random.default_rng(seeds))
-
-    path, out = tmp_path / "s.sqlite", tmp_path / "out"
-    Store(path, flow).close()
-    acknowledged, stored = survive(path, flow, "study", heedless, kills=3, people=6)
-    assert 30 < acknowledged <= stored
-    store = Store(path, flow)
-    app = create_app(store, GENEROUS)
-    for number, token in enumerate(store.invite(24, "bot")):
-        assert visit(Visitor(app.test_client()), heedless(number), token) == "done"
-    store.close()
-    everything_replays("study", path, capsys)
-    main(["study", "export", str(path), str(out)])
-    people = pd.read_csv(out / "participants.csv").set_index("participant")
-    steps = pd.read_csv(out / "steps.csv").fillna({"given_before": "", "messages": ""})
-    said, before = (steps[c].str.split(";").map(set) for c in ("messages", "given_before"))
-    again = pd.Series([len((a & b) - {""}) for a, b in zip(said, before, strict=True)])
-    counted = again.groupby(steps["participant"]).sum()
-    assert (people["messages_again"] == counted.reindex(people.index)).all()
-    told = people.groupby("condition")["messages_again"].sum()
-    assert told["conformant"] == 0 < told["personalized"]
-    main(["study", "habits", str(path), "--stream", "bot"])
-    said_so = capsys.readouterr().out.splitlines()
-    learned = [line.split()[0] for line in said_so if line.startswith("belief.")]
-    taken = instantiate(composed("study", learned).belief).habits()
-    assert 0.4 < taken.accept @ taken.prior < 0.85
-    assert taken.forget @ taken.prior > 0.02
-    main(["study", "analyse", str(out), "--stream", "bot"])
-    assert "Messages said again" in capsys.readouterr().out.replace("\n", " ")
 
 
 def test_from_bots_to_types(
@@ -216,28 +172,6 @@ def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFix
     assert stages["left"] > 0
     every_cell_is_full(study, path, tmp_path / "out")
     everything_replays("study", path, capsys)
-
-
-@pytest.mark.slow
-def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from xplain.experiment.config import composed
-    from xplain.people.study.flow import Study
-    from xplain.people.study.prepare import study_plan
-
-    study = Study.of(
-        study_plan(composed("study", ["rules.per_cell=4", "rules.timeout_minutes=0.05"]))
-    )
-    path = tmp_path / "study.sqlite"
-    stages = fill_every_place(study, path, Habits(leaving=0.02))
-    assert stages["done"] == 40
-    assert stages["left"] > 3
-    every_cell_is_full(study, path, tmp_path / "out")
-    main(["study", "analyse", str(tmp_path / "out")])
-    main(["study", "replay", str(path)])
-    said = capsys.readouterr().out
-    assert "all equal" in said
-    with capsys.disabled():
-        print(f"\n{dict(stages)}\n{said}")
 
 
 def test_one_process_a_database(database: Path, command: Command) -> None:

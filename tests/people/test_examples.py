@@ -22,7 +22,3 @@ EXAMPLES = [
 def test_commented_questions_can_be_asked(file: str, example: str) -> None:
     question = typed(LabQuestion, "questions", yaml.safe_load(example))
     assert question.label[0].isupper()
-
-
-def test_both_files_have_examples() -> None:
-    assert {file for file, _ in EXAMPLES} == {*FILES}

@@ -9,12 +9,14 @@ from typing import get_args
 
 import pytest
 
+from tests.people.client import Client
 from tests.people.kinds import KINDS, filled, flow_of
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.cli.main import main
 from xplain.experiment.config import composed
 from xplain.people.bots import Page
-from xplain.people.export import opened, read, replayed
+from xplain.people.export import replayed
+from xplain.people.log import read
 from xplain.people.store import Store
 from xplain.people.web import TAB_KINDS, create_app
 
@@ -27,8 +29,8 @@ EVERYWHERE = {
     "a state": "UPDATE event SET state = replace(state, '\"part\": 1', '\"part\": 0')",
     "where somebody is": f"UPDATE event SET state = json_set(state, '$.stage', 'done') {LATE}",
     "an answer put in": (
-        "INSERT INTO event SELECT (SELECT max(number) + 1 FROM event), participant, 999, source, "
-        "999, kind, wall, monotonic, boot, browser, payload, state FROM event "
+        "INSERT INTO event SELECT participant, 999, source, 999, kind, wall, monotonic, boot, "
+        "browser, payload, state, (SELECT max(number) + 1 FROM event) FROM event "
         "WHERE kind = 'labels' LIMIT 1"
     ),
 }
@@ -124,15 +126,14 @@ def test_of_whoever_was_erased_others_are_replayed(
     said = capsys.readouterr().out
     assert said == "2 participants replayed: all equal\n"
     if kind == "collect":
-        with opened(snapshot) as connection:
-            others = "SELECT json_extract(payload, '$.after') FROM event WHERE kind = 'consent'"
-            assert any("1" in (row[0] or "") for row in connection.execute(others))
+        _, people = read(snapshot, flow_of(kind).PLAN, flow_of(kind).STATE)
+        assert any(1 in one.first("consent")["after"] for one in people)
 
 
 def test_what_a_page_reports_is_told_in_the_consent_and_exported(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "s.sqlite"
     with closing(Store(path, flow_of(kind))) as store:
-        client = create_app(store, GENEROUS).test_client()
+        client = Client(create_app(store, GENEROUS))
         (token,) = store.invite(1, "person")
         page = Page.of_html(enter(Visitor(client), token))
         kinds = [*get_args(TAB_KINDS)]
@@ -148,16 +149,3 @@ def test_what_a_page_reports_is_told_in_the_consent_and_exported(kind: str, tmp_
     shipped = " ".join(composed(kind, []).wording.consent)
     for stored in ("click", "hidden", "look up", "recruiting platform", "reference", "erase"):
         assert stored in shipped, stored
-
-
-def test_a_note_at_the_end_says_which_sentences_were_not_true(kind: str) -> None:
-    """Of those that the participant was told, at every end that nothing follows."""
-    flow, facts = flow_of(kind), flow_of(kind).plan.facts
-    for stage in ("done", "withdrawn", "timed_out"):
-        state = flow.STATE(stage=stage, **({"user_type": 1} if kind == "study" else {}))
-        told = flow.view(state).get("untrue")
-        if kind == "collect" or stage == "timed_out":
-            assert told is None
-        else:
-            wrong = flow.plan.roles[1].wrong
-            assert told == [(facts[j].belief, facts[j].message) for j in wrong]

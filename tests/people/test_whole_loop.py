@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.people.client import Client
 from tests.people.study.stand_in import FAULTLESS
-from tests.people.visitors import GENEROUS, Visitor, pages
+from tests.people.visitors import GENEROUS, Visitor
 from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.experiment.config import composed
@@ -42,7 +43,7 @@ def over_the_pages(
     store = Store(path, flow)
     app = create_app(store, GENEROUS)
     for number, token in enumerate(store.invite(count, "bot")):
-        assert visit(Visitor(app.test_client()), person(number), token) == "done"
+        assert visit(Visitor(Client(app)), person(number), token) == "done"
     store.close()
 
 
@@ -102,26 +103,6 @@ def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
     assert means["messages_given"]["personalized"] < means["messages_given"]["conformant"] - 1
     wrong = means["inexplicable_transitions"]
     assert wrong["personalized"] <= wrong["conformant"]
-
-
-def test_people_as_they_are_are_told_nothing_and_not_tested_on_it(
-    types: Path, tmp_path: Path
-) -> None:
-    plan = planned(types, "briefing=none")
-    store = Store(tmp_path / "s.sqlite", Study.of(plan))
-    visitor = Visitor(create_app(store, GENEROUS).test_client())
-    person = StudyBot(plan, FAULTLESS, np.random.default_rng(3))
-    facts = {sentence for fact in plan.facts for sentence in (fact.message, fact.belief)}
-    stages = []
-    for html, page in pages(visitor, person, store.invite(1, "person")[0]):
-        stages.append(page.stage)
-        if page.stage not in ("evaluation", "quiz"):
-            assert not [sentence for sentence in facts if sentence in html], page.stage
-        assert "not right" not in html  # nobody is deceived
-    assert "eligibility" not in stages
-    assert stages[0] == "consent"
-    assert stages[-1] == "done"
-    store.close()
 
 
 def test_types_that_were_found_are_for_people_as_they_are(types: Path) -> None:

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-from flask.testing import FlaskClient
-from werkzeug.datastructures import MultiDict
-
+from tests.people.client import Client
 from xplain.people.bots import Browser, Page
-from xplain.people.export import read, replayed
-from xplain.people.flow import Participant
-from xplain.people.http import Server
+from xplain.people.export import replayed
+from xplain.people.server import Server
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 
@@ -24,16 +19,14 @@ GENEROUS = Server(("invitation", "open"), burst=1e9, visitor_burst=1e9, blinded=
 class Visitor(Browser):
     """A browser that talks to the application directly."""
 
-    def __init__(self, client: FlaskClient) -> None:
+    def __init__(self, client: Client) -> None:
         super().__init__("http://localhost")
         self.client = client
 
     def send(
         self, method: str, path: str, fields: list[tuple[str, str]] | None = None
     ) -> tuple[int, str]:
-        reply = self.client.open(
-            path, method=method, data=MultiDict(fields or ()), follow_redirects=True
-        )
+        reply = self.client.open(path, method=method, data=fields, follow_redirects=True)
         return reply.status_code, reply.text
 
 
@@ -71,13 +64,13 @@ def pages(visitor: Visitor, person: StudyBot, invitation: str) -> Iterator[tuple
         assert status == 200
 
 
-def logged(store: Store) -> list[Participant[Any]]:
-    """Everybody with their events, while the store is open."""
-    with tempfile.TemporaryDirectory() as folder:
-        store.snapshot(copy := Path(folder) / "copy.sqlite")
-        return read(copy, store.flow.PLAN, store.flow.STATE)[1]
-
-
 def differences(store: Store) -> list[str]:
     """What the plan would decide otherwise."""
-    return replayed(store.flow, logged(store))
+    return replayed(store.flow, store.everybody())
+
+
+def query(store: Store, sql: str, values: Any = ()) -> list[dict[str, Any]]:
+    """Rows of the database that a store has open."""
+    found = store._connection.execute(sql, values)
+    names = [column[0] for column in found.description]
+    return [dict(zip(names, row, strict=True)) for row in found]

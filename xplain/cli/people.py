@@ -24,7 +24,7 @@ from xplain.experiment.config import composed
 
 if TYPE_CHECKING:
     from xplain.people.flow import Flow
-    from xplain.people.http import Server
+    from xplain.people.server import Server
 
 
 def flow(name: str) -> type[Flow[Any, Any]]:
@@ -55,7 +55,7 @@ def serve(name: str, words: list[str]) -> None:
     The first start fixes it in its database; later starts go on with it. One worker process with
     threads: it alone has the database open. How a lab does it: docs/study.md, docs/collect.md.
     """
-    from xplain.people.http import LOOPBACK
+    from xplain.people.server import LOOPBACK
 
     cfg = configured(name, words)
     # Before the work of a plan: a key that cannot be is refused at once.
@@ -108,11 +108,10 @@ def server_of(cfg: DictConfig) -> Server:
     Raises:
         InputError: a key that cannot be.
     """
-    from xplain.people.http import Server
     from xplain.people.plan import typed
+    from xplain.people.server import Server
 
-    for key, most in (("port", 65535), ("threads", 256)):
-        whole_number(key, cfg[key], 1, most)
+    whole_number("port", cfg.port, 1, 65535)
     given: Any = OmegaConf.to_container(cfg.server, resolve=True)
     file = given.pop("file")
     try:
@@ -125,7 +124,7 @@ def server_of(cfg: DictConfig) -> Server:
 
 def running(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]) -> Any:
     """The plan in the database, or a new one. Names the keys of ``cfg`` that it does not follow."""
-    from xplain.people.export import read_plan
+    from xplain.people.log import read_plan
     from xplain.people.material import fixed
 
     plan = read_plan(path, kind.PLAN)
@@ -150,40 +149,11 @@ def run_server(
     flow: Flow[Any, Any], name: str, server: Server, path: Path, cfg: DictConfig
 ) -> None:
     """Serves until it is stopped."""
-    from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
+    import uvicorn
 
-    from xplain.people.http import Keys
+    from xplain.people.server import Keys
     from xplain.people.store import Store
     from xplain.people.web import create_app
-
-    host = f"[{cfg.host}]" if ":" in cfg.host else cfg.host
-
-    class Application(BaseApplication):  # type: ignore[misc]
-        def load_config(self) -> None:
-            for key, value in {
-                "bind": f"{host}:{cfg.port}",
-                "workers": 1,
-                "worker_class": "gthread",
-                "threads": cfg.threads,
-                "worker_connections": 2000,
-                "backlog": 512,
-                "keepalive": 30,
-                "timeout": 60,
-                "graceful_timeout": 10,
-                "limit_request_line": 4094,
-                "limit_request_fields": 60,
-                "max_requests": 0,
-                "accesslog": None,
-                "loglevel": "warning",
-                "proc_name": f"xplain-{name}",
-                "control_socket_disable": True,
-            }.items():
-                if key in self.cfg.settings:
-                    self.cfg.set(key, value)
-
-        def load(self) -> Any:
-            # In the worker: a connection to SQLite must not be carried over a fork.
-            return create_app(Store(path, flow), server)
 
     if "platform" in server.entry and not server.ids:
         print(
@@ -191,18 +161,19 @@ def run_server(
             "server.entry=[signed] or server.ids=FILE prevents it",
             file=sys.stderr,
         )
-    # Opened once before the server starts, so that what is wrong with it is one clear line.
-    store = Store(path, flow)
-    key = "as in its settings" if server.key else Keys(store.secret).researcher
-    store.close()
-    print(
-        f"{name}: {server.address or f'http://{host}:{cfg.port}'}/  ·  researcher's page: "
-        f"/researcher, key {key}\n"
-        f"{name}: database {path}, plan {flow.plan.hash[:16]}",
-        file=sys.stderr,
-        flush=True,
-    )
-    Application().run()
+    host = f"[{cfg.host}]" if ":" in cfg.host else cfg.host
+    with closing(Store(path, flow)) as store:
+        key = "as in its settings" if server.key else Keys(store.secret).researcher
+        print(
+            f"{name}: {server.address or f'http://{host}:{cfg.port}'}/  ·  researcher's page: "
+            f"/researcher, key {key}\n"
+            f"{name}: database {path}, plan {flow.plan.hash[:16]}",
+            file=sys.stderr,
+            flush=True,
+        )
+        settings: Any = {"log_level": "warning", "proxy_headers": False, "server_header": False}
+        settings |= {"timeout_keep_alive": 30, "timeout_graceful_shutdown": 5}
+        uvicorn.run(create_app(store, server), host=cfg.host, port=cfg.port, **settings)
 
 
 @_of_both(
@@ -279,11 +250,13 @@ def export(name: str, database: Path, folder: Path, identifiers: Path | None) ->
     ``--identifiers`` writes who is who into a file apart: completion codes, and the platform's ids
     where the server keeps them.
     """
+    from xplain.people.export import write_identifiers
+    from xplain.people.log import read
+
     digest = import_module(f"xplain.people.{name}.tables").export(database, folder)
     if identifiers:
-        from xplain.people.export import write_identifiers
-
-        write_identifiers(database, identifiers)
+        kind = flow(name)
+        write_identifiers(read(database, kind.PLAN, kind.STATE)[1], identifiers)
     print(f"tables and codebook in {folder}\nSHA-256 of events.csv: {digest}")
 
 
@@ -297,9 +270,9 @@ def backup(name: str, database: Path, file: Path) -> None:
 
     To restore it, put both files in the place of the old ones while no server runs.
     """
-    from xplain.people.export import copied
+    from xplain.people.log import backup as copy
 
-    copied(database, file)
+    copy(database, file)
     print(f"backup in {file}, its key in {file}.key: keep both secret")
 
 
@@ -324,7 +297,7 @@ def erase(name: str, database: Path, reference: str) -> None:
     from xplain.people.store import Store
 
     with closing(Store(database)) as opened:
-        opened.erase(reference)
+        opened.erase_by(reference)
     print(f"erased {reference}; delete exports and backups that were made before, too")
 
 
@@ -338,7 +311,8 @@ def replay(name: str, database: Path) -> None:
 
     The database is one that no server has open. Exit code 1 where anything differs.
     """
-    from xplain.people.export import read, replayed
+    from xplain.people.export import replayed
+    from xplain.people.log import read
 
     kind = flow(name)
     plan, people = read(database, kind.PLAN, kind.STATE)
@@ -388,7 +362,7 @@ def preregister(database: Path, out: Path | None) -> None:
 
     DATABASE holds a study that was started once: what is registered is what runs.
     """
-    from xplain.people.export import read_plan
+    from xplain.people.log import read_plan
     from xplain.people.study.analysis import document
     from xplain.people.study.plan import StudyPlan
 

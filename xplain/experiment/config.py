@@ -50,7 +50,7 @@ GROUPS = (*SOURCE_GROUPS, "solver", "belief", "explainee", "ask")
 RESUME = ("missing", "failed", "none")
 """Which jobs of a sweep run: those not finished, those that failed, or all of them anew."""
 
-OF_PEOPLE = ("flask", "gunicorn", "itsdangerous", "jwt", "lxml", "pydantic", "requests")
+OF_PEOPLE = ("fastapi", "itsdangerous", "jwt", "lxml", "pydantic", "requests", "uvicorn")
 """Modules that the extra ``people`` brings."""
 
 NO_PACKAGE = (

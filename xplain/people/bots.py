@@ -21,11 +21,11 @@ import lxml.html
 import numpy as np
 import requests
 from requests.cookies import RequestsCookieJar
-from werkzeug.datastructures import MultiDict
+from starlette.datastructures import ImmutableMultiDict
 
 from xplain.errors import InputError, Probability
-from xplain.people.export import Plan
 from xplain.people.flow import Fields, Flow, S
+from xplain.people.log import Plan
 from xplain.people.plan import LabQuestion
 from xplain.randomness import below
 
@@ -317,7 +317,7 @@ class Bot(Generic[P, H]):
 def answer(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> tuple[str, dict[str, Any]]:
     """Kind and payload of a bot's answer to the page of a state, in the bare flow."""
     kind, (filled, _) = flow.waits_for(state), bot.fill(Page.of_view(flow.view(state)))
-    return kind, flow.read(state, kind, MultiDict(filled))
+    return kind, flow.read(state, kind, ImmutableMultiDict(filled))
 
 
 def take_part(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> S:

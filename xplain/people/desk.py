@@ -5,7 +5,6 @@ Who has which type and condition stays hidden unless the server is told otherwis
 
 from __future__ import annotations
 
-import io
 import secrets
 import shutil
 import tempfile
@@ -13,187 +12,160 @@ from collections import Counter
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
+from typing import Annotated
 from urllib.parse import urlsplit
 
-from flask import (
-    Blueprint,
-    make_response,
-    redirect,
-    render_template,
-    request,
-    send_file,
-    url_for,
-)
-from werkzeug.wrappers import Response as AnyResponse
+from fastapi import APIRouter, Depends, Response
+from starlette.exceptions import HTTPException
 
 from xplain.errors import InputError, Refused
-from xplain.people.export import STREAMS, write_identifiers
-from xplain.people.flow import small
-from xplain.people.http import (
-    COOKIE_PATH,
-    LOOPBACK,
-    PARTICIPANT,
-    RESEARCHER,
-    SESSION,
-    context,
-    error_page,
-    genuine,
-    session,
-    set_cookie,
-)
+from xplain.people.export import write_identifiers
+from xplain.people.flow import STREAMS, small
+from xplain.people.server import LOOPBACK, SESSION
+from xplain.people.site import RESEARCHER, Visit, Visiting
 
-pages = Blueprint("researcher", __name__, url_prefix="/researcher")
+desk = APIRouter(prefix="/researcher")
 MOST_INVITATIONS = 500
 MOST_SHOWN = 500
 MOST_BATCHES = 20
 """Batches of invitations that can be looked at again."""
 
 
-@pages.before_request
-def _only_known() -> AnyResponse | None:
-    """Nothing is done without a login and the form's token."""
-    free = request.endpoint == "researcher.login" or request.method not in ("POST", "PUT")
-    if free or genuine(session() or ""):
-        return None
-    return error_page(403, "Please log in first.")
+def signed_in(visit: Visiting) -> Visit:
+    """A request of a researcher who is logged in, by a form of their own.
+
+    Raises:
+        HTTPException: it is none.
+    """
+    if not visit.genuine(visit.researcher):
+        raise HTTPException(403, "Please log in first.")
+    return visit
 
 
-@pages.app_template_filter()
+Signed = Annotated[Visit, Depends(signed_in)]
+
+
 def moment(at: float) -> str:
     """A time (seconds since 1970) for people."""
     return f"{datetime.fromtimestamp(at, UTC):%d %b %H:%M}"
 
 
-@pages.get("")
-def overview() -> AnyResponse:
+@desk.get("")
+def overview(visit: Visiting) -> Response:
     """Everything at a glance, or the way in."""
-    own, here = context(), session()
+    site, here, request = visit.site, visit.researcher, visit.request
     if here is None:
-        return make_response(render_template("login.html"))
-    flow, blinded, people = own.flow, own.server.blinded, own.store.people()
-    counted = Counter((one.row["stream"], flow.part(one.state.stage)) for one in people)
-    latest = sorted(people, key=lambda one: -one.row["wall"])
-    tables = import_module(f"{flow.PACKAGE}.tables")
-    given = own.store.query(
-        "SELECT event.wall FROM event JOIN participant ON participant.id = event.participant "
-        "WHERE kind = 'labels' AND source = 'protocol' AND stream = 'person' ORDER BY 1"
-    )
-    outside = urlsplit(own.server.address or request.host_url)
-    entrance = f"{outside.scheme}://{outside.netloc}{url_for('participant.entrance')}"
-    return make_response(
-        render_template(
-            "glance.html",
-            **tables.glance(flow, people),
-            token=own.keys.form(here),
-            cells=flow.cells,
-            data=flow.DATA,
-            columns=flow.about(flow.STATE(), blinded),
-            people=[
-                {**one.row, "about": flow.about(one.state, blinded)}
-                for one in latest[:MOST_SHOWN]
-                if not one.row["erased"]
-            ],
-            now=own.store.clock.wall(),
-            stages=(*flow.stages, *flow.STATE.ENDS),
-            flow=counted,
-            times=[row["wall"] for row in given],
-            streams=[name for name in STREAMS if any(one == name for one, _ in counted)],
-            entrance=entrance,
-            local=outside.hostname in LOOPBACK,
-            invitations=own.invitations.get(request.args.get("made", ""), []),
-            plan_hash=flow.plan.hash,
-            paused=own.store.paused,
-            blinded=blinded,
-        )
+        return visit.page("login.html")
+    flow, store, blinded = site.flow, site.store, site.server.blinded
+    people = store.present()
+    counted = Counter((one.stream, flow.part(one.state.stage)) for one in people)
+    latest = sorted(people, key=lambda one: -one.latest.number)[:MOST_SHOWN]
+    persons = {one.id for one in people if one.stream == "person"}
+    labels = store.events("kind = 'labels' AND source = 'protocol'")
+    host = f"{request.scope['scheme']}://{request.headers.get('host', '')}{site.server.path}"
+    return visit.page(
+        "glance.html",
+        **import_module(f"{flow.PACKAGE}.tables").glance(flow, people),
+        token=site.keys.form(here),
+        cells=flow.cells,
+        data=flow.DATA,
+        columns=flow.about(flow.STATE(), blinded),
+        people=[(one, flow.about(one.state, blinded)) for one in latest],
+        now=store.clock.wall(),
+        stages=(*flow.stages, *flow.STATE.ENDS),
+        flow=counted,
+        times=[event.wall for event in labels if event.participant in persons],
+        streams=[name for name in STREAMS if any(one == name for one, _ in counted)],
+        entrance=f"{site.server.address.rstrip('/') or host}/",
+        local=(urlsplit(site.server.address).hostname or visit.host) in LOOPBACK,
+        invitations=site.invitations.get(request.query_params.get("made", ""), []),
+        plan_hash=flow.plan.hash,
+        paused=store.paused,
+        blinded=blinded,
+        moment=moment,
     )
 
 
-@pages.post("/login")
-def login() -> AnyResponse:
+@desk.post("/login")
+def login(visit: Visiting) -> Response:
     """Trades the key for a session of one's own."""
-    own = context()
-    if not own.keys.is_researcher(request.form.get("key", ""), own.server.key):
-        if not own.guess_limit.allows(request.remote_addr or "?"):
-            return error_page(429, "too_fast")
-        return error_page(403, "This is not the researcher's key. The server prints it at start.")
-    new = secrets.token_hex(16)
-    own.sessions.add(new)
-    response = _back()
-    set_cookie(response, RESEARCHER, own.keys.cookie(new, SESSION), "Strict")
-    return response
+    site = visit.site
+    if not site.keys.is_researcher(visit.field("key"), site.server.key):
+        if not site.guess_limit.allows(visit.address):
+            raise HTTPException(429, "too_fast")
+        raise HTTPException(403, "This is not the researcher's key. The server prints it at start.")
+    site.sessions.add(new := secrets.token_hex(16))
+    reply = visit.lead("/researcher")
+    visit.set_cookie(reply, RESEARCHER, site.keys.cookie(new, SESSION), "strict")
+    return reply
 
 
-@pages.post("/logout")
-def logout() -> AnyResponse:
+@desk.post("/logout")
+def logout(visit: Signed) -> Response:
     """Ends this browser's session, here and in the browser."""
-    context().sessions.discard(session() or "")
-    response = _back()
-    path = request.environ.get(COOKIE_PATH, "/")
-    response.delete_cookie(context().cookie(RESEARCHER), path=path)
-    return response
+    visit.site.sessions.discard(visit.researcher or "")
+    reply = visit.lead("/researcher")
+    visit.set_cookie(reply, RESEARCHER, "")
+    return reply
 
 
-@pages.post("/invitations")
-def invitations() -> AnyResponse:
+@desk.post("/invitations")
+def invitations(visit: Signed) -> Response:
     """Makes invitations; the page that is led to shows them."""
-    count, stream = small(request.form.get("count", "")), request.form.get("stream", "")
+    count, stream = small(visit.field("count")), visit.field("stream")
     if not count or count > MOST_INVITATIONS or stream not in STREAMS:
-        return error_page(400, f"1 to {MOST_INVITATIONS} invitations: {', '.join(STREAMS)}.")
-    made, name = context().invitations, secrets.token_hex(8)
-    made[name] = context().store.invite(count, stream)
+        said = f"1 to {MOST_INVITATIONS} invitations: {', '.join(STREAMS)}."
+        raise HTTPException(400, said)
+    made, name = visit.site.invitations, secrets.token_hex(8)
+    made[name] = visit.site.store.invite(count, stream)
     for old in list(made)[:-MOST_BATCHES]:
         del made[old]
-    return redirect(url_for("researcher.overview", made=name), 303)
+    return visit.lead(f"/researcher?made={name}")
 
 
-@pages.post("/pause")
-def pause() -> AnyResponse:
+@desk.post("/pause")
+def pause(visit: Signed) -> Response:
     """Lets nobody new in, or lets them in again."""
-    context().store.pause(request.form.get("on") == "1")
-    return _back()
+    visit.site.store.pause(visit.field("on") == "1")
+    return visit.lead("/researcher")
 
 
-@pages.post("/preview")
-def preview() -> AnyResponse:
+@desk.post("/preview")
+def preview(visit: Signed) -> Response:
     """Makes this browser a pilot of a chosen type and condition."""
-    own, cell = context(), small(request.form.get("cell", ""))
+    cell = small(visit.field("cell"))
     try:
-        who = own.store.enter_preview(-1 if cell is None else cell)
+        return visit.let_in(visit.site.store.enter_as_pilot(-1 if cell is None else cell))
     except Refused as error:
-        return error_page(400, str(error))
-    response = redirect(url_for("participant.show"), 303)
-    set_cookie(response, PARTICIPANT, own.keys.cookie(who))
-    return response
+        raise HTTPException(400, str(error)) from None
 
 
-@pages.post("/erase")
-def erase() -> AnyResponse:
+@desk.post("/erase")
+def erase(visit: Signed) -> Response:
     """Erases the data of the participant who gave their reference."""
     try:
-        context().store.erase(request.form.get("reference", "")[:100])
+        visit.site.store.erase_by(visit.field("reference")[:100])
     except InputError as error:
-        return error_page(404, f"Nobody has this reference, or no data any more: {error.value!r}")
-    return _back()
+        said = f"Nobody has this reference, or no data any more: {error.value!r}"
+        raise HTTPException(404, said) from None
+    return visit.lead("/researcher")
 
 
-@pages.post("/export")
-def export() -> AnyResponse:
+@desk.post("/export")
+def export(visit: Signed) -> Response:
     """An archive, made from a snapshot: the tables without anything that says who is who, or with
     ``what=identifiers`` the completion codes, the platform's ids and the snapshot itself."""
-    name = "identifiers" if request.form.get("what") == "identifiers" else "study"
+    name = "identifiers" if visit.field("what") == "identifiers" else "study"
+    store = visit.site.store
     with tempfile.TemporaryDirectory() as folder:
         inside, snapshot = Path(folder) / name, Path(folder) / "snapshot.sqlite"
         inside.mkdir()
-        context().store.snapshot(snapshot)
+        store.snapshot(snapshot)
         if name == "study":
-            import_module(f"{context().flow.PACKAGE}.tables").export(snapshot, inside)
+            import_module(f"{store.flow.PACKAGE}.tables").export(snapshot, inside)
         else:
-            write_identifiers(snapshot, inside / "identifiers.csv")
+            write_identifiers(store.present(), inside / "identifiers.csv")
             snapshot.rename(inside / snapshot.name)
-        archive = shutil.make_archive(f"{folder}/{name}", "zip", folder, name)
-        content = io.BytesIO(Path(archive).read_bytes())
-    return send_file(content, download_name=f"{name}.zip", as_attachment=True)
-
-
-def _back() -> AnyResponse:
-    return redirect(url_for("researcher.overview"), 303)
+        content = Path(shutil.make_archive(f"{folder}/{name}", "zip", folder, name)).read_bytes()
+    kept = {"Content-Disposition": f"attachment; filename={name}.zip"}
+    return Response(content, media_type="application/zip", headers=kept)

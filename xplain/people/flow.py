@@ -14,16 +14,16 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 from xplain.errors import Refused
 from xplain.people.plan import LabQuestion, StoredPlan, Way
 from xplain.storage import decode
 
 Form = Any
-"""What a browser sent: a werkzeug ``MultiDict`` of texts. Nothing in it is trusted."""
+"""What a browser sent: a ``FormData`` of texts. Nothing in it is trusted."""
 Fields = list[tuple[str, str]]
 """Names and values of a form."""
 
@@ -89,27 +89,98 @@ class Full(Refused):
     """No place is free now."""
 
 
+STREAMS = ("person", "pilot", "bot")
+"""Whose data it is; fixed by the invitation, and never mixed in an analysis."""
+
+
+class Event(NamedTuple):
+    """A row of the log; what its columns mean is in the codebook."""
+
+    participant: str
+    sequence: int
+    source: str
+    source_sequence: int
+    kind: str
+    wall: float
+    monotonic: float
+    boot: str
+    browser: float | None
+    payload: dict[str, Any]
+    state: str | None
+    number: int
+
+
+NOTHING = Event("", 0, "", 0, "", 0.0, 0.0, "", None, {}, None, 0)
+
+
 @dataclass(frozen=True)
 class Participant(Generic[S]):
-    """A row of the view ``seen``, with its state; and, where they were asked for, its events in
-    order, payloads decoded."""
+    """A participant, as their events so far have them.
 
-    row: Mapping[str, Any]
-    state: S
-    events: tuple[dict[str, Any], ...] = ()
+    Attributes:
+        id: as in every table.
+        number: 1, 2, … in the order in which people came.
+        kind: class of the state.
+        text: the state as JSON.
+        about: what is known since they came: ``stream`` and ``entry``.
+        identity: what they came with, and what they are paid by: the keyed hashes ``key`` and
+            ``session``, ``code``, and ``kept``, outside ids in clear. No export has it.
+        entered: by the server's wall clock.
+        latest: their last event.
+        shown: number of the last page that was rendered.
+        reported: how many events their pages reported.
+        erased: whether their data was erased.
+        events: in order, where they were asked for.
+    """
+
+    id: str
+    number: int
+    kind: type[S]
+    text: str = "{}"
+    about: Mapping[str, Any] = field(default_factory=dict)
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    entered: float = 0.0
+    latest: Event = NOTHING
+    shown: int = -1
+    reported: int = 0
+    erased: bool = False
+    events: tuple[Event, ...] = ()
+
+    def after(self, event: Event) -> Self:
+        """With one event more."""
+        changes: dict[str, Any] = {
+            "latest": event,
+            "erased": self.erased or event.kind == "erase",
+        }
+        if event.state:
+            changes["text"] = event.state
+        if event.sequence == 0:
+            changes |= {"about": event.payload, "entered": event.wall}
+        elif event.source == "identity":
+            changes["identity"] = {**self.identity, **event.payload}
+        elif event.source == "shown":
+            changes["shown"] = max(self.shown, event.source_sequence)
+        elif event.source.startswith("tab:"):
+            changes["reported"] = self.reported + 1
+        return replace(self, **changes)
 
     @property
-    def id(self) -> str:
-        """As in every table."""
-        return str(self.row["id"])
+    def state(self) -> S:
+        """Where they are."""
+        return self.kind.from_text(self.text)
 
-    def answers(self, kind: str) -> list[dict[str, Any]]:
+    @property
+    def stream(self) -> str:
+        """Whose data it is: person, pilot or bot."""
+        return str(self.about["stream"])
+
+    def answers(self, kind: str) -> list[Event]:
         """The accepted answers of a kind, in order."""
-        return [e for e in self.events if e["source"] == "protocol" and e["kind"] == kind]
+        return [e for e in self.events if e.source == "protocol" and e.kind == kind]
 
     def first(self, kind: str) -> Mapping[str, Any]:
         """The payload of the first answer of a kind; empty where there is none."""
-        return next((event["payload"] for event in self.answers(kind)), {})
+        return next((event.payload for event in self.answers(kind)), {})
 
 
 People = Sequence["Participant[Any]"]

@@ -17,14 +17,25 @@ from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 from PIL import Image, ImageOps
 
-from xplain.domains.base import Domain, Parameter, Scene, cell_name, changes_of, transition_features
+from xplain.domains.base import (
+    Domain,
+    Parameter,
+    Scene,
+    cell_name,
+    changes_of,
+    transition_feature_names,
+    transition_features,
+)
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting, UserType
 from xplain.domains.users.types import TypeSource
-from xplain.errors import InputError, first_line, one_of
+from xplain.errors import InputError, first_line, one_of, sentence
 from xplain.experiment.config import CONF
+from xplain.experiment.from_config import component
+from xplain.experiment.pipeline import observe
 from xplain.explanation.message_sets import indices, mask_of, names_of
-from xplain.people.plan import Ahead, Clip, Picture, Texts, Told, Way, facts_of
+from xplain.learning.saved import LearnedTypes
+from xplain.people.plan import Ahead, Clip, Picture, Texts, Told, Way
 from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import stream
 
@@ -52,6 +63,7 @@ class Material:
         types: M kinds of simulated people.
         clips: [T] the transitions as pages show them; texts not yet in a lab's words.
         features: [T, F] of them.
+        feature_names: F names.
         scene: the map, or None.
         hypotheses: what people might believe incorrectly of the T transitions.
         whole: the same of all transitions of a domain; None where these are all.
@@ -64,6 +76,7 @@ class Material:
     types: tuple[UserType, ...]
     clips: tuple[Clip, ...]
     features: NDArray[np.float64]
+    feature_names: tuple[str, ...]
     scene: Scene | None = None
     hypotheses: Hypotheses | None = None
     whole: Hypotheses | None = None
@@ -80,6 +93,7 @@ class Material:
             types=setting.types,
             clips=clips_of(domain, [domain.describe(one) for one in every], every),
             features=transition_features(domain, every),
+            feature_names=tuple(transition_feature_names(domain)),
             scene=domain.scene,
             setting=setting,
             transitions=every,
@@ -104,6 +118,7 @@ class Material:
             types=users.types(domain, stream(seed, "users")),
             clips=clips_of(domain, known.phrases, transitions),
             features=known.features,
+            feature_names=known.feature_names,
             scene=domain.scene,
             hypotheses=known,
             whole=whole,
@@ -172,6 +187,7 @@ def own_table(table: Path, facts: str | None, seed: int) -> Material:
             Clip(phrase, picture=_picture(table.parent, image, alt)) for phrase, image, alt in shown
         ),
         features=known.features,
+        feature_names=known.feature_names,
         hypotheses=known,
     )
 
@@ -236,8 +252,18 @@ def _picture(folder: Path, image: str, alt: str) -> Picture | None:
     return Picture(media, base64.b64encode(content.getvalue()).decode(), alt)
 
 
+def learned_types(cfg: DictConfig, domain: Domain) -> tuple[Setting, LearnedTypes]:
+    """The types of a domain, learned from simulated observers as the experiments learn them."""
+    users, observers, queries = (component(cfg, key) for key in ("users", "observers", "queries"))
+    observed = observe(domain, users, observers, queries, cfg.seed)
+    assert observed.setting is not None, "of simulated observers"
+    finder = component(cfg, "clusterer", labeler=component(cfg, "labeler"))
+    found = finder.find(observed, cfg.seed)
+    return observed.setting, LearnedTypes.of(found, observed.dataset)
+
+
 InWords = Callable[[str], str]
-NOT_OF_THE_PLAN = ("consent", "database", "host", "port", "threads", "server", "outputs")
+NOT_OF_THE_PLAN = ("consent", "database", "host", "port", "server", "outputs")
 """Keys that may change between two starts."""
 
 
@@ -278,19 +304,14 @@ def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
             as on the map.
     """
     parts = sorted(phrases, key=len, reverse=True)
-    pattern = re.compile("|".join(rf"(?<!\w){re.escape(part)}(?!\w)" for part in parts))
+    pattern = "|".join(rf"(?<!\w){re.escape(part)}(?!\w)" for part in parts) or "(?!)"
+    cell = r"\((\d+), (\d+)\)|row (\d+), column (\d+)" if on_a_map else "(?!)"
 
-    def cell(found: re.Match[str]) -> str:
-        row, column = (int(number) for number in found.groups())
-        return cell_name(row, column)
+    def named(found: re.Match[str]) -> str:
+        return cell_name(*(int(number) for number in found.groups() if number is not None))
 
     def in_words(text: str) -> str:
-        if parts:
-            text = pattern.sub(lambda found: phrases[found[0]], text)
-        if on_a_map:
-            text = re.sub(r"\((\d+), (\d+)\)", cell, text)
-            text = re.sub(r"row (\d+), column (\d+)", cell, text)
-        return text
+        return re.sub(cell, named, re.sub(pattern, lambda found: phrases[found[0]], text))
 
     return in_words
 
@@ -301,12 +322,16 @@ def worded(
     """Parameters with the lab's own sentences.
 
     Raises:
-        InputError: sentences for something that there is not.
+        InputError: sentences for something that there is not, or none of people who believe a
+            parameter incorrectly.
     """
     names = [one.name for one in told]
     for name in facts:
         one_of(f"wording.facts.{name}", name, names)
     own = [replace(one, **facts.get(one.name, {})) for one in told]
+    for one in own:
+        wanted = "a sentence of a user who believes it incorrectly; the pages need it"
+        sentence(f"domain.values.{one.name}.belief", one.belief, wanted)
     return tuple(
         replace(one, message=in_words(one.message), belief=in_words(one.belief)) for one in own
     )
@@ -371,7 +396,7 @@ def parts(
         "seed": config["seed"],
         "config": config,
         "domain": task.name,
-        "facts": facts_of(worded(task.facts, wording["facts"], in_words)),
+        "facts": worded(task.facts, wording["facts"], in_words),
         "texts": texts_of(kind, wording, in_words),
         "ahead": wording["ahead"]
         and ahead_of(wording["ahead"], scene, lambda phrase: does.format(phrase=in_words(phrase))),

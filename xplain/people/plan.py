@@ -18,7 +18,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 import pydantic
 
 from xplain.domains.base import Parameter, Scene
-from xplain.errors import InputError, sentence
+from xplain.errors import InputError
 from xplain.storage import decode, encode
 
 T = TypeVar("T")
@@ -26,33 +26,6 @@ Told = tuple[tuple[str, ...], ...]
 """Sentences of each of several transitions or states; or none."""
 Way = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
 """Of each transition the cells before and after it."""
-
-
-@dataclass(frozen=True)
-class Fact:
-    """A parameter of the domain, as people meet it.
-
-    Attributes:
-        name: of the parameter and of its message.
-        message: the sentence that tells the robot's value.
-        belief: the sentence of someone who believes it incorrectly.
-    """
-
-    name: str
-    message: str
-    belief: str
-
-
-def facts_of(parameters: Sequence[Parameter]) -> tuple[Fact, ...]:
-    """The parameters' sentences.
-
-    Raises:
-        InputError: a parameter lacks the sentence of those who believe it incorrectly.
-    """
-    wanted = "a sentence that a user who holds it wrong would say; the pages need it"
-    for parameter in parameters:
-        sentence(f"domain.values.{parameter.name}.belief", parameter.belief, wanted)
-    return tuple(Fact(p.name, p.message, p.belief) for p in parameters)
 
 
 @dataclass(frozen=True)
@@ -296,7 +269,7 @@ class StoredPlan:
     domain: str
     texts: Texts
     asked: tuple[LabQuestion, ...]
-    facts: tuple[Fact, ...]
+    facts: tuple[Parameter, ...]
     scene: Scene | None
     icons: Mapping[str, str]
     shown: tuple[Clip, ...]

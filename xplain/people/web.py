@@ -1,4 +1,4 @@
-"""The application: the pages put together, and what every request passes through."""
+"""The application: what every request passes through, and the pages of participants."""
 
 from __future__ import annotations
 
@@ -7,243 +7,180 @@ import logging
 import re
 import secrets
 import shutil
-from dataclasses import replace
-from functools import lru_cache, partial
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from http import HTTPStatus
 from typing import Any, Literal
-from urllib.parse import urlsplit
 
-import jinja2
-from flask import (
-    Blueprint,
-    Flask,
-    Response,
-    make_response,
-    redirect,
-    render_template,
-    request,
-    url_for,
-)
-from jinja2 import ChoiceLoader, PackageLoader, pass_context
-from markupsafe import Markup
+from fastapi import APIRouter, FastAPI, Request, Response
+from fastapi.responses import JSONResponse, PlainTextResponse
+from fastapi.staticfiles import StaticFiles
 from pydantic import BaseModel, Field, ValidationError
-from werkzeug.datastructures import MultiDict
-from werkzeug.exceptions import HTTPException
-from werkzeug.middleware.proxy_fix import ProxyFix
-from werkzeug.wrappers import Response as AnyResponse
+from starlette.datastructures import ImmutableMultiDict
+from starlette.exceptions import HTTPException
 
 from xplain.errors import Refused
-from xplain.people import map_svg
-from xplain.people.desk import pages as researcher_pages
-from xplain.people.flow import Conflict, Flow, Form, Full, Participant
-from xplain.people.http import (
-    LOOPBACK,
-    MAX_BODY,
-    PARTICIPANT,
-    BelowPath,
-    Context,
-    ReadToTheEnd,
-    Server,
-    context,
-    error_page,
-    genuine,
-    headers,
-    owner,
-    read_cookie,
-    session,
-    set_cookie,
-)
+from xplain.people.desk import desk
+from xplain.people.flow import Conflict, Full, Participant, State
+from xplain.people.server import LOOPBACK, Server
+from xplain.people.site import VISITOR, Site, Visit, Visiting
 from xplain.people.store import Gone, Store, Unknown
 
-participant_pages = Blueprint("participant", __name__)
-VISITOR = "visitor"
-"""The cookie of somebody who has not entered yet; forms are bound to it."""
-TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
 MAX_ITEMS = 50
-MOST_ANSWERS = 100_000
-"""Numbers that no page reaches."""
+"""Events in a page's report."""
+LEAST_FREE = 64 << 20
+"""Bytes on the disk below which the server calls itself not well."""
+MARKED = ("/study", "/events")
+"""Replies to what is sent there are an acknowledgement only with the server's mark: a proxy in
+between may answer anything."""
+FREE = ("/alive", "/researcher/login")
+"""Take nothing from anybody's limit; the login has one of its own, of wrong keys."""
+TEXTS = {404: "no_page", 405: "not_here", 413: "too_much"}
+"""What is said of errors that name no words of their own."""
+TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
+log = logging.getLogger(__name__)
+pages = APIRouter()
 
 # Entry -----------------------------------------------------------------------------------------
 
 
-@participant_pages.get("/")
-def entrance() -> AnyResponse:
+@pages.get("/")
+def entrance(visit: Visiting) -> Response:
     """Where invitations and recruiting platforms lead; changes nothing yet."""
-    visitor = read_cookie(VISITOR)
+    visitor, site, given = visit.cookie(VISITOR), visit.site, visit.request.query_params
     if not (len(visitor) == 32 and visitor.isascii() and visitor.isalnum()):
         visitor = secrets.token_hex(16)
-    own = context()
-    names = (*own.server.id_names, own.server.signed_name)
-    ids = {key: request.args[key][:4000] for key in names if request.args.get(key)}
-    response = make_response(
-        render_template(
-            "entrance.html",
-            token=own.keys.form(visitor),
-            invitation=request.args.get("invitation", "")[:100],
-            ids=ids if {"platform", "signed"} & {*own.server.entry} else {},
-            entry=own.server.entry,
-        )
+    names = (*site.server.id_names, site.server.signed_name)
+    ids = {key: given[key][:4000] for key in names if given.get(key)}
+    reply = visit.page(
+        "entrance.html",
+        token=site.keys.form(visitor),
+        invitation=given.get("invitation", "")[:100],
+        ids=ids if site.server.from_platform else {},
+        entry=site.server.entry,
     )
-    set_cookie(response, VISITOR, visitor)
-    return response
+    visit.set_cookie(reply, VISITOR, visitor)
+    return reply
 
 
-@participant_pages.post("/enter")
-def enter() -> AnyResponse:
+@pages.post("/enter")
+def enter(visit: Visiting) -> Response:
     """Admits, or leads back to where the participant was."""
-    own = context()
-    if not read_cookie(VISITOR):
-        return error_page(403, "no_cookies")
-    here = urlsplit(request.host_url).hostname in LOOPBACK
-    if own.flow.plan.unedited and not (own.server.demo or here):
-        return error_page(403, "not_ready")
-    if not genuine(read_cookie(VISITOR)):
-        return error_page(403, "old_form")
-    ids = {key: request.form.get(key, "") for key in own.server.id_names}
-    if "signed" in own.server.entry:
-        ids = own.server.verify(request.form.get(own.server.signed_name, ""))
+    visitor, server, store = visit.cookie(VISITOR), visit.site.server, visit.site.store
+    if not visitor:
+        raise HTTPException(403, "no_cookies")
+    here = visit.host in LOOPBACK
+    if visit.site.flow.plan.unedited and not (server.demo or here):
+        raise HTTPException(403, "not_ready")
+    if not visit.genuine(visitor):
+        raise HTTPException(403, "old_form")
+    ids = {key: visit.field(key) for key in server.id_names}
+    if "signed" in server.entry:
+        ids = server.verify(visit.field(server.signed_name))
     # Mail programs cut the last character of a link, or add the full stop of a sentence.
-    invitation = request.form.get("invitation", "").strip().rstrip(".,;-_)>")
+    invitation = visit.field("invitation").strip().rstrip(".,;-_)>")
     try:
-        if {"platform", "signed"} & {*own.server.entry} and own.server.lets_in([*ids.values()]):
-            who = own.store.enter_from_platform(ids, own.server.keep_ids)
-        elif invitation and "invitation" in own.server.entry:
-            who = own.store.enter_invited(invitation)
-        elif "open" in own.server.entry and not invitation:
-            who = own.store.enter_open()
+        if server.from_platform and server.lets_in([*ids.values()]):
+            who = store.enter_from_platform(ids, server.keep_ids)
+        elif invitation and "invitation" in server.entry:
+            who = store.enter_invited(invitation)
+        elif "open" in server.entry and not invitation:
+            who = store.enter_as_pilot()
         else:
             raise Unknown
     except Unknown:
-        return error_page(403, "not_invited")
+        raise HTTPException(403, "not_invited") from None
     except Gone:
-        return error_page(410, "erased")
-    response = redirect(url_for("participant.show"), 303)
-    set_cookie(response, PARTICIPANT, own.keys.cookie(who))
-    return response
+        raise HTTPException(410, "erased") from None
+    return visit.let_in(who)
 
 
 # The pages of the study ------------------------------------------------------------------------
 
 
-def _current() -> Participant[Any]:
-    """Whose cookie came along."""
-    return context().store.participant(owner() or "")
-
-
-@participant_pages.app_errorhandler(Unknown)
-def unknown(error: Unknown) -> AnyResponse:
-    """The page for people who are not known."""
-    return error_page(403, "no_invitation")
-
-
-@participant_pages.get("/study")
-def show() -> AnyResponse:
+@pages.get("/study")
+def show(visit: Visiting) -> Response:
     """The page where the participant is."""
-    return _page(_current())
+    return page_of(visit, visit.participant)
 
 
-def _page(
-    found: Participant[Any], problem: str = "", status: int = 200, typed: Form | None = None
+def page_of(
+    visit: Visit, found: Participant[Any], problem: str = "", status: int = 200, kept: bool = False
 ) -> Response:
     """The page where somebody is; of a refused form the page that it is of, with what was typed."""
-    own = context()
-    if typed:
-        found = replace(found, state=own.flow.asking(found.state))
-    if not found.state.paused:
-        own.store.shown(found.id, found.state.accepted, found.state.stage)
-    reference = "-".join(re.findall(".{4}", own.store.reference(found.id)))
-    flow, code = own.flow, own.code(found)
-    html = render_template(
-        "ended.html" if found.state.over else f"{found.state.stage}.html",
-        **flow.view(found.state),
-        kind=flow.waits_for(found.state),
+    site = visit.site
+    state: State = site.flow.asking(found.state) if kept else found.state
+    if not state.paused:
+        site.store.show(found, state)
+    code = site.code(found)
+    return visit.page(
+        "ended.html" if state.over else f"{state.stage}.html",
+        status,
+        **site.flow.view(state),
+        kind=site.flow.waits_for(state),
         code=code,
-        back=own.back(found, code),
-        stages=flow.stages,
-        within=flow.part(found.state.stage),
-        stream=found.row["stream"],
-        typed=typed or MultiDict(),
-        token=own.keys.form(found.id),
-        problem=own.say(problem),
-        reference=reference,
+        back=site.back(found, code),
+        stages=site.flow.stages,
+        within=site.flow.part(state.stage),
+        stream=found.stream,
+        typed=visit.form if kept else ImmutableMultiDict(),
+        token=site.keys.form(found.id),
+        problem=site.say(problem),
+        reference="-".join(re.findall(".{4}", site.store.reference(found.id))),
     )
-    return make_response(html, status)
 
 
-@participant_pages.post("/study")
-def answer() -> AnyResponse:
+@pages.post("/study")
+def answer(visit: Visiting) -> Response:
     """Accepts an answer, once, and leads on. Says 303 (204 to scripts, which then go on by
     themselves) only when the answer is on the disk."""
-    found, own, form = _current(), context(), request.form
-    if not genuine(found.id):
-        return error_page(403, "not_yours")
-    kind, sequence = form.get("kind", "")[:20], form.get("sequence", -1, type=int)
-    ms = form.get("ms", -1.0, type=float)
+    found, site, store = visit.participant, visit.site, visit.site.store
+    if not visit.genuine(found.id):
+        raise HTTPException(403, "not_yours")
+    kind, number, ms = visit.field("kind")[:20], visit.field("sequence"), -1.0
+    with suppress(ValueError):
+        ms = float(visit.field("ms"))
+    sequence = int(number) if re.fullmatch("[0-9]{1,5}", number) else -1
     try:
-        if not 0 <= sequence < MOST_ANSWERS:
+        if sequence < 0:
             raise Refused("not_complete")
         if kind == "time_out":
             raise Refused("not_understood")
-        if kind not in ("withdraw", "return") and not own.store.was_shown(found.id, sequence):
+        if kind not in ("withdraw", "return") and sequence > found.shown:
             raise Conflict("other_page")  # nobody has seen the page of this answer
-        own.store.submit(
-            found.id,
-            sequence,
-            kind,
-            own.flow.read(own.store.asked(found, sequence), kind, form),
-            ms if 0 <= ms < 1e10 else None,
-        )
+        payload = site.flow.read(store.asked(found, sequence), kind, visit.form)
+        store.submit(found.id, sequence, kind, payload, ms if 0 <= ms < 1e10 else None)
     except Full as error:
-        code = own.server.codes.get("full", "")
-        said = f"{own.say(str(error))} {own.say('code')}: {code}" if code else str(error)
-        return _page(found, said, 503, form)
+        code = site.server.codes.get("full", "")
+        said = f"{site.say(str(error))} {site.say('code')}: {code}" if code else str(error)
+        return page_of(visit, found, said, 503, kept=True)
     except Conflict as error:
-        return _page(own.store.participant(found.id), str(error), 409)
+        return page_of(visit, store.participant(found.id), str(error), 409)
     except Refused as error:
-        found = own.store.participant(found.id)
-        return _page(found, str(error), 400, form if sequence == found.state.accepted else None)
-    if "Study-Script" in request.headers:
-        return make_response("", 204)
-    return redirect(url_for("participant.show"), 303)
+        found = store.participant(found.id)
+        return page_of(visit, found, str(error), 400, kept=sequence == found.state.accepted)
+    if "study-script" in visit.request.headers:
+        return Response(status_code=204)
+    return visit.lead("/study")
 
 
-@participant_pages.get("/consent.txt")
-def consent() -> AnyResponse:
+@pages.get("/consent.txt")
+def consent(visit: Visiting) -> Response:
     """A copy of the consent text to keep."""
-    _current()
-    texts = context().flow.plan.texts
+    texts, _ = visit.site.flow.plan.texts, visit.participant
     content = "\n\n".join([texts.title, *texts.consent, texts.contact, texts.consent_hash])
     kept = {"Content-Disposition": "attachment; filename=consent.txt"}
-    return Response(f"{content}\n", mimetype="text/plain", headers=kept)
+    return PlainTextResponse(f"{content}\n", headers=kept)
 
 
-@participant_pages.get("/picture/<int:number>")
-def picture(number: int) -> AnyResponse:
+@pages.get("/picture/{number}")
+def picture(visit: Visiting, number: str) -> Response:
     """An image that belongs to the plan, of a transition."""
-    _current()
-    shown = context().flow.plan.shown
-    found = shown[number].picture if number < len(shown) else None
-    if found is None:
-        return error_page(404, "no_page")
-    return Response(base64.b64decode(found.content), mimetype=found.media)
-
-
-@participant_pages.post("/events")
-def events() -> AnyResponse:
-    """A page's own events: seen, hidden, a label clicked. Changes no state."""
-    found, own = _current(), context()
-    try:
-        report = Report.model_validate_json(request.get_data())
-        if not own.keys.owns_form(found.id, report.token):
-            return make_response({"error": "not yours"}, 403)
-        items = [(i.n, str(i.kind), i.ms, {"at": i.at, "what": i.what}) for i in report.items]
-        if found.state.stage != "declined":
-            own.store.from_tab(found.id, report.tab, items)
-    except (ValidationError, Refused):
-        return make_response({"error": "not understood, or too much"}, 400)
-    return make_response({"kept": len(items)})
-
-
-# From what a browser sent; nothing of it is trusted ----------------------------------------------
+    shown, _ = visit.site.flow.plan.shown, visit.participant
+    at = int(number) if re.fullmatch("[0-9]{1,5}", number) else len(shown)
+    if at >= len(shown) or shown[at].picture is None:
+        raise HTTPException(404)
+    return Response(base64.b64decode(shown[at].picture.content), media_type=shown[at].picture.media)
 
 
 class PageEvent(BaseModel, strict=True):
@@ -264,115 +201,76 @@ class Report(BaseModel, strict=True):
     items: list[PageEvent] = Field(max_length=MAX_ITEMS)
 
 
-MARKED = ("participant.answer", "participant.events")
-"""Routes whose replies scripts take for an acknowledgement only with the server's mark: a proxy in
-between may answer anything."""
-RIGHT_TO_LEFT = ("ar", "arc", "ckb", "dv", "fa", "he", "ks", "ps", "sd", "ug", "ur", "yi")
-LEAST_FREE = 64 << 20
-"""Bytes on the disk below which the server calls itself not well."""
-log = logging.getLogger(__name__)
-FREE = ("static", "alive", "researcher.login")
-"""Routes that take nothing from anybody's limit; the login has one of its own, of wrong keys."""
+@pages.post("/events")
+def events(visit: Visiting) -> Response:
+    """A page's own events: seen, hidden, a label clicked. Changes no state."""
+    found, site = visit.participant, visit.site
+    try:
+        report = Report.model_validate_json(visit.body)
+        if not site.keys.owns_form(found.id, report.token):
+            return JSONResponse({"error": "not yours"}, 403)
+        items = [(i.n, str(i.kind), i.ms, {"at": i.at, "what": i.what}) for i in report.items]
+        if found.state.stage != "declined":
+            site.store.report(found.id, report.tab, items)
+    except (ValidationError, Refused):
+        return JSONResponse({"error": "not understood, or too much"}, 400)
+    return JSONResponse({"kept": len(items)})
 
 
-def create_app(store: Store, server: Server) -> Flask:
-    """The application for one open store."""
-    app = Flask(__name__)
-    # A character takes nine bytes on its way, at most: the page's own limit holds in any language.
-    longest = 9 * sum(question.max_length for question in store.flow.plan.lab_questions)
-    app.config.update(
-        MAX_CONTENT_LENGTH=MAX_BODY + longest,
-        MAX_FORM_MEMORY_SIZE=MAX_BODY + longest,
-        MAX_FORM_PARTS=200,
-    )
-    own = app.extensions["study"] = Context(store, server)
-    folders = PackageLoader(store.flow.PACKAGE), PackageLoader("xplain.people")
-    app.jinja_loader = ChoiceLoader(folders)
-    app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
-    app.jinja_env.globals.update(
-        drawing(store.flow)
-        | {"texts": store.flow.plan.texts, "words": own.words, "mark": own.keys.mark}
-        | {"checked": checked, "direction": direction(own.words["language"])}
-    )
-    app.before_request(_limit)
-    app.after_request(_secure)
-    app.register_error_handler(HTTPException, _http_error)
-    app.register_error_handler(Exception, _failure)
-    app.add_url_rule("/alive", "alive", _alive)
-    app.register_blueprint(participant_pages)
-    app.register_blueprint(researcher_pages)
-    if server.proxies:
-        app.wsgi_app = ProxyFix(app.wsgi_app, server.proxies, server.proxies)  # type: ignore[method-assign]
-    if server.path:
-        app.wsgi_app = BelowPath(app.wsgi_app, server.path)  # type: ignore[method-assign]
-    app.wsgi_app = ReadToTheEnd(app.wsgi_app)  # type: ignore[method-assign]
-    return app
-
-
-def drawing(flow: Flow[Any, Any]) -> dict[str, Any]:
-    """What every template may use of a flow."""
-    plan = flow.plan
-    return {
-        "map": lru_cache(4096)(lambda what: map_svg.picture(plan, *flow.drawn(what))),
-        "ahead": lambda steps: map_svg.picture(plan, plan.ahead.way, steps),
-        "legend": map_svg.legend(plan, plan.shows_way),
-        "about": partial(map_svg.about, plan),
-        "changes": plan.changes,
-        "pictures": [clip.picture for clip in plan.shown],
-        "titles": flow.titles,
-    }
-
-
-def direction(language: str) -> str:
-    """In which direction a language is written: "rtl" or "ltr"."""
-    return "rtl" if language.lower().split("-")[0] in RIGHT_TO_LEFT else "ltr"
-
-
-@pass_context
-def checked(page: jinja2.runtime.Context, name: str, value: object) -> Markup:
-    """The attribute of a choice that was made in a refused form."""
-    return Markup(" checked" if str(value) in page["typed"].getlist(name) else "")
-
-
-def _alive() -> AnyResponse:
+@pages.get("/alive")
+def alive(request: Request) -> Response:
     """Whether answers can be taken: the server runs, and its disk has room."""
-    free = shutil.disk_usage(context().store.path.parent).free
-    said, status = ("alive", 200) if free >= LEAST_FREE else (f"disk full: {free} bytes left", 503)
-    return Response(f"{said}\n", status, content_type="text/plain")
+    free = shutil.disk_usage(request.app.state.site.store.path.parent).free
+    well = free >= LEAST_FREE
+    said = "alive" if well else f"disk full: {free} bytes left"
+    return PlainTextResponse(f"{said}\n", 200 if well else 503)
 
 
-def _limit() -> AnyResponse | None:
-    if request.endpoint in FREE:
-        return None
-    who, own = owner() or session(), context()
-    limit = own.participant_limit if who else own.visitor_limit
-    if limit.allows(who or request.remote_addr or "?"):
-        return None
-    response = error_page(429, "too_fast")
-    response.headers["Retry-After"] = "5"
-    return response
+# The application --------------------------------------------------------------------------------
 
 
-def _secure(response: Response) -> Response:
-    """Adds the headers. Pages are never stored: back and reload ask the server again."""
-    kept = request.endpoint == "static" and response.status_code == 200
-    response.headers.update(headers(context().server.frames))
-    if request.endpoint in MARKED and response.status_code not in (429, 500):
-        response.headers["Study-Mark"] = context().keys.mark
-    response.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
-    if context().server.https:
-        response.headers["Strict-Transport-Security"] = "max-age=31536000"
-    return response
+def create_app(store: Store, server: Server) -> FastAPI:
+    """The application for one open store."""
+    site = Site(store, server)
+    app = FastAPI(openapi_url=None)
+    app.state.site = site
+    app.mount("/static", StaticFiles(packages=[("xplain.people", "static")]))
+    app.include_router(pages)
+    app.include_router(desk)
 
+    @app.exception_handler(HTTPException)
+    def refuse(request: Request, error: HTTPException) -> Response:
+        silent = error.detail == HTTPStatus(error.status_code).phrase
+        text = TEXTS.get(error.status_code, "not_understood") if silent else error.detail
+        return Visit(site, request).error(error.status_code, text)
 
-def _http_error(error: HTTPException) -> AnyResponse:
-    if isinstance(error.code, int) and error.code >= 400:
-        texts = {404: "no_page", 405: "not_here", 413: "too_much"}
-        return error_page(error.code, texts.get(error.code, "not_understood"))
-    return error.get_response()
+    @app.exception_handler(Unknown)
+    def unknown(request: Request, error: Unknown) -> Response:
+        return Visit(site, request).error(403, "no_invitation")
 
+    @app.middleware("http")
+    async def guard(request: Request, go_on: Callable[[Request], Awaitable[Response]]) -> Response:
+        """Limits, headers, and a page whatever goes wrong, with the traceback in the log."""
+        came, path = Visit(site, request), request.scope["path"].removeprefix(server.path)
+        fixed, who = path.startswith("/static/"), came.owner or came.researcher
+        limit = site.participant_limit if who else site.visitor_limit
+        # Whether a proxy in front takes the path of the address off or not.
+        request.scope.update(root_path=server.path, path=f"{server.path}{path}")
+        try:
+            if path in FREE or fixed or limit.allows(who or came.address):
+                reply = await go_on(request)
+            else:
+                reply = came.error(429, "too_fast")
+                reply.headers["Retry-After"] = "5"
+        except Exception:
+            log.exception("request failed")
+            reply = came.error(500, "failed")
+        reply.headers.update(site.headers)
+        if path in MARKED and reply.status_code not in (429, 500):
+            reply.headers["Study-Mark"] = site.keys.mark
+        # Pages are never stored: back and reload ask the server again.
+        kept = fixed and reply.status_code == 200
+        reply.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
+        return reply
 
-def _failure(error: Exception) -> Response:
-    # Whatever went wrong, the participant gets a page; the log gets the traceback.
-    log.error("request failed", exc_info=error)
-    return error_page(500, "failed")
+    return app

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.users.hypotheses import Hypotheses
+from xplain.domains.base import Domain
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
@@ -112,3 +113,24 @@ def read_transitions(path: str | Path) -> OwnTransitions:
         feature_names=names,
         facts=facts,
     )
+
+
+def known_facts(
+    transitions: str | Path | None, hypotheses: str | None, domain: Domain | None
+) -> tuple[Hypotheses | None, tuple[str, ...], dict[str, str]]:
+    """What people may believe incorrectly, by a table of transitions, a file of hypotheses, or else
+    a domain; None without any. With the images of the transitions, and the sentences of messages,
+    as far as they are known.
+
+    Raises:
+        InputError: a table and a file were given, or one that cannot be used.
+    """
+    if hypotheses is not None and transitions is not None:
+        raise InputError("transitions", str(transitions), "either transitions or hypotheses")
+    if transitions is not None:
+        own = read_transitions(transitions)
+        return own.hypotheses, own.images, {}
+    if hypotheses is None and domain is None:
+        return None, (), {}
+    parameters = () if domain is None or hypotheses is not None else domain.parameters
+    return hypotheses_of(domain, hypotheses), (), {one.name: one.message for one in parameters}

@@ -10,14 +10,13 @@ import pandas as pd
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.errors import InputError
 from xplain.experiment import pipeline
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.cells import check_format
 from xplain.learning.data.label_file import write_table
 from xplain.questions.designs import Battery, battery
-from xplain.questions.own_transitions import read_transitions
+from xplain.questions.own_transitions import known_facts
 from xplain.randomness import run_seed
 from xplain.storage import write_text
 
@@ -78,7 +77,10 @@ def listed_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
             "Questionnaire)"
         )
         raise InputError("queries", cfg.hydra.runtime.choices.queries, allowed)
-    known, images, sentences = _known(cfg)
+    path = cfg.hypotheses if cfg.hypotheses is not None else cfg.queries.hypotheses
+    domain = instantiate(cfg.domain) if path is None and cfg.transitions is None else None
+    known, images, sentences = known_facts(cfg.transitions, path, domain)
+    assert known is not None, "of a table, a file or a domain"
     transitions, told = battery(known, design.redundancy, cfg.seed)
     rows: list[Row] = []
     for number, (t, mask) in enumerate(zip(transitions.tolist(), told.tolist(), strict=True), 1):
@@ -102,17 +104,3 @@ def listed_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
     about = {"output": str(cfg.output), "questions": len(rows)}
     candidates = len(np.unique(known.classes))
     return rows, about | {"transitions": known.n_transitions, "candidates": candidates}
-
-
-def _known(cfg: DictConfig) -> tuple[Hypotheses, tuple[str, ...], dict[str, str]]:
-    """The hypotheses, the transitions' images, and what to say for each message."""
-    path = cfg.hypotheses if cfg.hypotheses is not None else cfg.queries.hypotheses
-    if path is not None and cfg.transitions is not None:
-        raise InputError("transitions", cfg.transitions, "either transitions or hypotheses")
-    if cfg.transitions is not None:
-        own = read_transitions(cfg.transitions)
-        return own.hypotheses, own.images, {}
-    if path is not None:
-        return hypotheses_of(None, path), (), {}
-    domain = instantiate(cfg.domain)
-    return hypotheses_of(domain, None), (), {p.name: p.message for p in domain.parameters}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from xplain.people.bots import answer
 from xplain.people.collect.asking import ATTENTION, CollectState, shared
 from xplain.people.collect.bot import Habits, bot, take_part
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.plan import CollectPlan
 from xplain.people.collect.tables import (
     compared,
     dataset_of,
@@ -26,7 +24,6 @@ from xplain.people.collect.tables import (
     fact_sets,
     found_types,
 )
-from xplain.people.export import read, replayed
 from xplain.people.store import Store
 
 COLLECTION = street_collection()
@@ -34,10 +31,6 @@ COLLECTION = street_collection()
 
 def person(number: int, habits: Habits = FAULTLESS) -> CollectState:
     return take_part(COLLECTION, bot(COLLECTION.plan, habits, 0, number), number, {})
-
-
-def with_stage(state: CollectState, stage: str) -> CollectState:
-    return replace(state, stage=stage)
 
 
 def inattentive(state: CollectState) -> CollectState:
@@ -71,10 +64,10 @@ def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
 def test_only_who_finished_and_looked_is_learned_from() -> None:
     done = person(0)
     assert done.left_out == ""
-    assert with_stage(done, "beliefs").left_out == ""  # every clip is answered
-    assert with_stage(done, "clips").left_out == "unfinished"
+    assert replace(done, stage="beliefs").left_out == ""  # every clip is answered
+    assert replace(done, stage="clips").left_out == "unfinished"
     for end in ("withdrawn", "declined", "timed_out"):
-        assert with_stage(done, end).left_out == end
+        assert replace(done, stage=end).left_out == end
     assert inattentive(done).left_out == "inattentive"
 
 
@@ -141,9 +134,6 @@ def test_new_types_are_those_of_ewens(people: int) -> None:
     assert expected_new(people, people, 10) == (1.0, 10.0)
 
 
-Fill = Callable[[Store, int], str]
-
-
 def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:
     """A database in which people answered: all but the last, who withdraws amid the clips."""
     store, found = Store(path, collection), []
@@ -154,7 +144,7 @@ def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:
             who, 0, "consent", {"agree": 1, "text": collection.plan.texts.consent_hash}
         )
         while not state.over:
-            store.shown(who, state.accepted, state.stage)
+            store.show(store.participant(who), state)
             kind, payload = answer(collection, someone, state)
             if number == count - 1 and len(state.answered) == 5:
                 kind, payload = "withdraw", {}
@@ -194,15 +184,6 @@ def test_the_export_says_who_gave_which_labels(tmp_path: Path) -> None:
     }
 
 
-def test_a_replay_knows_every_clip(tmp_path: Path) -> None:
-    path = tmp_path / "c.sqlite"
-    filled(path, COLLECTION)
-    plan, people = read(path, CollectPlan, CollectState)
-    assert plan.hash == COLLECTION.plan.hash
-    assert replayed(COLLECTION, people) == []
-    assert len(people) == 4
-
-
 def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
     path = tmp_path / "c.sqlite"
     everybody = filled(path, COLLECTION)
@@ -221,7 +202,7 @@ def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
 def test_a_studys_database_is_not_a_collections(tmp_path: Path) -> None:
     from tests.people.study.stand_in import street_study
     from xplain.errors import XplainError
-    from xplain.people.export import read_plan
+    from xplain.people.log import read_plan
     from xplain.people.study.plan import StudyPlan
 
     Store(tmp_path / "s.sqlite", street_study()).close()

@@ -12,14 +12,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan
-from tests.people.kinds import bot_of, filled, flow_of
+from tests.people.kinds import filled
 from xplain.cli.main import main
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.listening import PRIOR_PEOPLE, learned_habits
 from xplain.explanation.message_sets import indices
-from xplain.people.bots import Page
 from xplain.people.collect import bot
 from xplain.people.collect.asking import (
     HEEDED,
@@ -65,23 +64,6 @@ def test_what_is_told_explains_a_step_and_is_asked_about_twice_more(held: int, n
         assert (before, after) == (0, 1) or not left
         right |= clip.told
     assert all(c.labels == (1,) for c in (*told, *later, *again))  # who never misses nor forgets
-
-
-def test_pages_say_how_long_a_message_holds() -> None:
-    flow = flow_of("collect")
-    person, state = bot_of(flow, 2), CollectState()
-    words, seen = flow.plan.texts.words, dict[str, set[bool]]()
-    consent = {"number": 0, "role": None, "others": {}}
-    state = flow.after(CollectState(), **flow.admitted(consent))
-    while not state.over:
-        view = flow.view(state)
-        if state.clip:
-            seen.setdefault(state.stage, set()).add(view["lasting"])
-        kind, filled_in = flow.waits_for(state), person.fill(Page.of_view(view))[0]
-        form = dict(filled_in)
-        state = flow.advance(state, kind, flow.read(state, kind, form))
-    assert seen == {"clips": {False}, "listening": {True}}
-    assert words["lasts"] != words["only_here"]
 
 
 def enumerated(asked: Asked, habits: Habits) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from xplain.people.collect.bot import Habits, crowd, truth_of
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble
 from xplain.people.collect.tables import fact_sets
-from xplain.people.material import own_table, read_facts
+from xplain.people.material import own_table
 from xplain.questions.designs import Battery
 
 TABLE = """text,image,alt,inexplicable_if,floor,place
@@ -61,15 +61,6 @@ def test_own_transitions_become_a_task(folder: Path) -> None:
     assert known.labels[known.row(np.array(0b001)), 1] == 1
 
 
-def test_without_features_the_text_is_one(folder: Path) -> None:
-    (folder / "own.csv").write_text("text,inexplicable_if\nRuns,a\nWalks,b\n")
-    (folder / "facts.csv").write_text("fact,message,belief\na,x,y\nb,x,y\n")
-    known = own_table(folder / "own.csv", str(folder / "facts.csv"), 0).hypotheses
-    assert known.feature_names == ("text=Runs", "text=Walks")
-    assert known.features is not None
-    assert known.features.tolist() == [[1, 0], [0, 1]]
-
-
 @pytest.mark.parametrize(
     ("file", "content", "said"),
     [
@@ -87,11 +78,6 @@ def test_what_is_wrong_with_ones_own_table_is_named(
     (folder / file).write_text(content)
     with pytest.raises(InputError, match=said):
         own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
-
-
-def test_facts_need_sentences() -> None:
-    with pytest.raises(InputError, match="fact, message, belief"):
-        read_facts(None, ["a"])
 
 
 def test_a_list_tells_all_candidates_apart() -> None:
@@ -116,6 +102,7 @@ def test_a_list_tells_all_candidates_apart() -> None:
         (["transitions=own.csv", "briefing=assigned"], "they name no types"),
         (["database=broken.sqlite"], "not a study's database"),
         (["port=0"], "port=0"),
+        (["server.key=secret"], "server.key"),
     ],
 )
 def test_what_is_wrong_is_one_line(

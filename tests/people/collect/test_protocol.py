@@ -18,7 +18,6 @@ from xplain.people.collect.asking import (
     ATTENTION,
     QUESTION,
     REPEAT,
-    AskedClip,
     CollectState,
     belief,
     schedule,
@@ -60,16 +59,6 @@ def states(collection: Collection, held: int = 3, number: int = 5) -> list[Colle
     return found
 
 
-def test_the_way_from_consent_to_done() -> None:
-    seen = [state.stage for state in states(COLLECTION)]
-    clips = 12 + 2 + 1
-    assert seen == [
-        *("consent", "task", "task", "practice", "practice", "ahead"),
-        *["clips"] * clips,
-        *("beliefs", "questions", "done"),
-    ]
-
-
 @settings(deadline=None)
 @given(numbers)
 def test_a_schedule_has_every_question_one_obvious_step_and_looks_back(number: int) -> None:
@@ -88,23 +77,10 @@ def test_a_schedule_has_every_question_one_obvious_step_and_looks_back(number: i
             assert 3 < place < len(tasks) - 3
 
 
-def test_schedules_and_questions_differ_between_people() -> None:
-    assert len({schedule(COLLECTION.plan, number) for number in range(20)}) > 10
-
-
 def test_clips_of_several_steps_end_at_the_points_asked_for() -> None:
     """Ten points in clips of four: the last clip has two."""
     state = somebody(street_collection(Adaptive(clip=4), points=10), held=2, number=1)
     assert [one.size for one in state.questions()] == [4, 4, 2]
-
-
-def test_a_repeated_question_is_the_same_question() -> None:
-    for number in range(5):
-        state = somebody(COLLECTION, held=5, number=number)
-        questions = {(clip.transitions, clip.told) for clip in state.questions()}
-        repeats = [clip for clip in state.answered if clip.purpose == REPEAT]
-        assert len(repeats) == 2
-        assert {(clip.transitions, clip.told) for clip in repeats} <= questions
 
 
 @pytest.mark.parametrize("design", [None, Battery(redundancy=2)])
@@ -120,25 +96,6 @@ def test_whoever_never_errs_is_found_consistent_and_attentive(design: Battery | 
         # Who believes more incorrectly, but one fact on the other side, may answer all questions
         # alike.
         assert state.belief[likeliest] > 0.85
-
-
-def test_whoever_tosses_coins_is_neither() -> None:
-    habits = Habits(error=0.5, mistake=0.0)
-    found = [somebody(COLLECTION, 3, number, habits) for number in range(40)]
-    # 80 repeated labels, 40 obvious steps: both are fair coins.
-    assert 0.35 < np.mean([state.consistency for state in found]) < 0.65
-    assert 0.25 < np.mean([state.attentive for state in found]) < 0.75
-
-
-def test_a_list_is_the_same_for_everybody_in_an_order_of_their_own() -> None:
-    collection = street_collection(Battery(redundancy=1), points=10)
-    asked = [
-        [(clip.transitions, clip.told) for clip in somebody(collection, 2, number).questions()]
-        for number in range(4)
-    ]
-    assert len(asked[0]) == 10
-    assert all(sorted(one) == sorted(asked[0]) for one in asked)
-    assert any(one != asked[0] for one in asked)
 
 
 @settings(max_examples=30, deadline=None)
@@ -193,34 +150,6 @@ def test_of_questions_that_tell_about_as_much_new_ones_come_first(number: int, h
         )
 
 
-def test_what_is_kept_of_earlier_answers_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Three who answer alike, in turn: two of one number, one of them with a prior of others.
-    monkeypatch.setattr("xplain.people.collect.flow.QUESTIONNAIRES", 5)
-    shared_by_all = street_collection()
-    people = [
-        CollectState(number=4),
-        CollectState(number=4, others={"6": 1.0}),
-        CollectState(number=5),
-    ]
-    rng = np.random.default_rng(0)
-    for step in range(12):
-        clips = [AskedClip(QUESTION, (int(rng.integers(4)),), 0, (int(rng.integers(2)),))] * 3
-        if step == 6:
-            clips[2] = replace(clips[2], purpose=ATTENTION)  # is no answer
-        people = [
-            replace(one, answered=(*one.answered, clip))
-            for one, clip in zip(people, clips, strict=True)
-        ]
-        for one in people:
-            found = shared_by_all.questionnaire(one)
-            alone = street_collection().questionnaire(one)
-            assert found.posterior.tobytes() == alone.posterior.tobytes()
-            assert found.next() == alone.next()
-            assert found.asked == alone.asked
-            found.answer([1], ([0], 0))  # whoever asks for it may go on with it
-    assert shared_by_all.kept.cache_info().currsize == 5
-
-
 @settings(max_examples=25, deadline=None)
 @given(numbers, st.integers(0, 15))
 def test_the_posterior_is_one_and_depends_on_the_answers_alone(number: int, held: int) -> None:
@@ -258,23 +187,6 @@ def test_half_of_a_prior_is_what_others_hold_wrong() -> None:
     np.testing.assert_allclose(prior, expected, atol=1e-12)
 
 
-def test_later_people_need_fewer_questions() -> None:
-    """What everybody before believes incorrectly is believed of the next one sooner."""
-    held = 6
-
-    def needed(others: dict[str, float]) -> int:
-        person = Observer(COLLECTION.plan, held, FAULTLESS, np.random.default_rng(0))
-        state = take_part(COLLECTION, person, 0, others)
-        known = COLLECTION.questionnaire(CollectState(number=0, others=others))
-        for count, clip in enumerate(state.questions()):
-            if known.posterior[COLLECTION.plan.hypotheses.row(np.array(held))] > 0.9:
-                return count
-            known.answer(list(clip.labels), (list(clip.transitions), clip.told))
-        return 99
-
-    assert needed({str(held): 1.0}) < needed({})
-
-
 def test_assigned_briefings_tell_what_a_role_knows_and_it_is_found_again() -> None:
     collection = street_collection(briefing="assigned")
     plan = collection.plan
@@ -287,11 +199,6 @@ def test_assigned_briefings_tell_what_a_role_knows_and_it_is_found_again() -> No
         assert [state.stated[j] for j in range(len(plan.facts))] == [
             role.held >> j & 1 for j in range(len(plan.facts))
         ]
-
-
-def test_people_as_they_are_get_no_briefing() -> None:
-    for state in states(COLLECTION):
-        assert "briefing" not in COLLECTION.view(state)
 
 
 @pytest.mark.parametrize(

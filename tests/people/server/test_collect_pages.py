@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from tests.people.client import Client
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan, telling
 from tests.people.study.stand_in import PLACES
 from tests.people.visitors import GENEROUS, Visitor, differences, enter, field
@@ -21,8 +22,8 @@ from xplain.people.collect.asking import AskedClip, CollectState, belief
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import KnownSoFar, glance
-from xplain.people.http import Keys
 from xplain.people.plan import Picture
+from xplain.people.server import Keys
 from xplain.people.store import Store
 from xplain.people.web import create_app
 from xplain.questions.questionnaire import Questionnaire
@@ -70,11 +71,9 @@ def test_of_the_erased_nothing_stays_in_memory(
     known = {id(one) for one in earlier}
     for number in range(2):
         list(walk(browser(), store, number))
-    glance(store.flow, store.people())
-    gone, kept = store.query("SELECT id, state FROM seen ORDER BY number")
-    state = store.flow.STATE.from_text(gone["state"])
-    beliefs = {f: p for f, p in state.belief.items() if f != "none"}
-    del state
+    glance(store.flow, store.present())
+    gone, kept = store.present()
+    beliefs = {f: p for f, p in gone.state.belief.items() if f != "none"}
 
     def remembered() -> set[str]:
         gc.collect()
@@ -83,26 +82,26 @@ def test_of_the_erased_nothing_stays_in_memory(
         new = [one for one in alive if id(one) not in known]
         held = [belief(one) for one in new if isinstance(one, Questionnaire) and one.asked]
         return {
-            *({"state"} if gone["state"] in states else ()),
+            *({"state"} if gone.text in states else ()),
             *({"questionnaire"} if any(beliefs.items() <= one.items() for one in held) else ()),
             *({"types"} if any(isinstance(one, KnownSoFar) for one in new) else ()),
         }
 
     assert remembered() == {"state", "questionnaire", "types"}
-    store.erase(store.reference(gone["id"]))
+    store.erase_by(store.reference(gone.id))
     assert remembered() == set()
-    assert store.flow.STATE.from_text(kept["state"]).text == kept["state"]
+    assert store.participant(kept.id).text == kept.text
 
 
 def test_a_clip_shows_just_what_is_told_there(tmp_path: Path) -> None:
     collection = telling()
     plan, told = collection.plan, set()
     store = Store(tmp_path / "t.sqlite", collection)
-    for html, page in walk(Visitor(create_app(store, GENEROUS).test_client()), store, 1):
+    for html, page in walk(Visitor(Client(create_app(store, GENEROUS))), store, 1):
         if page.stage != "clips":
             continue
-        (row,) = store.query("SELECT state FROM seen")
-        clip = store.flow.STATE.from_text(row["state"]).clip
+        (one,) = store.present()
+        clip = one.state.clip
         known = {fact.message: 1 << j for j, fact in enumerate(plan.facts)}
         assert sum(known[sentence] for sentence in page.messages) == clip.told
         assert list(page.steps) == list(clip.transitions)
@@ -112,28 +111,6 @@ def test_a_clip_shows_just_what_is_told_there(tmp_path: Path) -> None:
     assert len(told) > 8
     agrees(store, collection)
     store.close()
-
-
-def test_practice_is_repeated_until_it_is_understood(
-    store: Store, browser: Callable[[], Visitor]
-) -> None:
-    visitor = browser()
-    pages = walk(visitor, store)
-    page = next(page for _, page in pages if page.stage == "practice")
-    status, html = visitor.post("/study", [*page.hidden.items(), ("label", "1")])
-    assert status == 200
-    assert "Please look again" in html
-    assert Page.of_html(html).messages == page.messages
-
-
-def test_what_is_missing_is_said(store: Store, browser: Callable[[], Visitor]) -> None:
-    visitor = browser()
-    for html, page in walk(visitor, store):
-        if page.stage in ("practice", "clips", "beliefs"):
-            status, html = visitor.post("/study", list(page.hidden.items()))
-            assert status == 400
-            assert 'role="alert"' in html
-            assert Page.of_html(html).hidden == page.hidden
 
 
 def test_the_researcher_sees_labels_types_and_what_more_people_bring(
@@ -169,16 +146,15 @@ def test_assigned_briefings_are_balanced_and_shown_again(tmp_path: Path) -> None
     store = Store(tmp_path / "a.sqlite", collection)
     app = create_app(store, GENEROUS)
     for number in range(6):
-        for _, page in walk(Visitor(app.test_client()), store, number):
+        for _, page in walk(Visitor(Client(app)), store, number):
             if page.stage == "clips":
                 assert tuple(page.facts) in [role.briefing for role in collection.plan.roles]
             assert page.stage != "task" or len(page.facts) <= 3
-    roles = store.query("SELECT json_extract(state, '$.role') AS role FROM seen")
-    assert sorted(row["role"] for row in roles) == [0, 0, 1, 1, 2, 2]
+    roles = [one.state.role for one in store.present()]
+    assert sorted(roles) == [0, 0, 1, 1, 2, 2]
     # Each answered as the briefing says, whoever they were before.
-    rows = store.query("SELECT state FROM seen")
-    for row in rows:
-        state = store.flow.STATE.from_text(row["state"])
+    states = [one.state for one in store.present()]
+    for state in states:
         held = collection.plan.roles[state.role].held
         assert sum(1 << j for j, one in enumerate(state.stated) if one == 1) == held
     agrees(store, collection)
@@ -191,7 +167,7 @@ def test_images_of_own_transitions_are_served(tmp_path: Path) -> None:
     picture = Picture("image/png", base64.b64encode(content).decode())
     plan = replace(plan, shown=(replace(plan.shown[0], picture=picture), *plan.shown[1:]))
     store = Store(tmp_path / "p.sqlite", Collection(plan))
-    client = create_app(store, GENEROUS).test_client()
+    client = Client(create_app(store, GENEROUS))
     enter(Visitor(client), store.invite(1, "person")[0])
     reply = client.get("/picture/0")
     assert (reply.status_code, reply.data) == (200, content)
@@ -213,8 +189,6 @@ def test_many_at_once_share_what_was_known_when_they_came(
         for way in ways:
             next(way, None)
     list(walk(browser(), store, 5))
-    rows = store.query(
-        "SELECT json_extract(payload, '$.after') AS after FROM event WHERE kind = 'consent'"
-    )
-    assert [row["after"] for row in rows] == ["[]"] * 4 + ["[1,2,3,4]"]
+    after = [event.payload.get("after") for event in store.events("kind = 'consent'")]
+    assert after == [[]] * 4 + [[1, 2, 3, 4]]
     agrees(store, collection)

@@ -14,14 +14,16 @@ import pytest
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 
+from tests.people.client import Client
 from tests.people.study.stand_in import street_study
 from tests.people.visitors import GENEROUS, Visitor, enter, field
 from xplain.errors import InputError
 from xplain.people import web as application
 from xplain.people.bots import Page
-from xplain.people.export import copied, write_identifiers
-from xplain.people.http import Server
+from xplain.people.export import write_identifiers
+from xplain.people.log import backup
 from xplain.people.plan import typed
+from xplain.people.server import Server
 from xplain.people.store import Store
 from xplain.people.study.tables import export
 from xplain.people.web import create_app
@@ -40,7 +42,7 @@ def store(tmp_path: Path) -> Any:
 
 def comes(store: Store, server: Server, token: str) -> int:
     """The status of somebody who opens a link with a signed token, and presses the button."""
-    client = create_app(store, server).test_client()
+    client = Client(create_app(store, server))
     form = client.get(f"{server.path}/?signed={token}").text
     sent = {"token": field(form, "token"), "signed": token}
     return client.post(f"{server.path}/enter", data=sent).status_code
@@ -67,7 +69,7 @@ def test_ids_that_nobody_signed_let_nobody_in(store: Store, tmp_path: Path) -> N
     assert [comes(store, server, token) for token in wrong] == [403] * len(wrong)
     assert comes(store, server, jwt.encode(good, SECRET, "HS256")) == 303
     assert comes(store, server, jwt.encode(good, SECRET, "HS256")) == 303
-    assert len(store.query("SELECT 1 FROM participant")) == 1
+    assert len(store.people) == 1
 
 
 def test_a_platform_signs_with_a_key_of_which_the_lab_has_the_public_half(
@@ -103,7 +105,7 @@ def test_a_paid_person_never_becomes_a_pilot_by_a_wrong_link() -> None:
 
 
 def test_a_browser_without_cookies_is_told_so(store: Store) -> None:
-    client = create_app(store, GENEROUS).test_client(use_cookies=False)
+    client = Client(create_app(store, GENEROUS), cookies=False)
     form = client.get("/").text
     reply = client.post("/enter", data={"token": field(form, "token")})
     assert reply.status_code == 403
@@ -113,19 +115,18 @@ def test_a_browser_without_cookies_is_told_so(store: Store) -> None:
 def test_an_invitation_with_the_full_stop_of_a_sentence_is_found(store: Store) -> None:
     made = store.invite(200, "person")
     assert all(one.isalpha() for one in made)
-    visitor = Visitor(create_app(store, GENEROUS).test_client())
+    visitor = Visitor(Client(create_app(store, GENEROUS)))
     assert Page.of_html(enter(visitor, f"{made[0]}.")).stage == "consent"
 
 
 @pytest.mark.parametrize("given", ["/robots", ""])
 def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -> None:
     """Whether the proxy in front takes the path off or not."""
-    client = create_app(store, replace(GENEROUS, address=ADDRESS, https=False)).test_client()
+    client = Client(create_app(store, replace(GENEROUS, address=ADDRESS, https=False)))
     entrance = client.get(f"{given}/?invitation=x", headers={"X-Forwarded-Prefix": "/robots"})
     assert 'action="/robots/enter"' in entrance.text
     assert 'href="/robots/static/study.css"' in entrance.text
-    with client.get(f"{given}/static/study.css") as style:
-        assert style.status_code == 200
+    assert client.get(f"{given}/static/study.css").status_code == 200
     assert "Path=/robots/" in entrance.headers["Set-Cookie"]
     (token,) = store.invite(1, "person")
     sent = {"token": field(entrance.text, "token"), "invitation": token}
@@ -134,7 +135,7 @@ def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -
 
 
 def test_a_full_disk_is_no_good_health(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    client = create_app(store, GENEROUS).test_client()
+    client = Client(create_app(store, GENEROUS))
     assert client.get("/alive").status_code == 200
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(application.shutil, "disk_usage", lambda path: usage(10, 10, 0))
@@ -143,33 +144,33 @@ def test_a_full_disk_is_no_good_health(store: Store, monkeypatch: pytest.MonkeyP
 
 def test_pages_may_be_shown_in_the_frames_that_are_named(store: Store) -> None:
     survey = "https://survey.example.org"
-    shown = create_app(store, replace(GENEROUS, frames=(survey,))).test_client().get("/")
+    shown = Client(create_app(store, replace(GENEROUS, frames=(survey,)))).get("/")
     assert f"frame-ancestors {survey}" in shown.headers["Content-Security-Policy"]
     assert "X-Frame-Options" not in shown.headers
-    assert "SameSite=None" in shown.headers["Set-Cookie"]
-    other = create_app(store, GENEROUS).test_client().get("/")
+    assert "SameSite=none" in shown.headers["Set-Cookie"]
+    other = Client(create_app(store, GENEROUS)).get("/")
     assert "frame-ancestors 'none'" in other.headers["Content-Security-Policy"]
 
 
 def test_nothing_in_the_data_says_who_is_who_but_a_file_apart(store: Store, tmp_path: Path) -> None:
     who = store.enter_from_platform(IDS, keep=True)
-    (row,) = store.query("SELECT code FROM participant")
+    (one,) = store.present()
     store.snapshot(tmp_path / "copy.sqlite")
     export(tmp_path / "copy.sqlite", tmp_path / "data")
     for file in (tmp_path / "data").glob("*.csv"):
-        assert row["code"] not in file.read_text()
+        assert one.identity["code"] not in file.read_text()
         assert "ann" not in file.read_text().replace("cannot", "")
-    write_identifiers(tmp_path / "copy.sqlite", tmp_path / "identifiers.csv")
+    write_identifiers(store.present(), tmp_path / "identifiers.csv")
     found = pd.read_csv(tmp_path / "identifiers.csv").iloc[0].to_dict()
-    assert found == {"participant": who, "completion_code": row["code"], **IDS}
+    assert found == {"participant": who, "completion_code": one.identity["code"], **IDS}
 
 
 def test_a_backup_is_made_while_the_server_runs(store: Store, tmp_path: Path) -> None:
     (token,) = store.invite(1, "person")
     who = store.enter_invited(token)
-    copied(store.path, tmp_path / "backup.sqlite")
+    backup(store.path, tmp_path / "backup.sqlite")
     with pytest.raises(InputError, match="a new file"):
-        copied(store.path, tmp_path / "backup.sqlite")
+        backup(store.path, tmp_path / "backup.sqlite")
     restored = Store(tmp_path / "backup.sqlite", store.flow)
     assert restored.enter_invited(token) == who  # by the key, which came along
     restored.close()
@@ -185,7 +186,7 @@ def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(tmp_path: 
         (GENEROUS, "http://localhost", 303),
         (replace(GENEROUS, demo=True), "https://lab.example.org", 303),
     ):
-        client = create_app(store, server).test_client()
+        client = Client(create_app(store, server))
         token = field(client.get("/", base_url=host).text, "token")
         sent = {"token": token, "invitation": store.invite(1, "pilot")[0]}
         assert client.post("/enter", data=sent, base_url=host).status_code == status
@@ -193,13 +194,13 @@ def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(tmp_path: 
 
 
 def test_pictures_and_consent_are_for_participants(store: Store) -> None:
-    client = create_app(store, GENEROUS).test_client()
+    client = Client(create_app(store, GENEROUS))
     for path in ("/consent.txt", "/picture/0"):
         assert client.get(path).status_code == 403
 
 
 def test_an_answer_to_a_page_that_was_not_shown_is_refused(store: Store) -> None:
-    client = create_app(store, GENEROUS).test_client()
+    client = Client(create_app(store, GENEROUS))
     visitor = Visitor(client)
     page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
     agreed = [*page.hidden.items(), ("agree", "1")]
@@ -208,3 +209,16 @@ def test_an_answer_to_a_page_that_was_not_shown_is_refused(store: Store) -> None
     assert client.post("/study", data=unseen).status_code == 409
     assert Page.of_html(visitor.get("/study")[1]).stage == "briefing"
     assert client.post("/study", data=unseen).status_code == 303
+
+
+def test_two_studies_on_one_host_share_a_browser(store: Store, tmp_path: Path) -> None:
+    """Ports share cookies: those of one study leave the participant of the other where they are."""
+    other = Store(tmp_path / "other.sqlite", street_study())
+    one, two = (Visitor(Client(create_app(own, GENEROUS))) for own in (store, other))
+    two.client.cookies = one.client.cookies
+    page = Page.of_html(enter(one, store.invite(1, "person")[0]))
+    enter(two, other.invite(1, "person")[0])
+    status, html = one.post("/study", [*page.hidden.items(), ("agree", "1")])
+    assert (status, Page.of_html(html).stage) == (200, "briefing")
+    assert Page.of_html(two.get("/study")[1]).stage == "consent"
+    other.close()

@@ -14,11 +14,12 @@ from urllib.parse import quote, urlencode
 import numpy as np
 import pytest
 
+from tests.people.client import Client
 from tests.people.kinds import bot_of, flow_of
 from tests.people.server_process import ServerProcess
-from tests.people.visitors import GENEROUS, Visitor, consent, differences, pages
+from tests.people.visitors import GENEROUS, Visitor, consent, differences, pages, query
 from xplain.people.bots import Researcher
-from xplain.people.http import Keys
+from xplain.people.server import Keys
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
 from xplain.people.web import create_app
@@ -161,7 +162,7 @@ def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
     app = create_app(store, GENEROUS)
     for number in range(20):
         (invitation,) = store.invite(1, "bot")
-        visitor = Visitor(app.test_client())
+        visitor = Visitor(Client(app))
         way = pages(visitor, bot_of(store.flow, number), invitation)
         for index, (_, page) in enumerate(way):
             if index >= number // 2 or not page.hidden:
@@ -176,17 +177,13 @@ def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
 
 def records(store: Store, who: list[str]) -> dict[str, Any]:
     """Everything that is stored about some participants."""
-    marks = ",".join("?" * len(who))
-    return {
-        table: store.query(f"SELECT * FROM {table} WHERE {column} IN ({marks})", who)
-        for table, column in (("participant", "id"), ("event", "participant"))
-    }
+    return {one: [*store.events("participant = ?", one)] for one in who}
 
 
 def unharmed(store: Store, who: list[str], before: dict[str, Any]) -> None:
     """Nobody else's data has changed, the file is sound, and every answer was a legal one."""
     assert records(store, who) == before
-    assert store.query("PRAGMA integrity_check") == [{"integrity_check": "ok"}]
+    assert query(store, "PRAGMA integrity_check") == [{"integrity_check": "ok"}]
     assert differences(store) == []
 
 
@@ -199,13 +196,13 @@ def test_hostile_requests_harm_nothing(tmp_path: Path, kind: str, count: int) ->
     cookies, others = prey(store)
     before = records(store, others)
     app = create_app(store, GENEROUS)
-    client = app.test_client(use_cookies=False)
+    client = Client(app, cookies=False)
 
     def send(method: str, path: str, headers: dict[str, str], body: bytes) -> int:
-        with client.open(path, method=method, headers=headers, data=body) as reply:
-            assert "Traceback" not in reply.text
-            assert "<script>alert" not in reply.text
-            return reply.status_code
+        reply = client.open(path, method=method, headers=headers, data=body)
+        assert b"Traceback" not in reply.data
+        assert b"<script>alert" not in reply.data
+        return reply.status_code
 
     statuses = attack(send, count, 0, cookies, Keys(store.secret).mark)
     assert {200, 400, 403, 404, 405} <= statuses.keys()

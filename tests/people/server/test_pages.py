@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from flask import Flask
+from fastapi import FastAPI
 
+from tests.people.client import Client
 from tests.people.kinds import KINDS, bot_of, flow_of
 from tests.people.study.stand_in import SCREENS
-from tests.people.visitors import GENEROUS, Visitor, differences, enter, pages
+from tests.people.visitors import GENEROUS, Visitor, differences, enter, pages, query
 from xplain.people.bots import Page
 from xplain.people.store import Store
 from xplain.people.web import create_app
@@ -32,25 +33,25 @@ def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
 
 
 @pytest.fixture
-def app(store: Store) -> Flask:
+def app(store: Store) -> FastAPI:
     return create_app(store, GENEROUS)
 
 
-def test_the_way_from_entrance_to_code(store: Store, app: Flask) -> None:
+def test_the_way_from_entrance_to_code(store: Store, app: FastAPI) -> None:
     kind, (token,) = store.path.stem, store.invite(1, "person")
-    seen = list(pages(Visitor(app.test_client()), bot_of(store.flow, 0), token))
+    seen = list(pages(Visitor(Client(app)), bot_of(store.flow, 0), token))
     stages = [page.stage for _, page in seen]
     assert stages == [*BEFORE[kind], *STEPS[kind], *AFTER[kind]]
     last = seen[-1][0]
-    assert store.participant(store.enter_invited(token)).row["code"] in last
+    assert store.participant(store.enter_invited(token)).identity["code"] in last
     for paragraph in store.flow.plan.texts.debriefing:
         assert paragraph.split("'")[0] in last  # debriefed
     assert differences(store) == []
 
 
-def test_reload_back_second_tab_and_double_click_change_nothing(store: Store, app: Flask) -> None:
+def test_reload_back_second_tab_and_double_click_change_nothing(store: Store, app: FastAPI) -> None:
     (token,) = store.invite(1, "person")
-    one, two, old = Visitor(app.test_client()), Visitor(app.test_client()), []
+    one, two, old = Visitor(Client(app)), Visitor(Client(app)), []
     stages = []
     for _, page in pages(one, bot_of(store.flow, 0), token):
         stages.append(page.stage)
@@ -65,7 +66,7 @@ def test_reload_back_second_tab_and_double_click_change_nothing(store: Store, ap
         if page.hidden:
             other = [(name, choices[-1][0]) for name, choices in page.fields.items()]
             old.append([*page.hidden.items(), *other])
-    kinds = [e["kind"] for e in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
+    kinds = [e["kind"] for e in query(store, "SELECT kind FROM event WHERE source = 'protocol'")]
     waits = {one.name: one.kind for one in store.flow.STAGES}
     assert kinds == [waits[stage] for stage in stages[:-1]]
     assert differences(store) == []

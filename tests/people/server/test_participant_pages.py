@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.people.client import Client
 from tests.people.study.stand_in import FAULTLESS, street_plan
-from tests.people.visitors import GENEROUS, Visitor, consent, enter, field, logged, pages
+from tests.people.visitors import GENEROUS, Visitor, consent, enter, field, pages, query
 from xplain.errors import InputError
-from xplain.people.bots import Page, visit
-from xplain.people.http import Context, Server
-from xplain.people.map_svg import picture
+from xplain.people.bots import Page
 from xplain.people.plan import typed
+from xplain.people.server import Server
+from xplain.people.site import Site
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
@@ -41,8 +42,8 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
     assert "Please say for each step" in html
     status, html = visitor.post("/study", [*hidden.items(), ("label_1", "1")])
     assert status == 200
-    (who,) = logged(store)
-    assert [step["labels"] for step in steps_of(who)][:2] == ["[0]", "[0, 1]"]
+    (who,) = store.everybody()
+    assert [step.labels for step in steps_of(who)][:2] == [(0,), (0, 1)]
 
 
 def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> None:
@@ -53,11 +54,11 @@ def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> N
     habits, marked = replace(FAULTLESS, forgetting=0.5, losing=0.5), []
     for number, token in enumerate(store.invite(18, "bot")):
         someone = StudyBot(store.flow.plan, habits, np.random.default_rng(number))
-        for html, page in pages(Visitor(client.test_client()), someone, token):
+        for html, page in pages(Visitor(Client(client)), someone, token):
             assert len(set(page.messages)) == len(page.messages)
             marked += re.findall(r'<span class="tag">Said again:</span> (.*?)</div>', html)
-    people = logged(store)
-    again = [step["given"] & step["messages"] for one in people for step in steps_of(one)]
+    people = store.everybody()
+    again = [(s.page.previous or 0) & s.page.new for one in people for s in steps_of(one)]
     assert len(marked) == sum(mask.bit_count() for mask in again) > 0
     store.close()
 
@@ -89,7 +90,7 @@ def test_what_people_write_is_escaped_everywhere(
             assert "<script>alert" not in html
             visitor.post("/study", [*page.hidden.items(), ("age", "30"), ("comment", attack)])
             break
-    (row,) = store.query("SELECT payload FROM event WHERE kind = 'answers'")
+    (row,) = query(store, "SELECT payload FROM event WHERE kind = 'answers'")
     assert "<script>" in row["payload"]  # kept as it was written
     _, html = visitor.get("/researcher")
     assert "<script>alert" not in html
@@ -99,7 +100,7 @@ def test_what_people_write_is_escaped_everywhere(
 
 
 def test_entry_is_as_configured(store: Store) -> None:
-    closed = create_app(store, Server(entry=("platform",), studies=("s",))).test_client()
+    closed = Client(create_app(store, Server(entry=("platform",), studies=("s",))))
     html = closed.get("/").text
     visitor = field(html, "token")
     assert 'name="invitation"' not in html
@@ -116,29 +117,6 @@ def test_entry_is_as_configured(store: Store) -> None:
         typed(Server, "server", {"entry": ["anybody"]})
 
 
-def test_the_platform_gets_its_code_back(store: Store, person: Callable[[], StudyBot]) -> None:
-    server = Server(
-        completion_url="https://example.org/back?cc={code}",
-        completion_code="C0DE",
-        burst=1e9,
-        visitor_burst=1e9,
-    )
-    visitor = Visitor(create_app(store, server).test_client())
-    *_, (html, _) = pages(visitor, person(), store.invite(1, "person")[0])
-    assert 'href="https://example.org/back?cc=C0DE"' in html
-
-
-def test_a_domain_without_a_map_gets_its_study(tmp_path: Path) -> None:
-    from xplain.people.study.flow import Study
-
-    study = Study.of(street_plan(map_shown=False, questions=[]))
-    store = Store(tmp_path / "s.sqlite", study)
-    visitor = Visitor(create_app(store, GENEROUS).test_client())
-    person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
-    assert visit(visitor, person, store.invite(1, "bot")[0]) == "done"
-    store.close()
-
-
 def test_without_a_map_the_page_lists_what_each_step_changed(
     tmp_path: Path, person: Callable[[], StudyBot]
 ) -> None:
@@ -150,7 +128,7 @@ def test_without_a_map_the_page_lists_what_each_step_changed(
     assert plan.changes == told
     opened = Store(tmp_path / "listed.sqlite", Study.of(plan))
     (token,) = opened.invite(1, "person")
-    visitor = Visitor(create_app(opened, GENEROUS).test_client())
+    visitor = Visitor(Client(create_app(opened, GENEROUS)))
     shown = [
         re.findall(r"now past place (\d+); no longer at &lt;\d+&gt;</li>", html)
         for html, page in pages(visitor, person(), token)
@@ -160,25 +138,12 @@ def test_without_a_map_the_page_lists_what_each_step_changed(
     opened.close()
 
 
-def test_nobody_is_a_person_by_making_up_ids(store: Store) -> None:
-    """By default invitations alone let people in; a platform's, only of the configured study."""
-    ids = {"PROLIFIC_PID": "p", "STUDY_ID": "made up", "SESSION_ID": "x"}
-    for server in (Server(), Server(entry=("platform",), studies=("ours",))):
-        client = create_app(store, server).test_client()
-        token = field(client.get("/").text, "token")
-        assert client.post("/enter", data=ids | {"token": token}).status_code == 403
-    ours = ids | {"STUDY_ID": "ours", "token": token}
-    assert client.post("/enter", data=ours).status_code == 303
-    with pytest.raises(ValueError, match=r"server\.studies"):
-        Server(entry=("platform",))
-
-
 def test_a_list_of_ids_lets_nobody_else_in(store: Store, tmp_path: Path) -> None:
     """Any platform that tells an id in its address; the file is read when somebody comes."""
     file = tmp_path / "ids.txt"
     file.write_text("ann\nbert\n")
     server = Server(entry=("platform",), id_names=("survey_code",), ids=str(file))
-    client = create_app(store, server).test_client()
+    client = Client(create_app(store, server))
     page = client.get("/?survey_code=ann").text
     assert field(page, "survey_code") == "ann"
     token = field(page, "token")
@@ -196,7 +161,7 @@ def test_a_list_of_ids_lets_nobody_else_in(store: Store, tmp_path: Path) -> None
     ]
     file.write_text("ann\nbert\ncarl\n")
     assert comes("carl") == 303
-    assert len(store.query("SELECT * FROM participant")) == 2
+    assert len(store.people) == 2
     with pytest.raises(ValueError, match=r"server\.ids"):
         replace(server, ids=str(tmp_path / "nowhere"))
     with pytest.raises(ValueError, match=r"server\.studies"):
@@ -210,7 +175,7 @@ def test_the_platform_gets_its_id_back(store: Store) -> None:
     with pytest.raises(ValueError, match=r"server\.completion_url"):
         Server(completion_url=back)
     server = replace(GENEROUS, keep_ids=True, completion_url=back, completion_code="C0DE")
-    own = Context(store, server)
+    own = Site(store, server)
     ids = {"PROLIFIC_PID": "a&b", "STUDY_ID": "s", "SESSION_ID": "x"}
     found = store.participant(store.enter_from_platform(ids, keep=True))
     assert own.back(found, "C0DE") == "https://example.org/credit?who=a%26b&code=C0DE"
@@ -221,34 +186,9 @@ def test_who_finds_no_place_gets_the_code_for_it(store: Store) -> None:
     for token in store.invite(places, "person"):
         consent(store, store.enter_invited(token))
     for codes, code in (({}, ""), ({"full": "FULL1"}, "FULL1")):
-        visitor = Visitor(create_app(store, replace(GENEROUS, codes=codes)).test_client())
+        visitor = Visitor(Client(create_app(store, replace(GENEROUS, codes=codes))))
         page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
         status, html = visitor.post("/study", [*page.hidden.items(), ("agree", "1")])
         assert status == 503
         assert "There is no free place" in html
         assert ("FULL1" in html) == bool(code)
-
-
-def test_taken_things_leave_the_map_and_places_have_names() -> None:
-    plan = street_plan()
-    gone = ("bridge", "market", "school", "tunnel")
-    taken = [picture(plan, plan.path, plan.n_steps, gone[:n]) for n in range(5)]
-    assert [len(re.findall('font-size="22"|M3 12L12 4L21 12', svg)) for svg in taken] == [
-        4,
-        3,
-        2,
-        1,
-        0,
-    ]
-    rulers = re.findall(r"<text[^>]*>([^<]+)</text>", picture(plan, plan.path, 0))
-    assert set("ABCDE12") <= set(rulers)
-
-
-def test_numbers_on_the_map_do_not_reach_into_the_next_cell() -> None:
-    plan = street_plan()
-    there_and_back = tuple(((0, k % 2), (0, (k + 1) % 2)) for k in range(40))
-    svg = picture(plan, there_and_back, 40)
-    widths = [float(w) for w in re.findall(r'<rect x="1" y="1" width="([\d.]+)"', svg)]
-    assert len(widths) == 2
-    assert max(widths) < 64 - 2  # the width of a cell
-    assert "40<" in svg  # the newest is always shown

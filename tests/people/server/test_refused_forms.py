@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.people.client import Client
 from tests.people.kinds import flow_of
 from tests.people.study.stand_in import street_study
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.errors import InputError
 from xplain.people.bots import Page
 from xplain.people.export import defused
-from xplain.people.http import Server
 from xplain.people.plan import LabQuestion, lab_questions, typed
+from xplain.people.server import Server
 from xplain.people.store import Store
 from xplain.people.web import create_app
 
@@ -30,7 +31,7 @@ ASKED = (
 def test_a_refused_form_keeps_what_was_filled_in(tmp_path: Path) -> None:
     store = Store(tmp_path / "s.sqlite", street_study(before=ASKED, questions=[]))
     app = create_app(store, GENEROUS)
-    visitor = Visitor(app.test_client())
+    visitor = Visitor(Client(app))
     page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
     agreed = Page.of_html(visitor.post("/study", [*page.hidden.items(), ("agree", "1")])[1])
     typed = [("age", "12.0"), ("story", "A long <story>."), ("often", "often")]
@@ -90,7 +91,7 @@ def test_what_a_browser_lets_one_type_is_accepted(text: str) -> None:
 def test_the_longest_answers_of_a_page_fit_into_a_request(tmp_path: Path) -> None:
     essay = {"name": "essay", "label": "Write", "max_length": 8000, "required": True}
     store = Store(tmp_path / "s.sqlite", street_study(before=[essay]))
-    visitor = Visitor(create_app(store, GENEROUS).test_client())
+    visitor = Visitor(Client(create_app(store, GENEROUS)))
     page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
     shown = Page.of_html(visitor.post("/study", [*page.hidden.items(), ("agree", "1")])[1])
     _, html = visitor.post("/study", [*shown.hidden.items(), ("essay", "机" * 8000)])

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 
-import pytest
-from flask import Flask
+from fastapi import FastAPI
 
+from tests.people.client import Client
 from tests.people.visitors import Visitor, enter, field
-from xplain.people.http import MAX_BODY, SESSION, Keys, RateLimit, ReadToTheEnd
+from xplain.people.server import SESSION, Keys, RateLimit
 from xplain.people.store import Store
 
 
 def test_nobody_can_be_somebody_else(
-    store: Store, app: Flask, browser: Callable[[], Visitor]
+    store: Store, app: FastAPI, browser: Callable[[], Visitor]
 ) -> None:
     one, two = browser(), browser()
     first, second = (
@@ -26,9 +25,9 @@ def test_nobody_can_be_somebody_else(
     assert status == 403
     assert field(first, "token") != field(second, "token")
     # A cookie made from the other one's id, without the server's key.
-    ids = [row["id"] for row in store.query("SELECT id FROM participant")]
+    ids = [*store.people]
     for value in (*ids, f"{ids[0]}.", f"{ids[0]}.{'0' * 64}", "." * 9, "\x00", "é" * 40):
-        client = app.test_client()
+        client = Client(app)
         client.set_cookie(f"participant_{Keys(store.secret).mark}", value)
         assert client.get("/study").status_code == 403
         assert client.post("/events", json={}).status_code == 403
@@ -55,15 +54,6 @@ def test_what_is_signed_is_good_for_one_purpose_one_owner_and_one_server() -> No
     assert not keys.is_researcher(others.researcher)
     assert not keys.is_researcher("é")
     assert "kkkk" not in repr(keys)
-
-
-@pytest.mark.parametrize(("sent", "left"), [(0, 0), (3, 0), (16, 0), (20, 4)])
-def test_a_body_is_read_to_its_end_where_it_is_not_too_large(sent: int, left: int) -> None:
-    """In bodies of the largest size that a page may send."""
-    body = io.BytesIO(bytes(sent * MAX_BODY))
-    answers = ReadToTheEnd(lambda environ, start: [b"early"])
-    assert answers({"wsgi.input": body}, None) == [b"early"]
-    assert len(body.read()) == left * MAX_BODY
 
 
 def test_a_bucket_fills_up_again_and_forgets_the_oldest() -> None:

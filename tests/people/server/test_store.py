@@ -15,14 +15,16 @@ import numpy as np
 import pytest
 from filelock import FileLock
 
+from tests.people.client import Client
 from tests.people.server.test_fuzz import records
 from tests.people.study.stand_in import FAULTLESS, street_plan, street_study
-from tests.people.visitors import GENEROUS, Visitor, consent, differences, logged
+from tests.people.visitors import GENEROUS, Visitor, consent, differences, query
 from xplain.errors import InputError, Refused, XplainError
 from xplain.people.bots import visit
-from xplain.people.export import read_plan
-from xplain.people.flow import Conflict, Full
-from xplain.people.http import Context, Server
+from xplain.people.flow import Conflict, Full, Participant
+from xplain.people.log import read_plan
+from xplain.people.server import Server
+from xplain.people.site import Site
 from xplain.people.store import MAX_TAB_EVENTS, Clock, Gone, Store, Unknown
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study, StudyState
@@ -47,7 +49,7 @@ def time() -> Time:
 
 def places(store: Store, own: str = "person") -> dict[int, str]:
     """Who holds or has used up which place of a stream."""
-    people = store.people("stream = ?", own)
+    people = [one for one in store.present() if one.stream == own]
     return {one.state.place: one.id for one in people if one.state.place is not None}
 
 
@@ -57,24 +59,6 @@ def store(tmp_path: Path, study: Study, time: Time) -> Iterator[Store]:
     opened = Store(tmp_path / "s.sqlite", study, time.clock())
     yield opened
     opened.close()
-
-
-def test_an_answer_that_comes_twice_counts_once(store: Store) -> None:
-    who = store.enter_invited(store.invite(1, "person")[0])
-    first = consent(store, who)
-    before = store.query("SELECT * FROM event")
-    assert consent(store, who) == first
-    assert store.query("SELECT * FROM event") == before
-    assert places(store) == {0: who}
-
-
-def test_an_answer_out_of_order_is_refused(store: Store) -> None:
-    who = store.enter_invited(store.invite(1, "person")[0])
-    with pytest.raises(Refused):
-        store.submit(who, 3, "labels", {"labels": [1]})
-    with pytest.raises(Refused):
-        store.submit(who, 0, "labels", {"labels": [1]})
-    assert store.participant(who).state.accepted == 0
 
 
 def whole(store: Store) -> str:
@@ -116,11 +100,11 @@ def second_session(store: Store, who: str) -> None:
 
 
 def too_many_events(store: Store, who: str) -> None:
-    store.from_tab(who, "a" * 16, [(n, "visible", 1.0, {}) for n in range(MAX_TAB_EVENTS + 1)])
+    store.report(who, "a" * 16, [(n, "visible", 1.0, {}) for n in range(MAX_TAB_EVENTS + 1)])
 
 
 def events_of_which_the_last_cannot_be_kept(store: Store, who: str) -> None:
-    store.from_tab(who, "a" * 16, [(0, "visible", 1.0, {}), (1, "visible", 2.0, {"at": {1}})])
+    store.report(who, "a" * 16, [(0, "visible", 1.0, {}), (1, "visible", 2.0, {"at": {1}})])
 
 
 @pytest.mark.parametrize(
@@ -157,26 +141,6 @@ def test_a_refusal_leaves_the_database_as_it_was(
     store.close()
 
 
-def test_everybody_gets_an_order_of_questions_of_their_own(tmp_path: Path, study: Study) -> None:
-    def orders(name: str) -> list[dict[str, tuple[int, ...]]]:
-        store = Store(tmp_path / name, study)
-        found = []
-        for token in store.invite(10, "person"):
-            state = consent(store, store.enter_invited(token))
-            role = study.plan.roles[state.user_type]
-            assert sorted(state.orders["eligibility"]) == list(range(len(role.eligibility)))
-            assert sorted(state.orders["quiz"]) == list(range(len(role.quiz)))
-            found.append(state.orders)
-        store.close()
-        return found
-
-    first = orders("one.sqlite")
-    for name in ("eligibility", "quiz"):
-        # Ten draws of 24 orders: about eight differ.
-        assert len({order[name] for order in first}) > 4
-    assert orders("two.sqlite") == first  # the seed's, not the day's
-
-
 def test_the_same_answer_from_many_threads_counts_once(store: Store) -> None:
     who = store.enter_invited(store.invite(1, "person")[0])
     threads = [threading.Thread(target=consent, args=(store, who)) for _ in range(8)]
@@ -184,17 +148,8 @@ def test_the_same_answer_from_many_threads_counts_once(store: Store) -> None:
         thread.start()
     for thread in threads:
         thread.join()
-    kinds = [row["kind"] for row in store.query("SELECT kind FROM event")]
+    kinds = [event.kind for event in store.events()]
     assert kinds.count("consent") == 1
-
-
-def test_places_are_blocks_with_every_cell_once(store: Store, study: Study) -> None:
-    size = len(study.plan.cells)
-    most = size * study.plan.rules.per_cell
-    cells = [store.flow.cell("person", position) for position in range(most)]
-    for block in range(study.plan.rules.per_cell):
-        assert sorted(cells[block * size : (block + 1) * size]) == sorted(study.plan.cells)
-    assert cells[:size] != cells[size : 2 * size]  # an order drawn for each block
 
 
 def test_only_completion_uses_a_place_up(store: Store, time: Time, study: Study) -> None:
@@ -215,7 +170,7 @@ def test_only_completion_uses_a_place_up(store: Store, time: Time, study: Study)
     assert store.time_out_stale() == 0
     time.now += 2 * 60
     for who in everybody[:2]:
-        store.shown(who, 1, "briefing")  # signs of life
+        store.participant(who)  # signs of life
     consent(store, everybody[most + 1])
     assert store.participant(everybody[5]).state.stage == "timed_out"
     assert store.participant(everybody[0]).state.stage == "briefing"
@@ -258,22 +213,20 @@ def test_cells_are_balanced_in_spite_of_drop_outs(tmp_path: Path) -> None:
         habits = Habits(leaving=0.06, mistake=0.05)
         person = StudyBot(study.plan, habits, np.random.default_rng(number))
         token = store.invite(1, "person")[0]
-        stages[visit(Visitor(app.test_client()), person, token)] += 1
+        stages[visit(Visitor(Client(app)), person, token)] += 1
         time.now += 40 * 60  # whoever left has been silent for too long by now
     assert stages["done"] == 24
     assert stages["left"] > 5
-    done = store.query(
-        "SELECT json_extract(state, '$.user_type') AS t, json_extract(state, '$.condition') AS c, "
-        "count(*) AS n FROM seen WHERE json_extract(state, '$.stage') = 'done' GROUP BY 1, 2"
-    )
-    assert {(row["t"], row["c"]): row["n"] for row in done} == dict.fromkeys(study.plan.cells, 4)
+    done = [one.state for one in store.present() if one.state.stage == "done"]
+    cells = Counter((state.user_type, state.condition) for state in done)
+    assert cells == dict.fromkeys(study.plan.cells, 4)
     store.close()
 
 
 def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
     for token in store.invite(40, "bot"):
         consent(store, store.enter_invited(token))
-    consent(store, store.enter_open())
+    consent(store, store.enter_as_pilot())
     assert places(store) == {}
     assert [*places(store, "bot")] == [*range(40)]
     cells = Counter(store.flow.cell("bot", position) for position in range(40))
@@ -293,8 +246,8 @@ def test_the_log_only_grows(
     store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot], sql: str
 ) -> None:
     visit(browser(), person(), store.invite(1, "bot")[0])
-    with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
-        do(sql)
+    with pytest.raises(sqlite3.IntegrityError), store.changes():
+        store._connection.execute(sql)
 
 
 def test_who_has_not_agreed_yet_is_never_timed_out(store: Store, time: Time, study: Study) -> None:
@@ -333,13 +286,13 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     assert store.flow.cell("person", position) == (state.user_type, state.condition)
     # The log says which place they hold now.
     said = "SELECT payload FROM event WHERE participant = ? AND kind = 'return'"
-    returned = [json.loads(row["payload"]) for row in store.query(said, (away,))]
+    returned = [json.loads(row["payload"]) for row in query(store, said, (away,))]
     assert returned == [{"position": position}]
     for who in everybody[2:-1]:
         consent(store, who)
     time.now += 31 * 60
     for who in everybody[2:-1]:
-        store.shown(who, 1, "briefing")  # signs of life
+        store.participant(who)  # signs of life
     consent(store, other)  # takes the only place, which was theirs
     with pytest.raises(Full):
         store.submit(away, 2, "return", {})
@@ -357,77 +310,67 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     app = create_app(store, GENEROUS)
     someone = [StudyBot(study.plan, FAULTLESS, np.random.default_rng(n)) for n in range(2)]
     for person, token in zip(someone, store.invite(2, "person"), strict=True):
-        visit(Visitor(app.test_client()), person, token)
-    (gone, said), (kept, _) = (
-        tuple(row.values()) for row in store.query("SELECT id, state FROM seen ORDER BY number")
-    )
+        visit(Visitor(Client(app)), person, token)
+    (gone, said), (kept, _) = ((one.id, one.text) for one in store.present())
     store.flow.STATE.from_text(said)
     assert said in states_in_memory()
-    store.from_tab(gone, "a" * 16, [(0, "visible", 1.0, {"what": "whatnobodyelsesaid"})])
+    store.report(gone, "a" * 16, [(0, "visible", 1.0, {"what": "whatnobodyelsesaid"})])
     (place,) = [position for position, who in places(store).items() if who == gone]
     before = records(store, [kept])
     with pytest.raises(InputError, match="reference"):
-        store.erase(gone)  # an id is in published data; it erases nothing
-    store.erase(store.reference(gone))
+        store.erase_by(gone)  # an id is in published data; it erases nothing
+    store.erase_by(store.reference(gone))
     assert said not in states_in_memory()
     assert records(store, [kept]) == before
     when = "SELECT DISTINCT wall, monotonic, boot, browser FROM event WHERE participant = ?"
-    assert store.query(when, (gone,)) == [
+    assert query(store, when, (gone,)) == [
         {"wall": 0.0, "monotonic": 0.0, "boot": "", "browser": None}
     ]
-    states = store.query("SELECT state FROM event WHERE participant = ? AND state > ''", (gone,))
+    states = query(store, "SELECT state FROM event WHERE participant = ? AND state > ''", (gone,))
     assert states == [{"state": '{"stage": "erased"}'}]
     assert place not in places(store)
-    assert differences(store) == [] != logged(store)
+    assert differences(store) == [] != store.everybody()
     with pytest.raises(InputError, match="reference"):
-        store.erase(store.reference(gone))
+        store.erase_by(store.reference(gone))
     store.close()
     content = b"".join(file.read_bytes() for file in tmp_path.glob("s.sqlite*"))
     assert b"whatnobodyelsesaid" not in content
 
 
-@pytest.mark.parametrize("beyond", [False, True])
-def test_a_place_that_is_not_in_the_plan_is_refused(
-    store: Store, study: Study, beyond: bool
-) -> None:
-    with pytest.raises(Refused, match="not_understood"):
-        store.enter_preview(len(study.plan.cells) if beyond else -1)
+def ended(one: Participant[StudyState], stage: str) -> Participant[StudyState]:
+    return replace(one, text=replace(one.state, stage=stage).text)
 
 
 def test_codes_are_letters_and_no_ending_has_that_of_another(store: Store) -> None:
-    own = Context(store, Server())
-    found = [store.participant(store.enter_open()) for _ in range(20)]
+    own = Site(store, Server())
+    found = [store.participant(store.enter_as_pilot()) for _ in range(20)]
     stages = ("done", "declined", "screened_out", "ineligible", "withdrawn", "timed_out")
-    codes = [
-        own.code(replace(one, state=replace(one.state, stage=stage)))
-        for one in found
-        for stage in stages
-    ]
+    codes = [own.code(ended(one, stage)) for one in found for stage in stages]
     assert len(set(codes)) == len(codes)
     assert all(code.isalpha() and len(code) == 8 for code in codes)
-    set_ = Context(store, Server(completion_code="ALL", codes={"screened_out": "OUT"}))
-    assert set_.code(replace(found[0], state=replace(found[0].state, stage="done"))) == "ALL"
-    out = replace(found[0], state=replace(found[0].state, stage="screened_out"))
+    set_ = Site(store, Server(completion_code="ALL", codes={"screened_out": "OUT"}))
+    assert set_.code(ended(found[0], "done")) == "ALL"
+    out = ended(found[0], "screened_out")
     assert set_.code(out) == "OUT"
-    left = replace(found[0], state=replace(found[0].state, stage="withdrawn"))
+    left = ended(found[0], "withdrawn")
     assert set_.code(left) not in ("ALL", "OUT")
-    both = Context(store, Server(completion_code="ALL", codes={"done": "DONE"}))
-    assert both.code(replace(found[0], state=replace(found[0].state, stage="done"))) == "DONE"
+    both = Site(store, Server(completion_code="ALL", codes={"done": "DONE"}))
+    assert both.code(ended(found[0], "done")) == "DONE"
 
 
 def test_events_of_a_page_are_kept_once_and_not_without_end(store: Store) -> None:
     who = store.enter_invited(store.invite(1, "person")[0])
     items = [(n, "visible", 1.0 * n, {"at": 1.0}) for n in range(50)]
-    store.from_tab(who, "a" * 16, items)
-    store.from_tab(who, "a" * 16, items)
+    store.report(who, "a" * 16, items)
+    store.report(who, "a" * 16, items)
     count = "SELECT count(*) AS n FROM event WHERE source LIKE 'tab:%'"
-    assert store.query(count) == [{"n": 50}]
+    assert query(store, count) == [{"n": 50}]
     for batch in range(MAX_TAB_EVENTS // 50 - 1):
         more = [(n + 50 * batch, "visible", 1.0, {"at": 1.0}) for n in range(50)]
-        store.from_tab(who, "b" * 16, more)
+        store.report(who, "b" * 16, more)
     with pytest.raises(Refused):
-        store.from_tab(who, "c" * 16, items[:1])
-    assert store.query(count)[0]["n"] == MAX_TAB_EVENTS
+        store.report(who, "c" * 16, items[:1])
+    assert query(store, count)[0]["n"] == MAX_TAB_EVENTS
 
 
 def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: Store) -> None:
@@ -492,7 +435,7 @@ def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time
     time.now += 31 * 60
     assert store.time_out_stale() == 1
     assert store.submit(who, 1, "read", {}).accepted == 2
-    kinds = [event["kind"] for event in store.log(who)]
+    kinds = [event.kind for event in store.events("participant = ?", who)]
     assert kinds[-3:] == ["time_out", "return", "read"]
     assert differences(store) == []
 
@@ -520,7 +463,7 @@ def test_leaving_is_accepted_from_any_page(store: Store, time: Time) -> None:
         store.time_out_stale()
         for _ in range(2):
             assert store.submit(who, number, "withdraw", {}).stage == "withdrawn"
-        assert [event["kind"] for event in store.log(who)].count("withdraw") == 1
+        assert [event.kind for event in store.events("participant = ?", who)].count("withdraw") == 1
 
 
 def test_a_link_of_somebody_erased_makes_nobody_new(store: Store) -> None:
@@ -528,7 +471,7 @@ def test_a_link_of_somebody_erased_makes_nobody_new(store: Store) -> None:
     invited = store.enter_invited(token)
     sent = store.enter_from_platform(ids_of("P", "S", "X"), keep=False)
     for who in (invited, sent):
-        store.erase(store.reference(who))
+        store.erase_by(store.reference(who))
     before = whole(store)
     with pytest.raises(Gone):
         store.enter_invited(token)
@@ -566,14 +509,14 @@ def test_a_database_whose_key_is_lost_is_refused(tmp_path: Path, study: Study) -
 
 def test_of_who_declines_the_decision_alone_is_kept(store: Store) -> None:
     who = store.enter_from_platform(ids_of("unique-person-id", "S", "X"), keep=True)
-    store.shown(who, 0, "consent")
-    store.from_tab(who, "a" * 16, [(0, "visible", 1.0, {"at": 1.0, "what": "seen-by-them"})])
+    store.show(store.participant(who), store.participant(who).state)
+    store.report(who, "a" * 16, [(0, "visible", 1.0, {"at": 1.0, "what": "seen-by-them"})])
     agreed = {"agree": 0, "text": store.flow.plan.texts.consent_hash, "width": 4321}
     assert store.submit(who, 0, "consent", agreed).stage == "declined"
     kept = whole(store)
     for told in ("unique-person-id", "seen-by-them", "4321"):
         assert told not in kept
-    (row,) = store.query("SELECT external, session, kept FROM participant")
-    assert row == {"external": None, "session": None, "kept": "{}"}
-    assert [e["kind"] for e in store.log(who)] == ["enter", "erased", "erased", "consent"]
+    assert [*store.people[who].identity] == ["code"]
+    kinds = [event.kind for event in store.events("participant = ?", who)]
+    assert kinds == ["enter", "identity", "erased", "erased", "consent"]
     assert differences(store) == []

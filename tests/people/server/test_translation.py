@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.people.client import Client
 from tests.people.collect import stand_in as collect_stand_in
 from tests.people.collect.stand_in import wording
 from tests.people.kinds import bot_of
@@ -119,9 +120,9 @@ def left_over(html: str) -> set[str]:
 
 
 def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
-    visitor = Visitor(create_app(foreign, GENEROUS).test_client())
+    visitor = Visitor(Client(create_app(foreign, GENEROUS)))
     person, (token,) = bot_of(foreign.flow, 0), foreign.invite(1, "bot")
-    code = {foreign.participant(foreign.enter_invited(token)).row["code"]}
+    code = {foreign.participant(foreign.enter_invited(token)).identity["code"]}
     for path in ("/", "/nowhere", "/study"):
         assert left_over(visitor.get(path)[1]) == set()
     stages, html = set(), enter(visitor, token)
@@ -151,9 +152,9 @@ def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Sto
         (token,) = foreign.invite(1, "bot")
         who = foreign.enter_invited(token)
         at = replace(foreign.flow.STATE(), stage=ending, left=first)
-        with foreign.transaction() as do:
-            foreign.record(do, who, "server", None, "moved", {}, state=at.text)
-        visitor = Visitor(app.test_client())
+        with foreign.changes():
+            foreign.append(who, "server", "moved", {}, state=at.text)
+        visitor = Visitor(Client(app))
         enter(visitor, token)
         html = visitor.get("/study")[1]
         away = ending == "timed_out"
@@ -166,9 +167,9 @@ def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Sto
         assert left_over(html.replace(reference, "").replace("".join(own), "")) == set(), ending
         assert 'href="/consent.txt"' in html
         if (ending, first) == ("timed_out", "task"):  # whoever was away goes on where they were
-            with foreign.transaction() as do:
+            with foreign.changes():
                 here = replace(foreign.participant(who).state, number=1)
-                foreign.record(do, who, "server", None, "moved", {}, state=here.text)
+                foreign.append(who, "server", "moved", {}, state=here.text)
             page = Page.of_html(html)
             again = visitor.post("/study", list(page.hidden.items()))[1]
             assert Page.of_html(again).stage == "task"

@@ -23,7 +23,7 @@ from xplain.people.plan import Ahead
 from xplain.people.study.bot import Habits
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.prepare import MayAsk, conditions_of, drafted
+from xplain.people.study.prepare import conditions_of, drafted
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
 """Of a participant who errs, forgets and leaves nowhere."""
@@ -158,17 +158,10 @@ def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
     rows = material.rows_of(trace)
     clips = None
     if "asking" in config["conditions"]:  # the robot makes no other steps than those of the trace
-        told = [("Qthen <Qso> & Qso.",), (), (), ()]
-        clips = MayAsk(
-            tuple(
-                replace(material.clips[row], situation=so)
-                for row, so in zip(rows, told, strict=True)
-            ),
-            LabelTable.dense(p),
-            LabelTable.dense(labels),
-            np.eye(len(trace), dtype=bool),
-        )
-    plan = drafted(material, rows, p, config, asks=clips)
+        told = [*material.clips]
+        told[rows[0]] = replace(told[rows[0]], situation=("Qthen <Qso> & Qso.",))
+        material, clips = replace(material, clips=tuple(told)), (rows, LabelTable.dense(p))
+    plan = drafted(material, rows, LabelTable.dense(p), config, asks=clips)
     return StudyPlan.from_text(replace(plan, ahead=AHEAD if map_shown else None).text)
 
 

@@ -15,7 +15,6 @@ from tests.conftest import Command
         ("xplain study", ["port=0"], "port=0: a whole number"),
         ("xplain study", ["port=many"], "port='many'"),
         ("xplain study", ["prot=1"], "did you mean port?"),
-        ("xplain study", ["threads=0"], "threads=0"),
         ("xplain study", ["8080"], "key=value"),
         ("xplain study", ["server.entry=[anybody]"], "server.entry.0='anybody'"),
         ("xplain study", ["database=broken.sqlite"], "not a study's database"),

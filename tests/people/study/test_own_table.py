@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.people.client import Client
 from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor, differences, pages
 from xplain.cli.people import configured
@@ -119,7 +120,7 @@ def test_the_plan_is_what_the_table_says(lab: Path) -> None:
 def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path: Path) -> None:
     flow = Study.of(plan_of())
     store = Store(tmp_path / "s.sqlite", flow)
-    visitor = Visitor(create_app(store, GENEROUS).test_client())
+    visitor = Visitor(Client(create_app(store, GENEROUS)))
     (token,) = store.invite(1, "person")
     person = StudyBot(flow.plan, FAULTLESS, np.random.default_rng(0))
     seen = list(pages(visitor, person, token))
@@ -135,7 +136,10 @@ def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path
         assert images == ([(f"/picture/{k}", "A red cable")] if row == 1 else [])
         for address, _ in images:
             reply = visitor.client.get(address)
-            assert (pixels(reply.data), reply.mimetype) == (pixels(PIXEL), "image/png")
+            assert (pixels(reply.data), reply.headers["content-type"]) == (
+                pixels(PIXEL),
+                "image/png",
+            )
     assert differences(store) == []
     store.close()
 
@@ -157,7 +161,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
     store = Store(tmp_path / "s.sqlite", Study.of(plan))
     app, asked = create_app(store, GENEROUS), 0
     for number, token in enumerate(store.invite(9, "person")):
-        visitor = Visitor(app.test_client())
+        visitor = Visitor(Client(app))
         person = StudyBot(plan, FAULTLESS, np.random.default_rng(number))
         for html, page in pages(visitor, person, token):
             if page.stage != "asking":

@@ -11,7 +11,8 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from tests.domains.configs import setting_of
-from tests.people.study.stand_in import FAULTLESS, TYPES, Street, street_plan
+from tests.people.client import Client
+from tests.people.study.stand_in import FAULTLESS, TYPES, Street
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.domains.base import cell_name
 from xplain.domains.users.setting import Setting
@@ -79,7 +80,7 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
         assert len(role.quiz) == 4
     study = Study.of(plan)
     store = Store(tmp_path / "s.sqlite", study)
-    client = Visitor(create_app(store, GENEROUS).test_client())
+    client = Visitor(Client(create_app(store, GENEROUS)))
     person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
     assert visit(client, person, store.invite(1, "bot")[0]) == "done"
     store.close()
@@ -91,13 +92,6 @@ def street() -> Setting:
 
 def trace_rules(**changes: object) -> dict[str, object]:
     return {"start": None, "rows": [], "candidates": 3, "min_steps": 1} | changes
-
-
-def test_a_trace_has_the_steps_that_are_asked_for() -> None:
-    setting = street()
-    assert len(traces_of(Material.of(setting), trace_rules(min_steps=4), 20, 0)[0]) == 4
-    with pytest.raises(InputError, match=r"trace\.min_steps=5: 4 steps or fewer"):
-        traces_of(Material.of(setting), trace_rules(min_steps=5), 20, 0)
 
 
 def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
@@ -141,22 +135,6 @@ def test_a_study_whose_conditions_are_alike_is_refused() -> None:
         )
 
 
-def test_the_first_trace_on_which_the_conditions_differ_is_taken(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Of the best traces by what types need, the first is passed over where nothing differs."""
-    cfg = composed("study", ["seed=0", "observers.points=50", "trace.candidates=20"])
-    tried: list[tuple[str, ...]] = []
-
-    def gap(study: Study) -> float:
-        tried.append(study.plan.trace)
-        return 0.0 if len(tried) < 3 else 1.0
-
-    monkeypatch.setattr(Study, "difference", gap)
-    assert study_plan(cfg).trace == tried[2]
-    assert len(set(tried)) == 3
-
-
 def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:
     in_words = phrases_of({"first aid": "kit", "first": "1st", "north": "drives north"}, True)
     assert in_words("picks up the first aid") == "picks up the kit"
@@ -165,19 +143,3 @@ def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:
     assert in_words("northern") == "northern"
     assert phrases_of({}, False)("moves to (2, 3)") == "moves to (2, 3)"
     assert [cell_name(0, c) for c in (0, 25, 26)] == ["A1", "Z1", "AA1"]
-
-
-def test_each_study_draws_a_seed_of_its_own() -> None:
-    cfg = composed("study", ["observers.points=50", "trace.candidates=20"])
-    assert cfg.seed is None
-    assert len({study_plan(cfg).seed for _ in range(2)}) == 2
-
-
-def test_people_are_taken_to_err_as_the_belief_says() -> None:
-    """The plan that comes back from its text has them."""
-    belief = {"_target_": "xplain.explanation.belief.Persistent", "error": 0.1}
-    problem = street_plan(belief=belief).problem
-    assert problem.habits.error.tolist() == [0.1]
-    assert np.allclose(problem.table.answers, 0.9 * problem.table.p + 0.1 * (1 - problem.table.p))
-    forgetful = {"belief": belief | {"forget": 0.1}}
-    assert street_plan(**forgetful).problem.forget.tolist() == [0.1] * len(TYPES)

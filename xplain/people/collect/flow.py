@@ -182,13 +182,13 @@ class Collection(Flow[CollectPlan, CollectState]):
         believe incorrectly: the posteriors of the finished ones of the same stream, whose numbers
         are kept.
         """
-        own = [one for one in people if one.row["stream"] == person.row["stream"]]
+        own = [one for one in people if one.stream == person.stream]
         kept = {
-            one.row["number"]: one.state.belief
+            one.number: one.state.belief
             for one in own
             if self.plan.design.from_others and not one.state.left_out
         }
-        number = person.row["number"]
+        number = person.number
         shared = asking.shared([*kept.values()])
         consent = {"number": number, "role": None, "after": [*kept], "others": shared}
         if not self.plan.assigned:

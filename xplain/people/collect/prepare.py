@@ -10,6 +10,7 @@ from typing import Any
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from xplain.domains.base import Parameter
 from xplain.errors import InputError, one_of
 from xplain.explanation.message_sets import mask_of
 from xplain.people.collect.plan import (
@@ -19,7 +20,7 @@ from xplain.people.collect.plan import (
     Example,
 )
 from xplain.people.material import Material, fixed, own_table, parts
-from xplain.people.plan import Fact, lab_questions
+from xplain.people.plan import lab_questions
 from xplain.questions.designs import Adaptive, Battery, battery
 from xplain.randomness import derived_seed, run_seed
 
@@ -99,6 +100,6 @@ def assemble(
     )
 
 
-def _role(name: str, held: int, facts: Sequence[Fact]) -> CollectRole:
+def _role(name: str, held: int, facts: Sequence[Parameter]) -> CollectRole:
     briefing = tuple(f.belief if held >> j & 1 else f.message for j, f in enumerate(facts))
     return CollectRole(name, held, briefing)

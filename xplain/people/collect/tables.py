@@ -30,8 +30,9 @@ from xplain.learning.mixture.likelihood import KnownTransitions
 from xplain.people.collect.asking import ATTENTION, HEEDED, STATED, AskedClip, CollectState, prior
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.export import STREAMS, Row, read, seconds, write
-from xplain.people.flow import CANNOT_TELL, Participant, People
+from xplain.people.export import Row, seconds, write
+from xplain.people.flow import CANNOT_TELL, STREAMS, Event, Participant, People
+from xplain.people.log import read
 
 CONCENTRATION = 1.0
 """Of the process over types; that of ``clusterer=dirichlet``."""
@@ -147,8 +148,8 @@ def glance(collection: Collection, people: People) -> dict[str, Any]:
     """Labels so far, the types that are in them, and what more people would bring, for the
     researcher's page: of people, or of bots while there are none."""
     plan, found = collection.plan, collection.found
-    whose = "person" if any(one.row["stream"] == "person" for one in people) else "bot"
-    states = {one.id: one.state for one in people if one.row["stream"] == whose}
+    whose = "person" if any(one.stream == "person" for one in people) else "bot"
+    states = {one.id: one.state for one in people if one.stream == whose}
     kept = {who: state for who, state in states.items() if not state.left_out}
     key = tuple(kept)
     if key not in found:
@@ -224,7 +225,7 @@ def export(database: Path, folder: Path) -> str:
     plan, people = read(database, CollectPlan, CollectState)
     digest = write(folder, Collection.PACKAGE, plan, people, tables)
     for stream in STREAMS:
-        own = [one for one in people if one.row["stream"] == stream]
+        own = [one for one in people if one.stream == stream]
         if kept := {one.id: one.state for one in own if not one.state.left_out}:
             name = "labels.csv" if stream == "person" else f"labels_{stream}.csv"
             write_table(dataset_of(plan, kept), folder / name)
@@ -243,10 +244,10 @@ def tables(plan: CollectPlan, people: list[Person]) -> dict[str, Iterable[Row]]:
     }
 
 
-def _timed(one: Person) -> list[tuple[Row, Row | None]]:
+def _timed(one: Person) -> list[tuple[Event, Event | None]]:
     """Each answer to a clip, and when its page was first shown."""
-    shown = {e["source_sequence"]: e for e in one.events if e["source"] == "shown"}
-    return [(answer, shown.get(answer["source_sequence"])) for answer in one.answers("labels")]
+    shown = {e.source_sequence: e for e in one.events if e.source == "shown"}
+    return [(answer, shown.get(answer.source_sequence)) for answer in one.answers("labels")]
 
 
 def _observer(plan: CollectPlan, one: Person) -> Row:
@@ -256,17 +257,17 @@ def _observer(plan: CollectPlan, one: Person) -> Row:
     best = max(facts, key=lambda f: facts[f], default=None)
     timed = _timed(one)
     each = [
-        took / len(answer["payload"]["labels"])
+        took / len(answer.payload["labels"])
         for answer, shown in timed
         if shown and (took := seconds(shown, answer)[0]) is not None
     ]
     begun = timed[0][1] if timed else None
     took, clock = seconds(begun, timed[-1][0]) if begun else (None, None)
     stated = {} if withdrawn else dict(enumerate(state.stated))
-    given = [] if withdrawn else [event["payload"] for event in one.answers("answers")]
+    given = [] if withdrawn else [event.payload for event in one.answers("answers")]
     return {
         "observer": one.id,
-        "stream": one.row["stream"],
+        "stream": one.stream,
         "stage": state.stage,
         "in_labels": int(not why),
         "left_out": why,
@@ -283,9 +284,9 @@ def _observer(plan: CollectPlan, one: Person) -> Row:
         "label_s": float(np.median(each)) if each else None,
         "fast_pages": sum(took < FAST for took in each),
         "practice_errors": max(len(one.answers("example")) - 2, 0)
-        + sum(not event["payload"]["label"] for event in one.answers("ahead")),
-        "entered": one.events[0]["wall"],
-        "entry": one.row["entry"],
+        + sum(not event.payload["label"] for event in one.answers("ahead")),
+        "entered": one.events[0].wall,
+        "entry": one.about["entry"],
         "consent_hash": one.first("consent").get("text"),
         **{
             f"stated_{fact.name}": STATED[stated[j]] if stated else None
@@ -310,7 +311,7 @@ def _clips(plan: CollectPlan, one: Person) -> Iterator[Row]:
             "labels": ";".join(map(str, clip.labels)),
             "bits": clip.bits,
             "seconds": seconds(shown, answer)[0] if shown else None,
-            "browser_ms": answer["browser"],
+            "browser_ms": answer.browser,
         }
 
 
@@ -388,7 +389,7 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
     """
     one_of("stream", stream, STREAMS)
     plan, people = read(database, CollectPlan, CollectState)
-    states = [one.state for one in people if one.row["stream"] == stream]
+    states = [one.state for one in people if one.stream == stream]
     if not plan.rules.listening:
         wanted = "1 or more at the start of the collection: nothing was asked again"
         raise InputError("rules.listening", 0, wanted)

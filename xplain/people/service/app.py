@@ -6,6 +6,7 @@ request that is sent again is replied to as before.
 
 from __future__ import annotations
 
+import json
 import secrets
 import sqlite3
 from collections.abc import Callable, Sequence
@@ -211,13 +212,17 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
     @app.get("/{kind}s/{which}", tags=["explain", "ask"])
     def state(kind: Kind, which: str) -> Any:
         rows, found = talks.read(kind, which)
-        history = [{"key": row.key, "received": row.came, "next": row.decided} for row in rows]
-        return {"id": which, **found, "next": rows[-1].decided, "history": history}
+        decided = [json.loads(str(event.state)) for event in rows]
+        history = [
+            {"key": event.kind, "received": event.payload, "next": now}
+            for event, now in zip(rows, decided, strict=True)
+        ]
+        return {"id": which, **found, "next": decided[-1], "history": history}
 
     @app.delete("/{kind}s/{which}", status_code=204, tags=["explain", "ask"])
     def erase(kind: Kind, which: str, given: Key) -> None:
         check(given)
-        talks.erase(kind, which)
+        talks.forget(kind, which)
 
     @app.get("/labels.csv", response_class=PlainTextResponse, tags=["ask"])
     def all_labels(given: Key) -> Any:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,17 +15,18 @@ from numpy.typing import NDArray
 from omegaconf import DictConfig
 
 from xplain.domains.base import Domain, transition_features
-from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
 from xplain.experiment.from_config import component
-from xplain.experiment.pipeline import draw_trace, observe
+from xplain.experiment.pipeline import draw_trace
 from xplain.explanation.asking import Limits, nearest_first
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.explainer import Explainer
 from xplain.interaction.session import Candidate
 from xplain.learning.saved import LearnedTypes
-from xplain.questions.own_transitions import read_transitions, with_features
+from xplain.people.material import learned_types
+from xplain.questions.own_transitions import known_facts, with_features
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import run_seed
 from xplain.storage import encode
@@ -43,7 +43,6 @@ class Served:
 
     Attributes:
         explainer: of people of the types that were learned.
-        types: these types.
         hypotheses: T transitions with features, and what people may believe incorrectly of them;
             None where only traces can be explained.
         sentences: what to say for each message, by its name.
@@ -58,7 +57,6 @@ class Served:
     """
 
     explainer: Explainer
-    types: LearnedTypes
     hypotheses: Hypotheses | None
     sentences: Mapping[str, str]
     beliefs: Mapping[str, str] = field(default_factory=dict)
@@ -69,6 +67,13 @@ class Served:
     scene: Any = None
     cells: tuple[tuple[Any, Any], ...] = ()
     traces: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def types(self) -> LearnedTypes:
+        """These types."""
+        types = self.explainer.types
+        assert isinstance(types, LearnedTypes), "of a file, or just learned"
+        return types
 
     @cached_property
     def features(self) -> NDArray[np.float64]:
@@ -120,6 +125,10 @@ class Served:
         phrases = () if self.hypotheses is None else self.hypotheses.phrases
         return phrases[transition] if phrases else f"transition {transition}"
 
+    def say(self, messages: Sequence[str]) -> list[str]:
+        """The sentences of messages."""
+        return [self.sentences[name] for name in messages]
+
     def labels(self, wrong: Sequence[str], given: Sequence[str]) -> list[int]:
         """[T] the labels of somebody who believes these facts incorrectly and was given messages.
 
@@ -157,13 +166,14 @@ def served(cfg: DictConfig) -> Served:
     """
     run_seed(cfg.seed)
     domain = component(cfg, "domain") if cfg.types is None else None
-    known = _hypotheses(cfg, domain)
-    types = LearnedTypes.load(cfg.types) if domain is None else _learned(cfg, domain)
+    found, _, said = known_facts(cfg.transitions, cfg.hypotheses, domain)
+    known = found and with_features(found)
+    types = LearnedTypes.load(cfg.types) if domain is None else learned_types(cfg, domain)[1]
     if known is not None and {*known.feature_names} != {*types.feature_names}:
         wanted = f"transitions with the columns {', '.join(types.feature_names)}"
         raise InputError("transitions", ", ".join(known.feature_names), wanted)
     facts = () if domain is None else domain.parameters
-    sentences = {fact.name: fact.message for fact in facts} or types.sentences
+    sentences = {fact.name: fact.message for fact in facts} or said or types.sentences
     explainer = Explainer(
         types,
         component(cfg, "solver"),
@@ -178,7 +188,6 @@ def served(cfg: DictConfig) -> Served:
     shown = {} if domain is None or known is None else _map(domain, known, cfg)
     return Served(
         explainer,
-        types,
         known,
         {name: sentences.get(name) or name for name in types.messages},
         {fact.name: fact.belief for fact in facts},
@@ -188,29 +197,6 @@ def served(cfg: DictConfig) -> Served:
         cfg.ask.clips if cfg.ask.kinds else 0,
         **shown,
     )
-
-
-def _learned(cfg: DictConfig, domain: Domain) -> LearnedTypes:
-    """The types of a domain, learned from simulated observers as the experiments learn them."""
-    users, observers, queries = (component(cfg, key) for key in ("users", "observers", "queries"))
-    observed = observe(domain, users, observers, queries, cfg.seed)
-    finder = component(cfg, "clusterer", labeler=component(cfg, "labeler"))
-    return LearnedTypes.of(finder.find(observed, cfg.seed), observed.dataset)
-
-
-def _hypotheses(cfg: DictConfig, domain: Domain | None) -> Hypotheses | None:
-    """What people may believe incorrectly: of a file, a table, or the domain; None of nothing.
-
-    Raises:
-        InputError: a file and a table were given.
-    """
-    if cfg.hypotheses is not None and cfg.transitions is not None:
-        raise InputError("transitions", cfg.transitions, "either transitions or hypotheses")
-    if cfg.transitions is not None:
-        return with_features(read_transitions(Path(cfg.transitions)).hypotheses)
-    if cfg.hypotheses is None and domain is None:
-        return None
-    return hypotheses_of(domain, cfg.hypotheses)
 
 
 def _map(domain: Domain, known: Hypotheses, cfg: DictConfig) -> dict[str, Any]:

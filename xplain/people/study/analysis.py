@@ -24,7 +24,7 @@ from rich.table import Column, Table
 from scipy import special, stats
 
 from xplain.errors import InputError, one_of
-from xplain.people.export import STREAMS
+from xplain.people.flow import STREAMS
 from xplain.people.study.flow import ENDS, Study
 from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED, StudyPlan
 from xplain.randomness import derived_seed

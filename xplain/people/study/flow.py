@@ -229,7 +229,7 @@ class Study(Explaining):
     def holders(self, people: People) -> dict[tuple[str, int], StudyState]:
         """{(stream, position): state} of everybody who holds a place or has used it up."""
         return {
-            (one.row["stream"], one.state.place): one.state
+            (one.stream, one.state.place): one.state
             for one in people
             if one.state.place is not None
         }
@@ -237,7 +237,7 @@ class Study(Explaining):
     def admit(self, person: Participant[StudyState], people: People) -> dict[str, Any]:
         """The first free place of the person's stream, and the orders of questions. A preview
         takes no place."""
-        own, number, cell, position = person.row["stream"], person.row["number"], None, None
+        own, number, cell, position = person.stream, person.number, None, None
         if person.state.cell is None:
             position = self._free(own, people)
             cell = self.cell(own, position)
@@ -253,7 +253,7 @@ class Study(Explaining):
         state = person.state
         if state.position is None:
             return {}
-        return {"position": self._free(person.row["stream"], people, state)}
+        return {"position": self._free(person.stream, people, state)}
 
     def _free(self, own: str, people: People, like: StudyState | None = None) -> int:
         """The first free place of a stream: any, or of the type and condition of a state. People

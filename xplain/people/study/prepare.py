@@ -4,30 +4,28 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hydra.utils import instantiate
+from hydra.utils import get_class, instantiate
 from numpy.typing import NDArray
 from omegaconf import DictConfig
 
-from xplain.domains.base import Parameter, transition_feature_names
+from xplain.domains.base import Parameter
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError, one_of, whole_number
 from xplain.experiment.explanations import Costs
-from xplain.experiment.pipeline import observe
+from xplain.experiment.from_config import component
 from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
-from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.learning.data.queries import sample_trace
-from xplain.learning.labelers import Labeler
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.user_types import Perfect, label_table
-from xplain.people.material import Material, Transitions, fixed, own_table, parts
-from xplain.people.plan import Clip, Fact, lab_questions
+from xplain.people.material import Material, Transitions, fixed, learned_types, own_table, parts
+from xplain.people.plan import lab_questions
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import (
     ASKING,
@@ -49,8 +47,7 @@ STATEMENTS = 2
 
 
 def roles_of(
-    facts: Sequence[Fact],
-    parameters: Sequence[Parameter],
+    facts: Sequence[Parameter],
     types: Sequence[UserType],
     labels: NDArray[np.uint8],
     wording: Mapping[str, Any],
@@ -58,8 +55,7 @@ def roles_of(
     """What each type is told and asked.
 
     Args:
-        facts: of the plan.
-        parameters: [n] of the domain.
+        facts: [n] of the plan.
         types: N user types.
         labels: [N, m, 2^n] their true labels of the trace.
         wording: of the study. ``rewards``: for parameters that are the reward of an action, a
@@ -76,7 +72,7 @@ def roles_of(
                 user_type.name,
                 wrong,
                 tuple(f.belief if j in wrong else f.message for j, f in enumerate(facts)),
-                _eligibility(parameters, facts, user_type, wording),
+                _eligibility(facts, user_type, wording),
                 _quiz(facts, known, wrong, needed(labels[t]), t),
             )
         )
@@ -84,7 +80,7 @@ def roles_of(
 
 
 def natural_role(
-    facts: Sequence[Fact], known: Sequence[Known], labels: NDArray[np.uint8]
+    facts: Sequence[Parameter], known: Sequence[Known], labels: NDArray[np.uint8]
 ) -> StudyRole:
     """The one role of people as they are: no briefing, and a quiz about what simulated people need.
 
@@ -97,30 +93,33 @@ def natural_role(
 
 
 def _eligibility(
-    parameters: Sequence[Parameter],
-    facts: Sequence[Fact],
+    facts: Sequence[Parameter],
     user_type: UserType,
     wording: Mapping[str, Any],
 ) -> tuple[QuizQuestion, ...]:
     """A question a fact, with the answer of somebody who knows what this type was told."""
     words, rewards, questions = wording["words"], wording["rewards"], []
-    for fact, parameter in zip(facts, parameters, strict=True):
-        value = user_type.inaccurate.get(parameter.name, parameter.accurate)
+    for fact in facts:
+        value = user_type.inaccurate.get(fact.name, fact.accurate)
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        if parameter.name in rewards and number:
-            text = words["reward_question"].format(action=rewards[parameter.name])
+        if fact.name in rewards and number:
+            text = words["reward_question"].format(action=rewards[fact.name])
             options = (words["reward_good"], words["reward_bad"])
             questions.append(QuizQuestion(text, options, 0 if value >= 0 else 1))
         else:
             # The two sentences in an order that does not give the answer away.
             pair = sorted((fact.message, fact.belief))
-            told = fact.belief if parameter.name in user_type.inaccurate else fact.message
+            told = fact.belief if fact.name in user_type.inaccurate else fact.message
             questions.append(QuizQuestion(words["which_told"], tuple(pair), pair.index(told)))
     return tuple(questions)
 
 
 def _quiz(
-    facts: Sequence[Fact], known: Sequence[Known], wrong: tuple[int, ...], need: int, number: int
+    facts: Sequence[Parameter],
+    known: Sequence[Known],
+    wrong: tuple[int, ...],
+    need: int,
+    number: int,
 ) -> tuple[Statement, ...]:
     """Two statements about facts that the type had to have corrected (then its other wrong ones,
     then any), and two about something else: what everybody was told, or facts that it held right.
@@ -175,13 +174,14 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     StudyRules(**config["rules"])  # refused before the work, not after it
     config["conditions"] = conditions_of(config)
     one_of("briefing", config["briefing"], ("assigned", "none"))
-    material, learned = _material_and_types(cfg, config)
+    material, types = _material_and_types(cfg)
     gaps = []
     for trace in traces_of(material, config["trace"], config["max_steps"], cfg.seed)[:TRIED]:
-        table, clips = learned_table(material, learned, trace), None
+        table, asked = learned_table(material, types, trace), None
         if ASKING in config["conditions"]:
-            clips = may_ask(material, learned, trace, Pool(clips=config["ask"]["clips"]))
-        plan = drafted(material, trace, table, config, learned, clips)
+            asked = may_ask(material, types, trace, config["ask"]["clips"])
+        clips = None if asked is None else (asked, learned_table(material, types, asked))
+        plan = drafted(material, trace, table, config, types, clips)
         gaps.append(Study.of(plan).difference())
         if gaps[-1] >= LEAST_DIFFERENCE:
             # What is stored is what runs, from the first participant on.
@@ -219,65 +219,62 @@ def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**conditions, ASKING: conditions[PERSONALIZED]}
 
 
-def _material_and_types(cfg: DictConfig, config: Mapping[str, Any]) -> tuple[Material, Learned]:
-    """What is explained, and the types that the policies know.
+def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
+    """What is explained, and the types that the policies know: those of a file (``types``), or
+    learned from observers.
 
     Raises:
-        InputError: a key that does not go with the others.
+        InputError: keys that do not go together, or types that know other features or messages.
     """
-    if cfg.transitions is None:
-        if cfg.facts is not None:
-            raise InputError("facts", cfg.facts, "only with transitions=TABLE")
-        setting, learned = learned_types(cfg)
-        return Material.of(setting), learned
-    if config["briefing"] != "none":
+    own, told = cfg.transitions is not None, cfg.briefing == "assigned"
+    if own and told:
         wanted = "none, for people as they are: one's own transitions name no types"
-        raise InputError("briefing", config["briefing"], wanted)
-    if cfg.types is None:
+        raise InputError("briefing", cfg.briefing, wanted)
+    if own and cfg.types is None:
         wanted = "types.npz of xplain discover, from labels of these transitions"
         raise InputError("types", None, wanted)
-    own = own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
-    known = own.hypotheses
-    assert known is not None, "a table comes with hypotheses"
-    return own, fitting(cfg.types, own.name, known.messages, known.feature_names)
+    perfect = get_class(cfg.clusterer._target_) is Perfect
+    if told and (cfg.types is not None or not perfect):
+        # Nothing says which of the types that are found is whose.
+        wanted = "none with types that were found, by types=FILE or another clusterer than perfect"
+        raise InputError("briefing", cfg.briefing, wanted)
+    if own:
+        material = own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
+    elif cfg.facts is not None:
+        raise InputError("facts", cfg.facts, "only with transitions=TABLE")
+    else:
+        domain = component(cfg, "domain")
+        if cfg.types is None:
+            setting, learned = learned_types(cfg, domain)
+            return Material.of(setting), learned
+        users = component(cfg, "users").types(domain, stream(cfg.seed, "users"))
+        material = Material.of(Setting.build(domain, users))
+    types, facts = LearnedTypes.load(cfg.types), [one.name for one in material.facts]
+    for mine, theirs, what in (
+        (facts, types.messages, "messages"),
+        (sorted(material.feature_names), sorted(types.feature_names), "features"),
+    ):
+        if [*mine] != [*theirs]:
+            wanted = f"types whose {what} are those of {material.name}: {', '.join(mine)}"
+            raise InputError("types", f"{cfg.types}: {', '.join(theirs)}", wanted)
+    return material, types
 
 
 # What is explained -------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class MayAsk:
-    """Q clips that may be asked about while a trace of m transitions is explained, nearest first.
-
-    Attributes:
-        clips: as pages show them; texts not yet in a lab's words.
-        learned: of the labelers.
-        labels: true ones, of M kinds of (simulated) people.
-        shows: [Q, m] whether a clip is of this transition of the trace.
-    """
-
-    clips: tuple[Clip, ...]
-    learned: LabelTable
-    labels: LabelTable
-    shows: NDArray[np.bool_]
-
-
-def learned_table(material: Material, learned: Learned, rows: Transitions) -> LabelTable:
+def learned_table(material: Material, types: LearnedTypes, rows: Transitions) -> LabelTable:
     """What the labelers say of some transitions."""
     made = None if material.transitions is None else material.transitions[rows]
-    return label_table(learned.labelers, material.features[rows][:, learned.columns], made)
+    columns = [material.feature_names.index(name) for name in types.feature_names]
+    return label_table(types.labelers, material.features[rows][:, columns], made)
 
 
-def may_ask(material: Material, learned: Learned, trace: Transitions, pool: Pool) -> MayAsk:
-    """The clips of a pool: of every transition."""
+def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: int) -> Transitions:
+    """The transitions that may be asked about while a trace is explained, nearest first."""
+    Pool(clips=clips)
     order = nearest_first(material.features, material.features[trace])
-    order = order[alike_first(learned_table(material, learned, order), pool.clips)]
-    return MayAsk(
-        tuple(material.clips[row] for row in order),
-        learned_table(material, learned, order),
-        LabelTable.dense(material.labels(order)).compact(len(material.facts)),
-        order[:, None] == trace,
-    )
+    return order[alike_first(learned_table(material, types, order), clips)]
 
 
 def traces_of(
@@ -347,8 +344,8 @@ def drafted(
     trace: Transitions,
     table: LabelTable,
     config: Mapping[str, Any],
-    learned: Learned | None = None,
-    asks: MayAsk | None = None,
+    learned: LearnedTypes | None = None,
+    asks: tuple[Transitions, LabelTable] | None = None,
 ) -> StudyPlan:
     """A plan from its parts.
 
@@ -358,7 +355,8 @@ def drafted(
         table: of the labelers.
         config: the study's resolved configuration (the keys of conf/study.yaml).
         learned: names and shares of the types of the table; None: those of the task.
-        asks: what the condition that asks may ask about, if there is one.
+        asks: the transitions that the condition which asks may ask about, if there is one, and the
+            table of the labelers of these.
 
     Raises:
         XplainError: a part contradicts another.
@@ -370,18 +368,21 @@ def drafted(
     costs = Costs(config["lambda"], **{key: config[key] for key in COSTS})
     # Roles and types have the same names; people as they are may be of any types that were found.
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names
-    shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares
-    labels = material.labels(trace)
-    shown = [*(material.clips[row] for row in trace), *(asks.clips if asks else ())]
+    shares = np.full(len(names), 1 / len(names)) if learned is None else learned.prior
+    labels, asked_about = material.labels(trace), asks[0] if asks else trace[:0]
+    shown = [material.clips[row] for row in (*trace, *asked_about)]
     facts, known = own["facts"], tuple(Known(**one) for one in wording["known"])
     habits = instantiate(config["belief"]).habits(learned and learned.habits)
     before, asked = lab_questions(config["before"], config["questions"])
-    roles = roles_of(facts, material.facts, types, labels, wording)
+    roles = roles_of(facts, types, labels, wording)
     problem = costs.problem(table, tuple(fact.name for fact in facts), names, shares)
+    clip_labels = None
     if asks:
         ask = config["ask"]
         limits = Limits(ask["cost"], ask["most"], ask["when"])
-        problem = replace(problem, questions=Questions(asks.learned, limits, asks.shows))
+        shows = asked_about[:, None] == trace
+        problem = replace(problem, questions=Questions(asks[1], limits, shows))
+        clip_labels = LabelTable.dense(material.labels(asked_about)).compact(len(facts))
     return StudyPlan(
         **own,
         known=known,
@@ -393,7 +394,7 @@ def drafted(
         kinds=tuple(role.wrong for role in roles) if natural else (),
         shown=tuple(clip.worded(in_words) for clip in shown),
         problem=problem.with_habits(habits),
-        clip_labels=asks.labels if asks else None,
+        clip_labels=clip_labels,
         true_labels=labels,
         conditions=config["conditions"],
         belief=config["belief"],
@@ -422,70 +423,6 @@ def _worded(
         }
     told = {key: [*wording[key], *wording["briefed"][key]] for key in ("consent", "debriefing")}
     return {**wording, **told}
-
-
-# Types that are known ----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Learned:
-    """Types as labels tell them.
-
-    Attributes:
-        names, labelers, shares: [N] of each type: its name, its labeler, its share of the people.
-        columns: positions of the features that the labelers know among the domain's.
-        habits: how people err, as far as their labels tell.
-    """
-
-    names: tuple[str, ...]
-    labelers: tuple[Labeler, ...]
-    shares: NDArray[np.float64]
-    columns: tuple[int, ...]
-    habits: Habits | None = None
-
-
-def learned_types(cfg: DictConfig) -> tuple[Setting, Learned]:
-    """The types that the policies know: those of a file (``types``), or learned from observers.
-
-    Raises:
-        InputError: the file's types know other features or messages than the domain has, or
-            participants shall be told what one type knows, and types are found: nothing says which
-            of them is whose.
-    """
-    domain, users, trainer = (instantiate(cfg[key]) for key in ("domain", "users", "labeler"))
-    finder = instantiate(cfg.clusterer, _partial_=True)(labeler=trainer)
-    if cfg.briefing == "assigned" and (cfg.types is not None or not isinstance(finder, Perfect)):
-        wanted = "none with types that were found, by types=FILE or another clusterer than perfect"
-        raise InputError("briefing", cfg.briefing, wanted)
-    names = transition_feature_names(domain)
-    if cfg.types is None:
-        observers, queries = instantiate(cfg.observers), instantiate(cfg.queries)
-        observed = observe(domain, users, observers, queries, cfg.seed)
-        assert observed.setting is not None
-        types = finder.find(observed, cfg.seed)
-        columns = tuple(range(len(names)))
-        learned = Learned(types.names, types.labelers, types.prior, columns, types.habits)
-        return observed.setting, learned
-    setting = Setting.build(domain, users.types(domain, stream(cfg.seed, "users")))
-    return setting, fitting(cfg.types, domain.name, setting.message_names, names)
-
-
-def fitting(path: str, name: str, messages: Sequence[str], features: Sequence[str]) -> Learned:
-    """The types of a file, for a task with these messages and features.
-
-    Raises:
-        InputError: they know others.
-    """
-    known = LearnedTypes.load(path)
-    for own, theirs, what in (
-        (tuple(messages), known.messages, "messages"),
-        (tuple(sorted(features)), tuple(sorted(known.feature_names)), "features"),
-    ):
-        if own != theirs:
-            wanted = f"types whose {what} are those of {name}: {', '.join(own)}"
-            raise InputError("types", f"{path}: {', '.join(theirs)}", wanted)
-    columns = tuple(features.index(one) for one in known.feature_names)
-    return Learned(known.names, known.labelers, known.prior, columns, known.habits)
 
 
 def needed(labels: NDArray[np.uint8]) -> int:

@@ -1,9 +1,10 @@
-"""How the participants of a study listened and answered, from its log (``study habits``)."""
+"""The tables of a study (``study export``), and how people listened (``study habits``)."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import numpy as np
 from xplain.errors import InputError, one_of
 from xplain.explanation.listening import Explained
 from xplain.explanation.message_sets import names_of
-from xplain.people.export import STREAMS, Row, read, seconds, write
-from xplain.people.flow import CANNOT_TELL, Participant, People
+from xplain.people.export import Row, seconds, write
+from xplain.people.flow import CANNOT_TELL, STREAMS, Event, Participant, People
+from xplain.people.log import read
 from xplain.people.study.evaluation import EVALUATING
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
@@ -51,68 +53,73 @@ def glance(study: Study, people: People) -> dict[str, Any]:
     return {"slots": rows, "roles": plan.roles}
 
 
-def steps_of(one: Person) -> list[Row]:
-    """What was decided at each step of somebody's evaluation, and their labels of it."""
-    steps: dict[int, Row] = {}
-    for event in (e for e in one.events if e["state"]):
-        state = StudyState.from_text(event["state"])
-        if event["kind"] == "labels":
-            k = len(event["payload"]["labels"]) - 1
-            answer = (event["payload"]["labels"], state.after)
-            steps[k] |= dict(zip(("labels", "belief_after"), map(json.dumps, answer), strict=True))
-        if state.stage == "evaluation" and state.step not in steps:
-            steps[state.step] = {
-                "participant": one.id,
-                "k": state.step,
-                "belief_before": json.dumps(state.before),
-                "given": state.previous or 0,
-                "messages": state.new,
-                "action_values": json.dumps(state.values),
-                "labels": None,
-                "belief_after": None,
-            }
-    return list(steps.values())
+@dataclass(frozen=True)
+class Step:
+    """A step of somebody's evaluation.
+
+    Attributes:
+        page: the state that its page was of.
+        labels: of it; none before the answer.
+        after: [M] the belief over user types after them.
+    """
+
+    page: StudyState
+    labels: tuple[int, ...] = ()
+    after: tuple[float, ...] = ()
+
+    @property
+    def shown(self) -> int:
+        """Bitmask of all messages on the page."""
+        return (self.page.previous or 0) | self.page.new
 
 
-def tables(plan: StudyPlan, people: list[Person]) -> dict[str, Iterable[Row]]:
+def steps_of(one: Person) -> list[Step]:
+    """The steps of somebody's evaluation, as far as they came."""
+    steps: dict[int, Step] = {}
+    for event in (event for event in one.events if event.state):
+        state = StudyState.from_text(str(event.state))
+        if event.kind == "labels":
+            labels = tuple(event.payload["labels"])
+            k = len(labels) - 1
+            steps[k] = replace(steps[k], labels=labels, after=state.after)
+        if state.stage == "evaluation":
+            steps.setdefault(state.step, Step(state))
+    return [*steps.values()]
+
+
+def tables(plan: StudyPlan, people: list[Person]) -> Mapping[str, Iterable[Row]]:
     """Rows of every table by name. Answers of participants who withdrew are left out."""
-    everybody, people = people, [one for one in people if one.state.stage != "withdrawn"]
-    steps = [step for one in sorted(people, key=lambda one: one.id) for step in steps_of(one)]
-    shown = [page for one in people for page in pages(one.events)]
-    took = {
-        (page["participant"], page["step"]): page["seconds"]
-        for page in shown
-        if page["stage"] == "evaluation"
-    }
-    asked = [row for one in people for row in _questions(plan, one, shown)]
+    stayed = [one for one in people if one.state.stage != "withdrawn"]
+    shown = {one.id: pages(one.events) for one in stayed}
+    steps = [
+        (one, step) for one in sorted(stayed, key=lambda one: one.id) for step in steps_of(one)
+    ]
+    asked = [row for one in stayed for row in _questions(plan, one, shown[one.id])]
     return ({"questions": asked} if plan.clips else {}) | {
-        "participants": [_participant(plan, one) for one in everybody],
-        "steps": [
-            _step(plan, step) | {"seconds": took.get((step["participant"], step["k"]))}
-            for step in steps
-        ],
-        "pages": shown,
-        "labels": [row for step in steps for row in _labels(plan, step)],
-        "eligibility": [row for one in people for row in _eligibility(plan, one)],
-        "quiz": [row for one in people for row in _quiz(plan, one)],
+        "participants": [_participant(plan, one) for one in people],
+        "steps": [_step(plan, one, step, shown[one.id]) for one, step in steps],
+        "pages": [page for own in shown.values() for page in own],
+        "labels": [row for one, step in steps for row in _labels(plan, one, step)],
+        "eligibility": [row for one in stayed for row in _eligibility(plan, one)],
+        "quiz": [row for one in stayed for row in _quiz(plan, one)],
         "answers": [
             {"participant": one.id, "question": name, "answer": value}
-            for one in people
+            for one in stayed
             for kind in ("screening", "answers")
             for event in one.answers(kind)
-            for name, value in event["payload"].items()
+            for name, value in event.payload.items()
         ],
     }
 
 
 def _participant(plan: StudyPlan, one: Person) -> Row:
-    person, state, consent = one.row, one.state, one.first("consent")
+    state, consent = one.state, one.first("consent")
     finished = state.stage in ("quiz", "questions", "done")
     cost = _cost(plan, one) if finished else None
     return {
         "participant": one.id,
-        "stream": person["stream"],
-        "entry": person["entry"],
+        "stream": one.stream,
+        "entry": one.about["entry"],
         "stage": state.stage,
         "type": None if state.user_type is None else plan.roles[state.user_type].name,
         "condition": state.condition,
@@ -124,10 +131,10 @@ def _participant(plan: StudyPlan, one: Person) -> Row:
         "cannot_tell": state.labels.count(CANNOT_TELL) if finished else None,
         "quiz_score": state.score,
         **interaction(one.events if finished else ()),
-        "entered": one.events[0]["wall"],
-        "last_seen": one.events[-1]["wall"],
+        "entered": one.entered,
+        "last_seen": one.latest.wall,
         "consent_hash": consent.get("text"),
-        "timed_out": sum(event["kind"] == "time_out" for event in one.events),
+        "timed_out": sum(event.kind == "time_out" for event in one.events),
         "window_width": consent.get("width"),
         "attention_missed": state.missed,
         **({"messages_again": state.again} if not plan.problem.messages_land else {}),
@@ -135,25 +142,33 @@ def _participant(plan: StudyPlan, one: Person) -> Row:
     }
 
 
-def _step(plan: StudyPlan, step: Row) -> Row:
-    names = plan.problem.message_names
-    same = ("participant", "k", "belief_before", "belief_after", "action_values", "labels")
-    return {key: step[key] for key in same} | {
-        "transition": plan.trace[step["k"]],
-        "given_before": ";".join(names_of(step["given"], names)),
-        "messages": ";".join(names_of(step["messages"], names)),
+def _step(plan: StudyPlan, one: Person, step: Step, shown: Sequence[Row]) -> Row:
+    names, page = plan.problem.message_names, step.page
+    here = ("evaluation", page.step)
+    took = [row["seconds"] for row in shown if (row["stage"], row["step"]) == here]
+    return {
+        "participant": one.id,
+        "k": page.step,
+        "transition": plan.trace[page.step],
+        "given_before": ";".join(names_of(page.previous or 0, names)),
+        "messages": ";".join(names_of(page.new, names)),
+        "belief_before": json.dumps(page.before),
+        "belief_after": json.dumps(step.after) if step.labels else None,
+        "action_values": json.dumps(dict(page.values)),
+        "labels": json.dumps(step.labels) if step.labels else None,
+        "seconds": took[-1] if took else None,
     }
 
 
-def _labels(plan: StudyPlan, step: Row) -> Iterator[Row]:
-    on_page = names_of(step["given"] | step["messages"], plan.problem.message_names)
-    for i, label in enumerate(json.loads(step["labels"] or "[]")):
+def _labels(plan: StudyPlan, one: Person, step: Step) -> Iterator[Row]:
+    on_page = ";".join(names_of(step.shown, plan.problem.message_names))
+    for i, label in enumerate(step.labels):
         yield {
-            "participant": step["participant"],
-            "k": step["k"],
+            "participant": one.id,
+            "k": step.page.step,
             "i": i,
             "transition": plan.trace[i],
-            "messages_shown": ";".join(on_page),
+            "messages_shown": on_page,
             "label": label,
         }
 
@@ -162,15 +177,15 @@ def _cost(plan: StudyPlan, one: Person) -> float:
     """λ · messages + inexplicable labels of all steps + κ · questions."""
     problem, asked = plan.problem, len(one.state.asked)
     messages = problem.communication(1 << j for j in one.state.heard)
-    wrong: int = sum(event["payload"]["labels"].count(0) for event in one.answers("labels"))
+    wrong: int = sum(event.payload["labels"].count(0) for event in one.answers("labels"))
     cost = problem.trade_off * messages + problem.inexplicability_cost * wrong
     return cost + problem.questions.limits.cost * asked
 
 
 def _questions(plan: StudyPlan, one: Person, shown: Sequence[Row]) -> Iterator[Row]:
     names, state = plan.problem.message_names, one.state
-    took = {page["sequence"]: page["seconds"] for page in shown if page["participant"] == one.id}
-    answers = [event["source_sequence"] for event in one.answers("clip")]
+    took = {page["sequence"]: page["seconds"] for page in shown}
+    answers = [event.source_sequence for event in one.answers("clip")]
     for number, asked in enumerate(state.asked):
         clip = plan.clips[asked.question]
         yield {
@@ -192,7 +207,7 @@ def _questions(plan: StudyPlan, one: Person, shown: Sequence[Row]) -> Iterator[R
 def _eligibility(plan: StudyPlan, one: Person) -> Iterator[Row]:
     for attempt, event in enumerate(one.answers("eligibility"), 1):
         questions = plan.roles[one.state.slot_type].eligibility
-        answers = event["payload"]["answers"]
+        answers = event.payload["answers"]
         for fact, question, answer in zip(plan.facts, questions, answers, strict=True):
             yield {
                 "participant": one.id,
@@ -207,7 +222,7 @@ def _eligibility(plan: StudyPlan, one: Person) -> Iterator[Row]:
 def _quiz(plan: StudyPlan, one: Person) -> Iterator[Row]:
     for event in one.answers("quiz"):
         for i, statement in enumerate(plan.roles[one.state.slot_type].quiz):
-            ticked = i in event["payload"]["chosen"]
+            ticked = i in event.payload["chosen"]
             yield {
                 "participant": one.id,
                 "fact": statement.fact,
@@ -221,7 +236,7 @@ def _quiz(plan: StudyPlan, one: Person) -> Iterator[Row]:
 # Time: one clock a figure ----------------------------------------------------------------------
 
 
-def interaction(events: Sequence[Row]) -> Row:
+def interaction(events: Sequence[Event]) -> Row:
     """How long the evaluation of one participant took: columns of their table.
 
     ``interaction_time_s`` is by the server's clock, from the first rendering of the first step to
@@ -230,11 +245,11 @@ def interaction(events: Sequence[Row]) -> Row:
     without the browser's events (no scripts).
 
     Args:
-        events: rows of the event table in order, payloads decoded; none for nothing known.
+        events: of the participant, in order; none for nothing known.
     """
     took = clock = away = None
-    evaluated = [e for e in events if e["kind"] == "shown" and e["payload"]["stage"] in EVALUATING]
-    labels = [e for e in events if e["kind"] == "labels" and e["source"] == "protocol"]
+    evaluated = [e for e in events if e.kind == "shown" and e.payload["stage"] in EVALUATING]
+    labels = [e for e in events if e.kind == "labels" and e.source == "protocol"]
     if evaluated and labels:
         (took, clock), away = seconds(evaluated[0], labels[-1]), hidden(events)
     visible = None if took is None or away is None else max(0.0, took - away)
@@ -246,32 +261,29 @@ def interaction(events: Sequence[Row]) -> Row:
     }
 
 
-def pages(events: Sequence[Row]) -> list[Row]:
-    """Every page that was shown, in order, with the time until its answer was accepted.
-
-    Args:
-        events: of one participant, as for :func:`interaction`.
-    """
-    answered = {e["source_sequence"]: e for e in events if e["source"] == "protocol"}
+def pages(events: Sequence[Event]) -> list[Row]:
+    """Every page that was shown to one participant, in order, with the time until its answer was
+    accepted."""
+    answered = {e.source_sequence: e for e in events if e.source == "protocol"}
     rows, step = [], 0
-    for event in (one for one in events if one["kind"] == "shown"):
-        answer, stage = answered.get(event["source_sequence"]), event["payload"]["stage"]
+    for event in (one for one in events if one.kind == "shown"):
+        answer, stage = answered.get(event.source_sequence), event.payload["stage"]
         rows.append(
             {
-                "participant": event["participant"],
-                "sequence": event["source_sequence"],
+                "participant": event.participant,
+                "sequence": event.source_sequence,
                 "stage": stage,
                 "step": step if stage in EVALUATING else None,
-                "shown": event["wall"],
+                "shown": event.wall,
                 "seconds": seconds(event, answer)[0] if answer else None,
-                "browser_ms": answer["browser"] if answer else None,
+                "browser_ms": answer.browser if answer else None,
             }
         )
-        step += stage == "evaluation" and answer is not None and answer["kind"] == "labels"
+        step += stage == "evaluation" and answer is not None and answer.kind == "labels"
     return rows
 
 
-def hidden(events: Sequence[Row]) -> float | None:
+def hidden(events: Sequence[Event]) -> float | None:
     """Seconds of the evaluation in which no page was visible; None where no page reported.
 
     Pages report when they become visible and when they are hidden (another tab, another window,
@@ -283,35 +295,35 @@ def hidden(events: Sequence[Row]) -> float | None:
     that page's own clock, and one from page to page by the server's. Where the wall clock of a
     visible page jumps ahead of the page's own, the device slept.
     """
-    total, began = 0.0, False
-    looked_at: str | None = None
-    since: Row | None = None
-    latest: dict[str, Row] = {}
-    for event in (one for one in events if one["source"].startswith("tab:")):
-        page, before = event["source"], latest.get(event["source"])
+    total, began, looked_at = 0.0, False, ""
+    since: Event | None = None
+    latest: dict[str, Event] = {}
+    for event in (one for one in events if one.source.startswith("tab:")):
+        page, before = event.source, latest.get(event.source)
         latest[page] = event
-        if before and began and page == looked_at and since is None:
+        visible = began and page == looked_at and since is None
+        if visible and before:
             own, wall = _passed(before, event)
             total += wall - own if wall - own > SLEEP else 0.0
-        if event["kind"] == "hidden" and began and page == looked_at and since is None:
+        if visible and event.kind == "hidden":
             since = event
-        if event["kind"] != "visible":
+        if event.kind != "visible":
             continue
         if since is not None:
-            same = since["source"] == page
+            same = since.source == page
             total += max(_passed(since, event)) if same else seconds(since, event)[0] or 0.0
             since = None
-        if began and event["payload"]["what"] not in EVALUATING:
+        if began and event.payload["what"] not in EVALUATING:
             break  # the quiz: the evaluation is over
-        began = began or event["payload"]["what"] in EVALUATING
+        began = began or event.payload["what"] in EVALUATING
         looked_at = page
     return total if began else None
 
 
-def _passed(first: Row, last: Row) -> tuple[float, float]:
+def _passed(first: Event, last: Event) -> tuple[float, float]:
     """Seconds between two reports of a page: by the page's own clock, and by the device's."""
-    own = last["browser"] - first["browser"]
-    return own / 1000, (last["payload"]["at"] - first["payload"]["at"]) / 1000
+    own = (last.browser or 0.0) - (first.browser or 0.0)
+    return own / 1000, (last.payload["at"] - first.payload["at"]) / 1000
 
 
 def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
@@ -327,16 +339,15 @@ def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
     """
     one_of("stream", stream, STREAMS)
     plan, everybody = read(database, StudyPlan, StudyState)
-    own = [steps_of(one) for one in everybody if one.row["stream"] == stream]
-    labelled = [[step for step in steps if step["labels"]] for steps in own]
-    if not any(labelled):
+    own = [steps_of(one) for one in everybody if one.stream == stream]
+    labelled = [found for steps in own if (found := [step for step in steps if step.labels])]
+    if not labelled:
         raise InputError("database", str(database), f"one with answers (stream {stream})")
     return [
         Explained(
             plan.problem,
-            [step["messages"] for step in steps],
-            [np.array(json.loads(step["labels"]), np.uint8) for step in steps],
+            [step.page.new for step in steps],
+            [np.array(step.labels, np.uint8) for step in steps],
         )
         for steps in labelled
-        if steps
     ]

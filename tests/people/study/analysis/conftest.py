@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.people.client import Client
 from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.people.bots import visit
@@ -26,7 +27,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[b
 
     def take_part(number: int, habits: Habits, token: str) -> None:
         someone = StudyBot(study.plan, habits, np.random.default_rng(number))
-        visit(Visitor(app.test_client()), someone, token)
+        visit(Visitor(Client(app)), someone, token)
 
     for number, token in enumerate(store.invite(24, "bot")):
         take_part(number, Habits(leaving=0.05, mistake=0.1), token)

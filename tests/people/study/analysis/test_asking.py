@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from tests.people.client import Client
 from tests.people.study.analysis.completed import completed
 from tests.people.study.stand_in import ASK, street_plan, street_study
 from tests.people.visitors import GENEROUS, Visitor
@@ -31,7 +32,7 @@ def test_costs_and_questions_are_those_of_the_log(
     for number, token in enumerate(store.invite(36, "bot")):
         habits = Habits(label_noise=0.1, leaving=0.02)
         visit(
-            Visitor(app.test_client()),
+            Visitor(Client(app)),
             StudyBot(flow.plan, habits, np.random.default_rng(number)),
             token,
         )

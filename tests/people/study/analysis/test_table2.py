@@ -67,10 +67,3 @@ def test_files_that_are_no_export_are_named(tmp_path: Path) -> None:
     (tmp_path / "participants.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="lacks the column participant"):
         read(tmp_path)
-
-
-def test_too_few_participants_are_counted_by_condition() -> None:
-    data = completed(3)
-    excluded = dict.fromkeys(("conformant0", "conformant1"), "left the room")
-    with pytest.raises(InputError, match=r"'conformant': 1, 'personalized': 3"):
-        analysis_of(data, "person", excluded)

@@ -6,30 +6,23 @@ from typing import Any
 
 import pytest
 
-from xplain.people.flow import Participant
-from xplain.people.study.flow import StudyState
+from xplain.people.flow import Event
 from xplain.people.study.tables import hidden, interaction, pages
 
 
-def event(source: str, kind: str, at: float, **payload: Any) -> dict[str, Any]:
+def event(source: str, kind: str, at: float, number: int = 0, **payload: Any) -> Event:
     """At ``at`` seconds, on every clock."""
     tab = source.startswith("tab:")
-    return {
-        "source": source,
-        "kind": kind,
-        "wall": 1e9 + at,
-        "monotonic": 5.0 + at,
-        "boot": "one",
-        "browser": 1000 * at,
-        "payload": {"at": 1e12 + 1000 * at} | payload if tab else payload,
-    }
+    told = {"at": 1e12 + 1000 * at} | payload if tab else payload
+    clocks = (1e9 + at, 5.0 + at, "one", 1000 * at)
+    return Event("ann", 0, source, number, kind, *clocks, told, None, 0)
 
 
-def seen(at: float, tab: str = "a", stage: str = "evaluation") -> dict[str, Any]:
+def seen(at: float, tab: str = "a", stage: str = "evaluation") -> Event:
     return event(f"tab:{tab}", "visible", at, what=stage)
 
 
-def gone(at: float, tab: str = "a") -> dict[str, Any]:
+def gone(at: float, tab: str = "a") -> Event:
     return event(f"tab:{tab}", "hidden", at, what="evaluation")
 
 
@@ -45,7 +38,7 @@ LABELS = [
 def test_time_runs_from_the_first_rendering_to_the_last_label() -> None:
     found = interaction(LABELS)
     assert [*found.values()] == [100, "monotonic", None, None]
-    restarted = [*LABELS[:3], LABELS[3] | {"boot": "two", "monotonic": 0.5}]
+    restarted = [*LABELS[:3], LABELS[3]._replace(boot="two", monotonic=0.5)]
     assert [*interaction(restarted).values()][:2] == [100, "wall"]
     assert interaction(LABELS[:1])["interaction_time_s"] is None
 
@@ -65,13 +58,12 @@ def test_questions_in_between_are_part_of_the_evaluation() -> None:
 
 
 def test_a_clock_that_was_set_back_gives_no_time_that_cannot_be() -> None:
-    back = [*LABELS[:3], LABELS[3] | {"wall": 1e9 - 259_198.0}]
+    back = [*LABELS[:3], LABELS[3]._replace(wall=1e9 - 259_198.0)]
     assert [*interaction(back).values()][:2] == [100, "monotonic"]
-    restarted = [*back[:3], back[3] | {"boot": "two"}]
+    restarted = [*back[:3], back[3]._replace(boot="two")]
     assert [*interaction(restarted).values()] == [None, "impossible", None, None]
     of_pages = [
-        one | {"participant": "ann", "source_sequence": n // 2, "browser": None}
-        for n, one in enumerate(back[:4])
+        one._replace(source_sequence=n // 2, browser=None) for n, one in enumerate(back[:4])
     ]
     assert [page["seconds"] for page in pages(of_pages)] == [40, 59]
 
@@ -93,9 +85,7 @@ def test_a_clock_that_was_set_back_gives_no_time_that_cannot_be() -> None:
         ([seen(0), gone(30), seen(90, "b"), seen(101, "c", "quiz")], 60),
     ],
 )
-def test_hidden_time_is_when_no_page_is_looked_at(
-    reports: list[dict[str, Any]], away: float | None
-) -> None:
+def test_hidden_time_is_when_no_page_is_looked_at(reports: list[Event], away: float | None) -> None:
     assert hidden(reports) == (None if away is None else pytest.approx(away))
     found = interaction([*LABELS, *reports])
     assert found["visible_time_s"] == (None if away is None else pytest.approx(100 - away))
@@ -105,19 +95,19 @@ def test_clocks_of_two_devices_need_not_agree() -> None:
     """A phone that is ten minutes slow, and a computer: a minute was looked away."""
     slow = [seen(0), gone(20)]
     for one in slow:
-        one["payload"]["at"] -= 600_000
+        one.payload["at"] -= 600_000
     assert hidden([*slow, seen(80, "b"), seen(90, "c", "quiz")]) == pytest.approx(60)
 
 
 def test_a_device_that_sleeps_is_not_looked_at() -> None:
     """Its wall clock goes on, the page's own clock stands still."""
-    woke = event("tab:a", "active", 50, what="") | {"browser": 10_000.0}
+    woke = event("tab:a", "active", 50, what="")._replace(browser=10_000.0)
     assert hidden([seen(0), woke, seen(101, "c", "quiz")]) == pytest.approx(40)
 
 
 def test_every_page_has_its_place_and_the_time_until_its_answer() -> None:
-    def at(sequence: int, found: dict[str, Any], **more: Any) -> dict[str, Any]:
-        return found | {"participant": "ann", "source_sequence": sequence, "browser": None} | more
+    def at(sequence: int, found: Event, browser: float | None = None) -> Event:
+        return found._replace(source_sequence=sequence, browser=browser)
 
     events = [
         at(4, event("shown", "shown", 0, stage="briefing")),
@@ -137,12 +127,3 @@ def test_every_page_has_its_place_and_the_time_until_its_answer() -> None:
         ("ann", 7, "quiz", None, 1e9 + 101, None, None),
     ]
     assert pages(events) == [dict(zip(keys, row, strict=True)) for row in rows]
-
-
-def test_what_was_answered_is_taken_from_the_protocol_s_events() -> None:
-    consent = event("protocol", "consent", -5) | {"payload": {"text": "a1b2", "width": 1280}}
-    forged = event("tab:a", "consent", -6, text="c3")
-    one = Participant({}, StudyState(), (forged, consent, *LABELS))
-    assert one.first("consent") == {"text": "a1b2", "width": 1280}
-    assert one.answers("labels") == [LABELS[1], LABELS[3]]
-    assert one.first("answers") == {}

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from tests.people.study.protocol.test_machine import at_evaluation
-from tests.people.study.stand_in import ASK, CONFIG, FAULTLESS, street_plan, street_study
-from xplain.errors import InputError, Refused
+from tests.people.study.stand_in import ASK, CONFIG, street_plan, street_study
+from xplain.errors import InputError
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Slips
-from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.prepare import conditions_of
 from xplain.solvers.base import CachedPolicy
@@ -117,37 +116,6 @@ def test_questions_keep_to_their_limits(when: str, most: int, cost: float, error
         asked += len(questions)
     assert asked
     assert (later > 0) == (error > 0)
-
-
-def test_a_question_shows_what_was_said_and_wants_an_answer(asking: Study) -> None:
-    state = at_evaluation(asking, 1, "asking")
-    assert state.stage == "asking"
-    with pytest.raises(Refused, match="say for each step"):
-        asking.advance(state, "clip", {})
-    with pytest.raises(Refused):
-        asking.advance(state, "labels", {"labels": [1]})
-    later = replace(state, given=0b11, heard=(1, 0), new=0)
-    view, facts = asking.view(later), asking.plan.facts
-    assert (view["old"], view["new"]) == ([facts[1].message, facts[0].message], [])
-    assert view["clip"] == asking.plan.clips[state.asked[-1].question]
-    assert not {"belief", "condition", "worth", "user_type"} & view.keys()
-    assert asking.part("asking") == "evaluation"
-    assert "asking" not in asking.stages
-    back = asking.advance(replace(state, stage="timed_out", left="asking"), "return", {})
-    assert asking.view(back)["clip"] == view["clip"]
-
-
-@pytest.mark.parametrize("noise", [0, 1])
-def test_bots_answer_questions_as_they_label(asking: Study, noise: int) -> None:
-    from xplain.people.bots import Page
-
-    plan = asking.plan
-    for user_type, known, clip in product(range(3), range(16), range(4)):
-        bot = StudyBot(plan, replace(FAULTLESS, label_noise=noise), np.random.default_rng(0))
-        bot.user_type, bot.known = user_type, known
-        fields, seconds = bot.fill(Page("asking", steps=[clip]))[0:2]
-        assert fields == [("label", str(plan.true_labels[user_type, clip, known] ^ noise))]
-        assert seconds > 0
 
 
 @pytest.mark.parametrize(

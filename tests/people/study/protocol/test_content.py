@@ -10,7 +10,6 @@ from omegaconf import OmegaConf
 from tests.people.study.stand_in import TYPES
 from xplain.experiment.config import composed
 from xplain.people.material import worded
-from xplain.people.plan import facts_of
 from xplain.people.study import prepare as content
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
@@ -65,7 +64,7 @@ def test_no_word_of_the_quiz_gives_the_answers_away() -> None:
     for t, user_type in enumerate(types):
         wrong = sum(1 << j for j, p in enumerate(parameters) if p.name in user_type.inaccurate)
         labels[t, 0] = (np.arange(64) & wrong) == wrong
-    roles = content.roles_of(facts_of(parameters), parameters, types, labels, wording)
+    roles = content.roles_of(parameters, types, labels, wording)
 
     def score(ticks: Callable[[str], bool]) -> list[int]:
         return [sum(ticks(s.text) == s.true for s in role.quiz) for role in roles]

@@ -9,14 +9,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from tests.people.study.stand_in import CONFIG, FAULTLESS, SCREENS, street_study
-from xplain.errors import InputError, Refused
+from tests.people.study.stand_in import FAULTLESS, SCREENS, street_study
+from xplain.errors import Refused
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
 from xplain.people.flow import CANNOT_TELL
-from xplain.people.plan import LabQuestion, typed
 from xplain.people.study.bot import StudyBot, take_part
 from xplain.people.study.flow import Study, StudyState
 from xplain.solvers.greedy import QMDP
@@ -113,40 +112,6 @@ def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
     assert (said_again > 0) != problem.messages_land
 
 
-def test_a_message_that_is_said_again_moves_to_the_new_ones_and_says_so(study: Study) -> None:
-    messages = [fact.message for fact in study.plan.facts]
-    at = {"stage": "evaluation", "user_type": 1, "step": 2, "labels": (1, 0), "given": 0b0111}
-    view = study.view(StudyState(**at, new=0b0110, heard=(1, 0, 1, 2)))
-    assert view["old"] == [messages[0]]
-    assert view["new"] == [messages[1], messages[2]]
-    assert view["again"] == [messages[1]]
-    later = study.view(StudyState(**at, new=0, heard=(1, 0, 1, 2)))
-    assert (later["old"], later["again"]) == ([messages[0], messages[1], messages[2]], [])
-
-
-def test_the_conformant_condition_is_the_same_whatever_people_take_in(study: Study) -> None:
-    def heard(one: Study, number: int) -> tuple[int, ...]:
-        state, rng = at_evaluation(one, 0, "conformant"), np.random.default_rng(number)
-        while state.stage == "evaluation":
-            labels = rng.integers(2, size=state.step + 1).tolist()
-            state = one.advance(state, "labels", {"labels": labels})
-        return state.heard
-
-    belief = CONFIG["belief"] | {"accept": "learned", "forget": 0.1}
-    heedless = street_study(belief=belief)
-    assert not heedless.plan.problem.messages_land
-    for number in range(10):
-        assert heard(heedless, number) == heard(study, number) != ()
-
-
-def test_conformant_does_not_listen_and_personalized_does(study: Study) -> None:
-    def given(condition: str) -> set[int]:
-        return {[*evaluated(study, user_type, condition)][-1].given for user_type in range(3)}
-
-    assert len(given("conformant")) == 1
-    assert len(given("personalized")) > 1
-
-
 def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) -> None:
     plan = study.plan
     for user_type, condition in plan.cells:
@@ -236,15 +201,6 @@ def agreed(study: Study, **more: object) -> StudyState:
     slot = {"position": 0, "user_type": 0, "condition": "conformant", "orders": ORDERS}
     payload = {"agree": 1, "text": study.plan.texts.consent_hash, **slot, **more}
     return study.advance(StudyState(), "consent", payload)
-
-
-def test_a_scale_has_two_to_eleven_points() -> None:
-    for high in (1, 10):
-        scale = typed(LabQuestion, "questions", RATING | {"low": 0, "high": high})
-        assert len(scale.options) == high + 1
-    for high in (0, 11):
-        with pytest.raises(InputError, match=r"questions.robots.high"):
-            typed(LabQuestion, "questions.robots", RATING | {"low": 0, "high": high})
 
 
 def test_a_missed_attention_check_ends_the_part_before_it_begins() -> None:

@@ -1,108 +1,23 @@
-"""What the pages share: how they are served, whose request it is, replies that any page gives."""
+"""The settings of a server of pages, what it signs with, and how many requests it takes."""
 
 from __future__ import annotations
 
 import hashlib
 import hmac
-import json
-import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
-from urllib.parse import quote, urlsplit
+from urllib.parse import urlsplit
 
 import jwt
 import pydantic
-from flask import Response, current_app, make_response, render_template, request
 from itsdangerous import BadSignature, Signer
-from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError
-from xplain.people.flow import Participant
-from xplain.people.store import LETTERS, Store
-
-MAX_BODY = 64 * 1024
-"""Bytes of a request; the largest honest one has a few thousand."""
-
-COOKIE_PATH = "xplain.cookie_path"
-POLICY = (
-    "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; img-src 'self'; "
-    "form-action 'self'; base-uri 'none'; frame-ancestors "
-)
-HEADERS = {
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Permissions-Policy": "camera=(), geolocation=(), microphone=(), interest-cohort=()",
-}
-
-
-def headers(frames: Sequence[str]) -> dict[str, str]:
-    """Headers of every reply.
-
-    Args:
-        frames: addresses of pages that may show this one in a frame; none for nobody.
-    """
-    found = HEADERS | {"Content-Security-Policy": POLICY + (" ".join(frames) or "'none'")}
-    return found if frames else found | {"X-Frame-Options": "DENY"}
-
-
-@dataclass(frozen=True)
-class BelowPath:
-    """Serves below a path, whether the proxy in front takes it off or not.
-
-    Attributes:
-        application: WSGI.
-        path: such as "/robots".
-    """
-
-    application: Callable[..., Iterable[bytes]]
-    path: str
-
-    def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Any:
-        """As WSGI has it."""
-        inner = environ["PATH_INFO"].removeprefix(self.path)
-        outside = inner != environ["PATH_INFO"] or "HTTP_X_FORWARDED_PREFIX" in environ
-        if inner.startswith("/"):
-            environ["PATH_INFO"] = inner
-        # Whoever comes past the proxy is not below the path, and would get no cookie of it back.
-        environ[COOKIE_PATH] = f"{self.path}/" if outside else "/"
-        environ["SCRIPT_NAME"] = self.path
-        return self.application(environ, start_response)
-
-
-@dataclass(frozen=True)
-class ReadToTheEnd:
-    """Reads what is left of a request's body before the answer is sent.
-
-    A server that answers early may read the last bytes of an unread body together with the next
-    request on the connection, and then wait for ever for a request that it has already got. Bodies
-    too large to be read like this end the connection.
-
-    Attributes:
-        application: WSGI.
-        patience: seconds to wait for the next bytes of a slow sender.
-    """
-
-    application: Callable[..., Iterable[bytes]]
-    patience: float = 10.0
-
-    def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Any:
-        """As WSGI has it."""
-        if connection := environ.get("gunicorn.socket"):
-            connection.settimeout(self.patience)
-        answer = self.application(environ, start_response)
-        left = 16 * MAX_BODY
-        # A sender that stalls or goes away here gets its answer all the same.
-        with suppress(OSError):
-            while left > 0 and (read := environ["wsgi.input"].read(min(left, MAX_BODY))):
-                left -= len(read)
-        return answer
 
 
 @dataclass
@@ -121,18 +36,16 @@ class RateLimit:
     clock: Callable[[], float] = time.monotonic
     most: int = 20_000
     _buckets: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
-    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def allows(self, key: str) -> bool:
         """Takes a token, if there is one."""
         now = self.clock()
-        with self._lock:
-            tokens, last = self._buckets.pop(key, (self.burst, now))
-            tokens = min(self.burst, tokens + (now - last) * self.per_second)
-            allowed = tokens >= 1
-            self._buckets[key] = (tokens - allowed, now)
-            if len(self._buckets) > self.most:
-                self._buckets.popitem(last=False)
+        tokens, last = self._buckets.pop(key, (self.burst, now))
+        tokens = min(self.burst, tokens + (now - last) * self.per_second)
+        allowed = tokens >= 1
+        self._buckets[key] = (tokens - allowed, now)
+        if len(self._buckets) > self.most:
+            self._buckets.popitem(last=False)
         return allowed
 
 
@@ -206,10 +119,6 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1", "0.0.0.0", "::")
 """Hosts whose links open on the server's own computer alone."""
 GUESSES = 10
 """Wrong keys of researchers, a minute and an address, that are answered."""
-PARTICIPANT = "participant"
-"""The cookie of somebody who was let in."""
-RESEARCHER = "researcher"
-"""The cookie of a researcher who is logged in."""
 
 
 def _need(right: bool, key: str, value: object, allowed: str) -> None:
@@ -303,6 +212,11 @@ class Server:
         """Of the address: what every route, link and cookie begins with; "" for none."""
         return urlsplit(self.address).path.rstrip("/")
 
+    @property
+    def from_platform(self) -> bool:
+        """Whether a platform's ids lead in, signed or not."""
+        return bool({"platform", "signed"} & {*self.entry})
+
     def listed(self) -> set[str]:
         """The ids of people who may come in, of the file ``ids``.
 
@@ -349,98 +263,3 @@ class Server:
                     ids = claims.get("prolific", claims)
                     return {name: str(ids.get(name, "")) for name in self.id_names}
         return {}
-
-
-class Context:
-    """What every page needs.
-
-    Attributes:
-        sessions: of the researchers who are logged in, until the server ends.
-        invitations: made lately, ``{name: tokens}``: shown again where the page is reloaded.
-    """
-
-    def __init__(self, store: Store, server: Server) -> None:
-        self.store, self.flow, self.server = store, store.flow, server
-        self.words: Mapping[str, str] = store.flow.words
-        self.keys = Keys(store.secret)
-        self.participant_limit = RateLimit(server.requests_per_second, server.burst)
-        self.visitor_limit = RateLimit(server.visitors_per_second, server.visitor_burst)
-        self.guess_limit = RateLimit(GUESSES / 60, GUESSES)
-        self.sessions: set[str] = set()
-        self.invitations: dict[str, list[str]] = {}
-
-    def say(self, key: str) -> str:
-        """The words of a key; what is no key is said as it is."""
-        return self.words.get(key, key)
-
-    def code(self, found: Participant[Any]) -> str:
-        """What a participant shows to be paid: one for each way in which a part can end, so that
-        nobody who did not finish has the code of those who did."""
-        stage, own = found.state.stage, found.row["code"]
-        configured = self.server.codes.get(stage, "")
-        if stage == "done":
-            return configured or self.server.completion_code or own
-        digest = hashlib.sha256(f"{own} {stage}".encode()).digest()
-        return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
-
-    def back(self, found: Participant[Any], code: str) -> str:
-        """Where a participant may go at the end; "" for nowhere."""
-        person = json.loads(found.row["kept"]).get(self.server.id_names[0], "")
-        address = self.server.completion_url.replace("{code}", code)
-        return address.replace("{id}", quote(person, safe=""))
-
-    def cookie(self, name: str) -> str:
-        """The name of a cookie, which no other server on this host uses."""
-        return f"{name}_{self.keys.mark}"
-
-
-def context() -> Context:
-    """The context of the running application."""
-    return current_app.extensions["study"]
-
-
-def owner() -> str | None:
-    """The participant whose cookie came along, if the cookie is genuine."""
-    return context().keys.owner(read_cookie(PARTICIPANT))
-
-
-def session() -> str | None:
-    """Of the researcher who is logged in."""
-    found = context().keys.owner(read_cookie(RESEARCHER), SESSION)
-    return found if found in context().sessions else None
-
-
-def genuine(who: str) -> bool:
-    """Whether the form that was sent carries the token of this participant or visitor."""
-    return bool(who) and context().keys.owns_form(who, request.form.get("token", ""))
-
-
-def error_page(status: int, text: str) -> Response:
-    """A page that says what is wrong, by the key of its words or in words."""
-    return make_response(
-        render_template(
-            "error.html", text=context().say(text), status=status, known=owner() is not None
-        ),
-        status,
-    )
-
-
-def read_cookie(name: str) -> str:
-    """What the browser sent; "" for nothing."""
-    return request.cookies.get(context().cookie(name), "")
-
-
-def set_cookie(response: AnyResponse, name: str, value: str, samesite: str = "Lax") -> None:
-    """A cookie that scripts cannot read."""
-    own = context().server
-    # In another page's frame a browser sends only cookies that are meant for it.
-    samesite = "None" if own.frames else samesite
-    response.set_cookie(
-        context().cookie(name),
-        value,
-        httponly=True,
-        samesite=samesite,
-        secure=own.https or bool(own.frames),
-        path=request.environ.get(COOKIE_PATH, "/"),
-        max_age=14 * 86400,
-    )

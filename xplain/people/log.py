@@ -1,0 +1,300 @@
+"""The log of a study, a collection or the service: events in one SQLite file.
+
+Events are the only state. Each has what was decided with it, and the state that it led to; all else
+follows from them. One process has the file open to write. What is acknowledged is on the disk (WAL,
+``synchronous=FULL``), and an event that comes twice is stored once.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from filelock import FileLock, Timeout
+
+from xplain.errors import InputError
+from xplain.people.flow import Event, Participant, S
+from xplain.people.plan import StoredPlan
+
+Plan = TypeVar("Plan", bound=StoredPlan)
+RELEASE = 30
+"""Seconds in which a server that was just killed lets go of the file."""
+LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
+"""Of ids, invitations and completion codes: no vowels, so no words, and no digits,
+which look like a number."""
+FIXED = """CREATE TRIGGER event_fixed BEFORE UPDATE ON event
+BEGIN SELECT RAISE(ABORT, 'events are never changed'); END"""
+"""Left out for the moment in which somebody's events are overwritten, in the same transaction."""
+SCHEMA = f"""BEGIN IMMEDIATE;
+CREATE TABLE event (
+    participant TEXT NOT NULL,          -- random id; "" for events of the server itself
+    sequence INTEGER NOT NULL,          -- order of arrival of this participant's, 0 …
+    source TEXT NOT NULL,               -- protocol, server, shown, identity, or tab:… (of a page)
+    source_sequence INTEGER NOT NULL,   -- order at the source; repeated deliveries are dropped
+    kind TEXT NOT NULL,
+    wall REAL NOT NULL,                 -- server wall clock, seconds since 1970
+    monotonic REAL NOT NULL,            -- server monotonic clock, seconds; comparable within boot
+    boot TEXT NOT NULL,
+    browser REAL,                       -- the page's performance.now, milliseconds
+    payload TEXT NOT NULL,              -- JSON
+    state TEXT,                         -- JSON: where the participant is after it; NULL: as before
+    number INTEGER PRIMARY KEY,         -- order of arrival of all events, 1 …
+    UNIQUE (participant, sequence),
+    UNIQUE (participant, source, source_sequence)
+) STRICT;
+{FIXED};
+CREATE TRIGGER event_kept BEFORE DELETE ON event
+BEGIN SELECT RAISE(ABORT, 'events are never deleted'); END;
+COMMIT;"""
+OVERWRITTEN = "source = 'erased', source_sequence = sequence, browser = NULL, payload = '{}'"
+NO_TIME = "wall = 0, monotonic = 0, boot = ''"
+NO_KIND = "state = iif(kind = 'erase', state, NULL), kind = iif(kind = 'erase', kind, 'erased')"
+PRAGMAS = (
+    *("journal_mode=WAL", "synchronous=FULL"),
+    *("recursive_triggers=ON", "secure_delete=ON"),  # REPLACE meets the triggers; erased is gone
+)
+
+
+def letters(count: int) -> str:
+    """A random text that nothing reads as a word or a number, and no mail program cuts."""
+    return "".join(secrets.choice(LETTERS) for _ in range(count))
+
+
+def boot_id() -> str:
+    """Within one of these the monotonic clock can be compared."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return f"process-{os.getpid()}-{secrets.token_hex(4)}"
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The server's two clocks, in seconds."""
+
+    wall: Callable[[], float] = time.time
+    monotonic: Callable[[], float] = time.monotonic
+    boot: str = field(default_factory=boot_id)
+
+
+class Log(Generic[S]):
+    """The events of one file, and what they say. Safe to call from several threads.
+
+    Attributes:
+        plan: that everything follows from, as text; "" before the start.
+        paused: whether nobody new is let in.
+        invited: stream of each invitation, by the keyed hash of its token.
+        people: participants by id, in the order in which they came.
+        keys: ids by the keyed hash of what their participants came with.
+    """
+
+    plan: str
+    paused: bool
+    invited: dict[str, str]
+    people: dict[str, Participant[S]]
+    keys: dict[str, str]
+
+    def __init__(
+        self, path: Path, kind: type[S], clock: Clock | None = None, patience: float = RELEASE
+    ) -> None:
+        """Opens or creates the file.
+
+        Args:
+            path: of the file.
+            kind: class of the participants' states.
+            clock: of the events.
+            patience: seconds to wait for another process that has it open.
+
+        Raises:
+            XplainError: another process has it open, or it is broken.
+        """
+        self.path, self.kind, self.clock = path, kind, clock or Clock()
+        self._lock = threading.RLock()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as opened:
+            file_lock = FileLock(f"{path}.lock", thread_local=False)
+            try:
+                opened.enter_context(file_lock.acquire(timeout=patience))
+            except Timeout:
+                wanted = "in use: another process is using it; a server offers a snapshot of it"
+                raise InputError("database", str(path), wanted) from None
+            try:
+                self._connection = opened.enter_context(
+                    closing(sqlite3.connect(path, isolation_level=None, check_same_thread=False))
+                )
+                os.chmod(path, 0o600)
+                for pragma in PRAGMAS:
+                    self._connection.execute(f"PRAGMA {pragma}")
+                (verdict,) = self._connection.execute("PRAGMA integrity_check").fetchone()
+                if verdict != "ok":
+                    raise sqlite3.DatabaseError(f"damaged: {verdict}; restore a backup")
+                if not self._connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+                    self._connection.executescript(SCHEMA)
+                self._load()
+            except sqlite3.DatabaseError as error:
+                raise InputError("database", str(path), f"cannot be used ({error})") from None
+            self._opened = opened.pop_all()
+
+    def close(self) -> None:
+        """Lets go of the file."""
+        with self._lock:
+            self._opened.close()
+
+    def _load(self) -> None:
+        self.plan, self.paused = "", False
+        self.invited, self.people, self.keys = {}, {}, {}
+        for event in self.events():
+            self._take(event)
+
+    def _take(self, event: Event) -> None:
+        """Adds an event to what is known."""
+        who, told = event.participant, event.payload
+        if not who:
+            self.plan = told.get("plan", self.plan)
+            self.paused = told.get("paused", self.paused)
+            self.invited |= dict.fromkeys(told.get("tokens", ()), event.kind)
+            return
+        known = self.people.get(who) or Participant(who, len(self.people) + 1, self.kind)
+        self.people[who] = known.after(event)
+        if event.source == "identity" and "key" in told:
+            self.keys[told["key"]] = who
+
+    @contextmanager
+    def changes(self) -> Iterator[None]:
+        """All or nothing; on the disk when it is left without an error."""
+        with self._lock:
+            if self._connection.in_transaction:  # a part of what is under way
+                yield
+                return
+            before = self._connection.total_changes
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._connection.execute("COMMIT")
+            except BaseException:
+                with suppress(sqlite3.OperationalError):  # SQLite has done so itself
+                    self._connection.execute("ROLLBACK")
+                if self._connection.total_changes != before:
+                    self._load()
+                raise
+
+    def append(
+        self,
+        who: str,
+        source: str,
+        kind: str,
+        payload: Mapping[str, Any],
+        number: int | None = None,
+        browser: float | None = None,
+        state: str | None = None,
+    ) -> None:
+        """Appends an event, with the state that it leads to, unless its source sent it before;
+        without a number it is numbered here."""
+        sql = "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?"
+        (sequence,) = self._connection.execute(sql, (who,)).fetchone()
+        text = json.dumps(payload, sort_keys=True, allow_nan=False)
+        number = sequence if number is None else number
+        now = self.clock.wall(), self.clock.monotonic(), self.clock.boot
+        row = (who, sequence, source, number, kind, *now, browser, text, state, None)
+        sql = f"INSERT INTO event VALUES ({', '.join('?' * len(row))}) ON CONFLICT DO NOTHING"
+        stored = self._connection.execute(sql, row)
+        if stored.rowcount:
+            self._take(Event(*row[:-3], json.loads(text), state, stored.lastrowid or 0))
+
+    def events(self, where: str = "TRUE", *values: Any) -> Iterator[Event]:
+        """Events in the order of their arrival, payloads decoded."""
+        sql = f"SELECT {', '.join(Event._fields)} FROM event WHERE {where} ORDER BY number"
+        with self._lock:
+            rows = self._connection.execute(sql, values).fetchall()
+        for event in map(Event._make, rows):
+            yield event._replace(payload=json.loads(str(event.payload)))
+
+    def everybody(self) -> list[Participant[S]]:
+        """Everybody who was not erased, with their events, in the order in which they came."""
+        own: dict[str, list[Event]] = {}
+        for event in self.events():
+            own.setdefault(event.participant, []).append(event)
+        stayed = (one for one in self.people.values() if not one.erased)
+        return [replace(one, events=tuple(own[one.id])) for one in stayed]
+
+    def snapshot(self, path: Path) -> None:
+        """A consistent copy of everything, for exports; ``path`` must not exist."""
+        with self._lock:
+            self._connection.execute("VACUUM INTO ?", (str(path),))
+
+    def overwrite(self, who: str, what: str, which: str) -> None:
+        """Changes some of a participant's events, for good."""
+        self._connection.execute("DROP TRIGGER event_fixed")
+        sql = f"UPDATE event SET {what} WHERE participant = ? AND {which}"
+        self._connection.execute(sql, (who,))
+        self._connection.execute(FIXED)
+        self._load()
+
+    def erase(self, who: str, keep_key: bool = True) -> None:
+        """Erases everything that one participant did or said, and their outside ids. The erasure is
+        an event of its own. The random id and the number of events stay, and the keyed hash of what
+        they came with, so that their link makes nobody new."""
+        with self.changes():
+            self.append(who, "server", "erase", {}, state='{"stage": "erased"}')
+            self.overwrite(who, f"{NO_TIME}, {NO_KIND}, {OVERWRITTEN}", "source != 'identity'")
+            kept = "json_patch('{}', json_object('key', payload ->> 'key'))" if keep_key else "'{}'"
+            self.overwrite(who, f"{NO_TIME}, payload = {kept}", "source = 'identity'")
+        with self._lock:
+            self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            self._connection.execute("VACUUM")
+
+
+def backup(database: Path, file: Path) -> None:
+    """Copies a database, which its server may have open, with the key beside it.
+
+    Raises:
+        InputError: it is no such database, its key is missing, or the file exists.
+    """
+    key = Path(f"{database}.key")
+    if not database.is_file() or not key.is_file():
+        raise InputError("database", str(database), f"a database with {key.name} beside it")
+    if file.exists():
+        raise InputError("file", str(file), "a new file")
+    with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(file)) as copy:
+        source.backup(copy)
+    Path(f"{file}.key").write_bytes(key.read_bytes())
+    for path in (file, Path(f"{file}.key")):
+        path.chmod(0o600)
+
+
+def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
+    """The plan in a database, which its server may have open; None where there is none yet.
+
+    Raises:
+        InputError: the file is no such database.
+    """
+    if not path.exists() or not path.stat().st_size:
+        return None
+    try:
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+            found = connection.execute("SELECT payload FROM event WHERE kind = 'plan'").fetchone()
+    except sqlite3.DatabaseError as error:
+        raise InputError("database", str(path), f"not a study's database ({error})") from None
+    return kind.from_text(json.loads(found[0])["plan"]) if found else None
+
+
+def read(path: Path, plan: type[Plan], state: type[S]) -> tuple[Plan, list[Participant[S]]]:
+    """The plan, and everybody who was not erased, with their events, in the order in which they
+    came, of a database that no server has open, or of a snapshot.
+
+    Raises:
+        InputError: it is no such flow's database.
+    """
+    if not path.is_file() or read_plan(path, plan) is None:
+        raise InputError("database", str(path), f"a database in which {plan.OF} was started")
+    with closing(Log(path, state, patience=0)) as log:
+        return plan.from_text(log.plan), log.everybody()
