@@ -115,7 +115,6 @@ NOT_OF_THE_SOURCE = {
     "tracking": "where results go besides the disk",
     "resume": "which jobs of a sweep run again",
     "dry_run": "which jobs a sweep would run",
-    "fingerprint": "of the whole result, which a sweep tells its job",
 }
 """Keys that data, types and traces do not depend on, and why. All others must count."""
 

@@ -76,23 +76,6 @@ def test_bounds_enclose_the_optimum_and_are_as_close_as_asked():
     assert found["traces"] == 2
 
 
-def test_less_effort_leaves_wider_bounds_and_prices_as_wide():
-    prepared = a_prepared(steps=(6,))
-    hasty, close, closest = (
-        found_for(KnownType(), prepared, **effort)
-        for effort in ({"nodes": 1}, {"gap": 0.2}, {"gap": 1e-4})
-    )
-    widths = [found["optimal_upper"] - found["optimal_lower"] for found in (hasty, close, closest)]
-    assert widths[0] > 0.2 >= widths[1] > 1e-4 >= widths[2]
-    for found in (hasty, close, closest):
-        known = found["known_type_value"]
-        assert found["value_of_perfect_information_low"] == known - found["optimal_upper"]
-        assert found["value_of_perfect_information_high"] == known - found["optimal_lower"]
-        # They all enclose what the closest do.
-        assert found["optimal_lower"] <= closest["optimal_lower"]
-        assert found["optimal_upper"] >= closest["optimal_upper"]
-
-
 @pytest.mark.parametrize("solver", [QMDP(), QHR()])
 def test_a_policy_is_worth_what_every_answer_to_it_says(solver):
     found = found_for(solver)

@@ -172,16 +172,6 @@ def test_the_user_answers_by_the_labels_of_their_own_type():
             assert record.episode.labels[k, : k + 1].tolist() == table[: k + 1, given].tolist()
 
 
-def test_costs_are_those_asked_for():
-    prepared = a_prepared(steps=(3,))
-    for record in recorded(prepared, solver=Spy("types", after=1)):
-        table = prepared.cases[0].labels.array(2)[record.user_type]
-        zeros = int(
-            (table[:1, 0] == 0).sum() + (table[:2, 3] == 0).sum() + (table[:, 3] == 0).sum()
-        )
-        assert record.episode.cost == pytest.approx(1.5 * (0.75 + 0.75) + 2.0 * zeros)
-
-
 def test_a_plan_of_one_who_knows_the_type_is_for_this_type_alone():
     prepared = a_prepared()
     for knows, each in (("types", 1), ("everyone", 1), ("type", 3), ("labels", 3)):
@@ -229,12 +219,6 @@ def test_what_stands_for_one_of_two_types_that_behave_alike_stands_for_both():
 def test_a_learned_type_that_stands_for_nobody_known_is_right_for_none():
     prepared = replace(a_prepared(), matched_true_type=np.array([-1, -1]))
     assert not any(record.right.any() for record in recorded(prepared, solver=Spy("types")))
-
-
-@pytest.mark.parametrize("knows", ["everyone", "type", "labels"])
-def test_who_has_one_type_has_the_right_one(knows):
-    for record in recorded(a_prepared(), solver=Spy(knows)):
-        assert record.right.tolist() == [True]
 
 
 def test_labels_that_are_no_news_leave_the_belief_under_the_persistent_update():

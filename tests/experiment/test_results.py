@@ -128,29 +128,6 @@ def test_an_interval_that_is_unknown_is_null(tmp_path):
         assert found["mean"] is not None
 
 
-def test_what_was_learned_and_what_was_run_are_told(results):
-    assert results["name"] == "by hand"
-    assert results["config"] == {"lambda": 1.0, "seed": 4}
-    assert results["bounds"] == {}
-    assert results["learning"] == {"types_found": 2.0}  # what is unknown is left out
-    assert results["elbow"] == {"rule": "kneedle", "disagreements": [5.0, 0.1, 0.0]}
-    assert results["messages"] == {"a": "A is 1.", "b": "B is 2."}
-    assert results["types"] == {
-        "true": ["T1", "T2", "T3"],
-        "found": ["F1", "F2"],
-        "behave_alike": [0, 1, 1],
-        "matched_true_type": [0, 1],
-    }
-    assert results["scene"] == {
-        "rows": 2,
-        "columns": 3,
-        "walls": [[0, 0]],
-        "items": [{"name": "goal", "symbol": "G", "cells": [[1, 2]], "labels": [], "shows": []}],
-    }
-    # Three users of each trace: six episodes come to a second step, three to a third.
-    assert results["steps"]["episodes"] == [6, 6, 6, 3]
-
-
 def test_a_line_tells_an_episode_step_by_step():
     lines = episode_lines(PREPARED, RECORDS).splitlines()
     assert len(lines) == len(RECORDS)
@@ -170,13 +147,6 @@ def test_a_line_tells_an_episode_step_by_step():
             assert step["labels"] == [int(episode.labels[k, i]) for i in range(k + 1)]
             # What the answer to this step left of the belief.
             assert step["belief"] == pytest.approx(episode.beliefs[k + 1], abs=1e-12)
-
-
-def test_a_line_tells_what_changes_where_there_is_no_map():
-    changes = (("the door is open",), ())
-    cases = [replace(case, changes=changes) for case in PREPARED.cases]
-    for line in episode_lines(replace(PREPARED, cases=cases), RECORDS).splitlines():
-        assert json.loads(line)["changes"] == [list(words) for words in changes]
 
 
 def test_numbers_that_are_none_are_refused_and_leave_what_was_there(tmp_path):

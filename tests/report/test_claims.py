@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,7 +14,7 @@ from scipy import stats
 from tests.report import handmade
 from xplain.experiment.results import load_results, save_results
 from xplain.report.claims import Claim, answer, claims, claims_of, claims_table, decomposition
-from xplain.report.compare import paired, table
+from xplain.report.compare import table
 from xplain.report.frame import Summary
 from xplain.report.paper import table1
 
@@ -161,28 +160,6 @@ NESTED = [[1.0, 1.0, 1.0]] * 2 + [[1.0, 1.0, 0.5]] + [[0.7, 0.6, 0.5]] * 7
 def test_types_are_found_where_most_data_sets_give_exactly_them(indices, verdict) -> None:
     found = pd.concat([data_sets("elsewhere", [[0.0]] * 9), data_sets("rooms", indices)])
     assert verdicts(settled(episodes(lambda *_: 0.0), found))["the types are found"] == verdict
-
-
-def test_one_seed_decides_nothing() -> None:
-    found = settled(episodes(lambda method, *_: float(method == "qhr"), seeds=range(1)))
-    assert found
-    assert {claim.verdict for claim in found} == {"not decided"}
-    assert all(math.isnan(claim.estimate.low) for claim in found)
-
-
-def test_claims_about_methods_that_were_not_run_are_left_out() -> None:
-    found = settled(episodes(lambda *_: 0.0, methods=("qmdp", "silent")))
-    assert {claim.text for claim in found} == {"the oracle's cost is linear in λ"}
-
-
-def test_episodes_without_a_partner_are_left_out_of_pairs() -> None:
-    frame = episodes(lambda method, *_: 2.0 * (method == "qhr"))
-    gone = frame[(frame["solver"] != "qhr") | (frame["seed"] != 3)]
-    both = paired(
-        gone, ["solver"], ["qhr"], ["qmdp"], ["setting", "lambda", "seed", "trace", "type"]
-    )
-    assert 3 not in set(both["seed"])
-    assert both["difference"].to_numpy() == pytest.approx(2.0)
 
 
 def test_what_a_difference_is_made_of_adds_up() -> None:

@@ -24,7 +24,6 @@ from xplain.report import plots
 from xplain.report.claims import answer, undecided
 from xplain.report.compare import (
     differences_csv,
-    layout,
     regret_csv,
     seeds_to_decide,
     table,
@@ -152,19 +151,6 @@ def test_trade_offs_and_domains_pose_problems_of_their_own(tmp_path):
     assert view("parent", summary)["orderByKey"] == "params.`lambda`"
 
 
-def test_simulated_users_pose_problems_of_their_own(tmp_path):
-    """Who errs costs more, whatever the explainer: nobody is crowned for having easy users."""
-    jobs = product(explainee="exact,slips", belief__error="0,learned", seed="0,1,2")
-
-    def regret(values):
-        users = 4.0 if values["explainee"] == "slips" else 0.0
-        return 1.0 + users * (1.0 if values["belief.error"] == "0" else 0.5)
-
-    summary = made(tmp_path, jobs, lambda v: 3.0, regret)
-    assert len(verdicts(summary)) == 2
-    assert "in 1 of 2 problems" in answer(summary)
-
-
 def test_where_the_clairvoyant_differs_as_well_the_cost_decides(tmp_path):
     """As with discounts: plans that discount otherwise have other references."""
 
@@ -186,12 +172,6 @@ def test_a_measure_that_is_asked_for_is_taken_and_one_that_is_unfair_says_so(tmp
     assert column(Summary(tmp_path, "cost"), 0)[0] == "hypotheses"
     with pytest.raises(InputError, match="measure='price': one of regret, above_floor, cost"):
         Summary(tmp_path, "price")
-
-
-def test_labels_of_unknown_people_have_no_oracle_and_no_regret(tmp_path):
-    summary = learned(tmp_path)
-    summary.episodes["oracle"] = np.nan
-    assert summary.measure.name == "above_floor"
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.979, True), (0.98, False)])
@@ -338,11 +318,6 @@ def test_regret_csv_has_a_row_a_combination_and_the_columns_named(tmp_path):
         assert (row["regret_n"], row["clairvoyant_mean"], row["clairvoyant_n"]) == ("3", "", "0")
 
 
-def test_with_one_seed_traces_are_the_replicates(tmp_path):
-    (row,) = rows(regret_csv(summary_of(tmp_path, product(solver="qmdp"))))
-    assert (row["regret_n"], row["lambda"]) == ("4", "1")
-
-
 THREE = {
     "types and solvers": (
         product(users__count="2,3,4", solver="qmdp,qhr,baseline"),
@@ -392,13 +367,6 @@ def test_a_third_key_makes_rows_and_panels_of_its_own(tmp_path):
     assert titles == [f"users.count = {count}" for count in (2, 3, 4)]
     assert {len(panel.containers) for panel in figure.axes} == {2}
     assert len({panel.get_ylim() for panel in figure.axes}) == 1  # comparable
-
-
-def test_two_ways_to_solve_go_across_and_a_third_goes_down(tmp_path):
-    jobs = product(solver="qmdp,qhr", clusterer="kmeans,em", labeler="tree,pruned", trade_off="1,2")
-    down, _, across = layout(summary_of(tmp_path, jobs))
-    assert len(across) == 2
-    assert (across[0], down[-1]) == ("solver", "lambda")
 
 
 def test_a_key_that_another_decides_is_no_dimension_but_is_in_the_csv(tmp_path):
