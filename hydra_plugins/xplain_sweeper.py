@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from hydra.core.plugins import Plugins
@@ -27,11 +28,10 @@ class XplainSweeper(Sweeper):
         pool: swept keys over whose values the report averages; every other one has rows or lines
             of its own.
         report: ``table1`` adds the paper's Table 1 with its published values; null adds nothing.
-        together: swept keys whose values one worker runs after each other, on the same data.
     """
 
-    def __init__(self, **keys: Any) -> None:
-        self.keys = keys
+    def __init__(self, **_: Any) -> None:
+        """The plan reads these keys from the configuration."""
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
@@ -48,13 +48,23 @@ class XplainSweeper(Sweeper):
 
     def sweep(self, arguments: list[str]) -> Any:
         """Runs the jobs without a result; returns what the launcher does, or None."""
-        from xplain.runs.sweep import Plan, run_missing
+        from xplain.errors import quoted
+        from xplain.runs.plan import Plan
+        from xplain.runs.signals import end_on_signals
+        from xplain.runs.sweep import run_missing
 
         assert self.config is not None  # Hydra has called setup
-        plan = Plan.of(self.config, self.keys, arguments, {}, self._compose)
-        self.config.hydra.sweep.dir = str(plan.folder.path)
+        end_on_signals()
+        plan = Plan.of(self.config, arguments, {}, self._compose)
+        folder = plan.folder.path
+        escaped = self.config.hydra.sweep.dir = str(folder).replace("${", r"\${")
 
-        def launch(_: Any, batch: Sequence[Sequence[str]]) -> Any:
-            return self._launcher().launch(batch, initial_job_idx=0)
+        def launch(batches: Sequence[Path]) -> Any:
+            own = [
+                f"hydra.sweep.dir={quoted(escaped)}",
+                "hydra/job_logging=none",  # a job in this process would take the sweep's words
+            ]
+            words = [f"hydra.sweep.subdir={path.parent.relative_to(folder)}" for path in batches]
+            return self._launcher().launch([[*own, one] for one in words], initial_job_idx=0)
 
         return run_missing(plan, launch)

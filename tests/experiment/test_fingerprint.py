@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from importlib import metadata
-from pathlib import Path
 
 import numba
 import numpy as np
@@ -32,22 +31,26 @@ def plugin(tmp_path, monkeypatch):
     (tmp_path / "their_solver" / "best.py").write_text("import their_helper\nclass Best: ...\n")
     (tmp_path / "their_helper.py").write_text("ANSWER = 42\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    fingerprints._package.cache_clear()
+    clear_caches()
     yield tmp_path
     for name in [name for name in sys.modules if name.startswith("their_")]:
         del sys.modules[name]
-    fingerprints._package.cache_clear()
-    fingerprints._distributions.cache_clear()
+    clear_caches()
 
 
 CONFIG = {"solver": {"_target_": "their_solver.best.Best"}, "lambda": 1.0}
+
+
+def fresh(config):
+    """The fingerprint as another process would have it."""
+    clear_caches()
+    return fingerprint(config)
 
 
 NO_NUMBER = {
     "hydra": "where and how jobs run; only what a sweep is planned with has it",
     "outputs": "where files are written",
     "tracking": "where results go besides the disk",
-    "fingerprint": "of a sweep's job, as the sweep lists it",
     "dry_run": "lists jobs and runs none",
     "resume": "which jobs of a sweep run again, not what they give",
 }
@@ -66,11 +69,7 @@ def test_every_key_counts_but_those_without_a_number(choices):
     assert {path[0] for path in paths} == set(cfg)
     assert set(NOT_IN_NUMBERS) == NO_NUMBER.keys() <= {*cfg, "hydra"}  # no dead one
     assert fingerprint(configuration(cfg)) == before  # all was put back
-
-
-def test_a_key_that_is_new_counts():
-    config = configuration(composed())
-    assert fingerprint(config | {"new": 1}) != fingerprint(config)
+    assert fingerprint(configuration(cfg) | {"new": 1}) != before
 
 
 def test_values_count_and_order_does_not():
@@ -79,32 +78,25 @@ def test_values_count_and_order_does_not():
     assert fingerprint({"a": [1, 2]}) != fingerprint({"a": [2, 1]})
 
 
-@pytest.mark.parametrize(
-    "path", ["their_solver/best.py", "their_solver/__init__.py", "their_helper.py"]
-)
-def test_code_plugged_in_counts_with_all_that_it_imports(plugin, path):
-    before = fingerprint(CONFIG)
-    file = plugin / path
-    file.write_text(file.read_text() + "# changed\n")
-    fingerprints._package.cache_clear()
-    assert fingerprint(CONFIG) != before
+EDITS = {
+    "the module": lambda at: (at / "their_solver/best.py").write_text("class Best: x = 1"),
+    "its package": lambda at: (at / "their_solver/__init__.py").write_text("# edited"),
+    "what it imports": lambda at: (at / "their_helper.py").write_text("ANSWER = 43"),
+    "its name": lambda at: (at / "their_solver/best.py").rename(at / "their_solver/better.py"),
+    "a file beside it": lambda at: (at / "their_solver/map.txt").write_text("#..#"),
+    "none": lambda at: None,
+    "what Python keeps": lambda at: (at / "their_solver/__pycache__").mkdir(),
+    "a file elsewhere": lambda at: (at / "notes.txt").write_text("of the tests, say"),
+}
 
 
-@pytest.mark.parametrize("moved", ["their_solver/better.py", "their_solver/deep/best.py"])
-def test_a_module_under_another_name_counts(plugin, moved):
-    before = fingerprint(CONFIG)
-    (plugin / moved).parent.mkdir(exist_ok=True)
-    (plugin / "their_solver" / "best.py").rename(plugin / moved)
-    fingerprints._package.cache_clear()
-    assert fingerprint(CONFIG) != before
-
-
-def test_the_order_in_which_files_are_found_does_not_count(plugin, monkeypatch):
-    before = fingerprint(CONFIG)
-    listed = Path.rglob
-    monkeypatch.setattr(Path, "rglob", lambda *args: reversed(list(listed(*args))))
-    fingerprints._package.cache_clear()
-    assert fingerprint(CONFIG) == before
+@pytest.mark.parametrize("edit", EDITS)
+def test_code_plugged_in_counts_with_its_data_and_all_that_it_imports(plugin, edit):
+    before = fresh(CONFIG)
+    assert set(component_code(CONFIG)) == {"their_solver", "their_helper"}
+    EDITS[edit](plugin)
+    counts = edit not in ("none", "what Python keeps", "a file elsewhere")
+    assert (fresh(CONFIG) != before) == counts
 
 
 def test_an_installed_plugin_counts_by_the_hashes_of_its_files(plugin):
@@ -115,26 +107,9 @@ def test_an_installed_plugin_counts_by_the_hashes_of_its_files(plugin):
     found = set()
     for content in ("aaa", "bbb"):
         (installed / "RECORD").write_text(f"their_solver/__init__.py,sha256={content},23\n")
-        fingerprints._package.cache_clear()
-        fingerprints._distributions.cache_clear()
+        found.add(fresh(CONFIG))
         assert component_code(CONFIG).keys() == {"their_solver"}
-        found.add(fingerprint(CONFIG))
     assert len(found) == 2
-
-
-def test_a_file_beside_the_code_counts(plugin):
-    """A map that the component reads, say; what Python keeps for itself does not count."""
-    data = plugin / "their_solver" / "maps" / "floor.txt"
-    data.parent.mkdir()
-    data.write_text("#..#")
-    before = fingerprint(CONFIG)
-    (plugin / "their_solver" / "__pycache__").mkdir(exist_ok=True)
-    (plugin / "their_solver" / "__pycache__" / "best.pyc").write_text("compiled")
-    clear_caches()
-    assert fingerprint(CONFIG) == before
-    data.write_text("#.##")
-    clear_caches()
-    assert fingerprint(CONFIG) != before
 
 
 def test_plugged_in_code_is_not_run(plugin):
@@ -145,11 +120,10 @@ def test_plugged_in_code_is_not_run(plugin):
 
 def test_what_a_package_imports_of_its_own_is_no_other_package(plugin):
     own = "from .flask import app\nfrom ..flask import app\nfrom . import flask\n"
-    (plugin / "their_solver" / "best.py").write_text(own)
-    assert "flask" not in component_code(CONFIG)
-    (plugin / "their_solver" / "best.py").write_text("from flask import app\n")
-    fingerprints._package.cache_clear()
-    assert "flask" in component_code(CONFIG)
+    for code, counts in ((own, False), ("from flask import app\n", True)):
+        (plugin / "their_solver" / "best.py").write_text(code)
+        clear_caches()
+        assert ("flask" in component_code(CONFIG)) == counts
 
 
 def test_what_a_component_declares_counts(plugin):
@@ -167,38 +141,31 @@ def test_what_a_component_declares_counts(plugin):
     before = fingerprint(config)
     assert fingerprint(config) == before
     weights.write_bytes(b"2")
-    other = fingerprint(config)
-    assert other != before
-    weights.write_bytes(b"1")
-    assert fingerprint(config) == before
-    config["labeler"]["_target_"] = "their_helper.Absent"  # the experiment says what is wrong
-    assert fingerprint(config) not in (before, other)
-
-
-def test_targets_are_found_at_any_depth(plugin):
-    nested = {"labeler": {"models": [{"inner": {"_target_": "their_helper.Model"}}]}}
-    assert set(component_code(nested)) == {"their_helper"}
-
-
-def test_code_named_in_another_way_counts(plugin):
-    """As Gymnasium has it: ``id: module:Name-v0`` imports the module."""
-    config = {"domain": {"id": "their_helper:Maze-v0"}}
-    assert set(component_code(config)) == {"their_helper"}
-    before = fingerprint(config)
-    (plugin / "their_helper.py").write_text("ANSWER = 43\n")
-    clear_caches()
     assert fingerprint(config) != before
+    config["labeler"]["_target_"] = "their_helper.Absent"  # the experiment says what is wrong
+    assert fingerprint(config) != before
+
+
+NAMED = {
+    "a class at any depth": {"models": [{"inner": {"_target_": "their_helper.Model"}}]},
+    "as Gymnasium names code": {"id": "their_helper:Maze-v0"},
+}
+
+
+@pytest.mark.parametrize("how", NAMED)
+def test_code_counts_wherever_it_is_named(plugin, how):
+    config = {"domain": NAMED[how]}
+    before = fresh(config)
+    assert set(component_code(config)) == {"their_helper"}
+    (plugin / "their_helper.py").write_text("ANSWER = 43\n")
+    assert fresh(config) != before
+
+
+def test_our_own_code_and_libraries_are_covered_elsewhere():
+    for target in ("xplain.solvers.greedy.QMDP", "sklearn.tree.X", "collections.OrderedDict"):
+        assert component_code({"_target_": target}) == {}
     assert component_code({"facts": {"text": "Say: yes", "url": "http://a.b/c"}}) == {}
-
-
-def test_an_installed_package_counts_without_reading_it():
     assert set(component_code({"_target_": "hydra.utils.get_class"})) == {"hydra"}
-
-
-def test_our_own_and_the_standard_library_are_covered_elsewhere():
-    config = {"a": {"_target_": "xplain.solvers.greedy.QMDP"}, "b": {"_target_": "sklearn.tree.X"}}
-    assert component_code(config) == {}
-    assert component_code({"_target_": "collections.OrderedDict"}) == {}
     brought = {name: of for name, of in metadata.packages_distributions().items() if name.isalpha()}
     for library in fingerprints.LIBRARIES:  # their versions count
         names = [name for name, distributions in brought.items() if library in distributions]
@@ -206,69 +173,50 @@ def test_our_own_and_the_standard_library_are_covered_elsewhere():
         assert component_code([{"_target_": f"{name}.anything"} for name in names]) == {}
 
 
-def test_the_content_of_files_counts(tmp_path):
-    data = tmp_path / "labels.csv"
-    data.write_text("1")
-    config = {"observers": {"path": str(data)}}
-    before = fingerprint(config)
-    data.write_text("2")
-    assert fingerprint(config) != before
-    data.write_text("1")
-    assert fingerprint(config) == before
-
-
-def test_the_content_of_files_inside_packages_counts(tmp_path, monkeypatch):
+def test_the_content_of_files_counts(tmp_path, monkeypatch):
+    """Of those that a path names, and of those inside a package."""
     (tmp_path / "some_tasks" / "inner").mkdir(parents=True)
     (tmp_path / "some_tasks" / "__init__.py").touch()
-    task = tmp_path / "some_tasks" / "inner" / "task.pddl"
-    task.write_text("1")
     monkeypatch.syspath_prepend(tmp_path)
-    config = {"domain": {"file": "pkg://some_tasks/inner/task.pddl"}}
-    before = fingerprint(config)
-    task.write_text("2")
-    assert fingerprint(config) != before
+    task = tmp_path / "some_tasks" / "inner" / "task.pddl"
+    for named in (str(task), "pkg://some_tasks/inner/task.pddl"):
+        config, found = {"domain": {"file": named}}, []
+        for content in "121":
+            task.write_text(content)
+            found.append(fingerprint(config))
+        assert found[0] == found[2] != found[1]
     for absent in ("nowhere", "no.where", "no-where", ""):  # whoever reads it will say so
         assert fingerprint({"domain": {"file": f"pkg://{absent}/task.pddl"}})
 
 
-def test_the_versions_are_those_that_run():
-    versions = fingerprints.library_versions()
+def test_the_versions_of_libraries_that_run_count(monkeypatch):
+    versions, before = fingerprints.library_versions(), fingerprint({})
     for name, module in (("numpy", np), ("scipy", scipy), ("numba", numba), ("pandas", pd)):
         assert versions[name] == module.__version__
     assert versions["scikit-learn"] == sklearn.__version__
     assert versions["python"] == f"{sys.version_info.major}.{sys.version_info.minor}"
-
-
-def test_code_and_libraries_count(monkeypatch):
-    before = fingerprint({})
-    monkeypatch.setattr(fingerprints, "code_version", lambda: "other")
-    other = fingerprint({})
-    assert other != before
     monkeypatch.setattr(fingerprints, "library_versions", lambda: {"numpy": "0.1"})
-    assert fingerprint({}) not in (before, other)
+    assert fingerprint({}) != before
 
 
 def test_every_source_of_the_package_counts_by_content_and_place(tmp_path, monkeypatch):
     package = tmp_path / "xplain"
     (package / "experiment").mkdir(parents=True)
-    (package / "a.py").write_text("1\n")
     monkeypatch.setattr(fingerprints, "__file__", str(package / "experiment" / "fingerprint.py"))
-    version = fingerprints.code_version.__wrapped__
-    seen = [version()]
-    (tmp_path / "beside.py").write_text("of the tests, say\n")
-    assert version() == seen[0]
-    (package / "a.py").write_text("2\n")
-    seen.append(version())
-    (package / "a.py").rename(package / "b.py")
-    seen.append(version())
-    (package / "experiment" / "c.py").write_text("3\n")
-    seen.append(version())
+    edits = [
+        lambda: (package / "a.py").write_text("1\n"),
+        lambda: (package / "a.py").write_text("2\n"),
+        lambda: (package / "a.py").rename(package / "b.py"),
+        lambda: (package / "experiment" / "c.py").write_text("3\n"),
+    ]
+    seen = []
+    for edit in edits:
+        edit()
+        seen.append(fresh({}))
     assert len(set(seen)) == 4
-
-
-def test_a_library_that_is_not_there_counts_as_none(monkeypatch):
-    monkeypatch.setattr(fingerprints, "LIBRARIES", {"no-such-library": "no_such_library"})
-    assert fingerprints.library_versions.__wrapped__()["no-such-library"] == "none"
+    (tmp_path / "beside.py").write_text("of the tests, say\n")
+    assert fresh({}) == seen[-1]
+    clear_caches()
 
 
 def test_what_git_cannot_tell_is_left_out(tmp_path, monkeypatch):

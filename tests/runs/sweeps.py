@@ -11,7 +11,9 @@ import sys
 from pathlib import Path
 
 from tests import forked, processes
-from xplain.runs.folder import Listed, SweepFolder, listed
+from xplain.report.folder import Listed, SweepFolder
+from xplain.runs.plan import listed
+from xplain.runs.sweep import save_sweep
 
 ROOT = Path(__file__).parents[2]
 
@@ -45,8 +47,8 @@ def planned(outputs: Path, jobs: int) -> SweepFolder:
     rows = [Listed("", (f"seed={i}",), {"seed": str(i)}, f"f{i}") for i in range(jobs)]
     folder = SweepFolder(outputs / "sweeps" / "tiny-1")
     folder.path.mkdir(parents=True)
-    about = {"name": "tiny", "command": "python -m xplain sweeps=tiny", "started": 1e9}
-    folder.save(listed(rows), outputs / "results", about)
+    about = {"name": "tiny", "command": "python -m xplain sweeps=tiny"}
+    save_sweep(folder.path, listed(rows), outputs, about)
     return folder
 
 

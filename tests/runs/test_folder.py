@@ -13,29 +13,32 @@ from tests.runs.sweeps import planned
 from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.experiment.results import save_results
-from xplain.runs.folder import SweepFolder, unlisted_results
+from xplain.runs.folder import alone, unlisted_results
 
 
 def test_one_at_a_time_has_a_sweep_also_before_its_folder_is_there(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    folder = SweepFolder(tmp_path / "sweeps" / "new-1")
+    folder = tmp_path / "sweeps" / "new-1"
     order = []
 
     def second() -> None:
-        with folder.alone("another process has it"):
+        with alone(folder, "another process has it"):
             order.append("second")
 
-    with folder.alone("nobody has it"):
+    with alone(folder, "nobody has it"):
         waiting = threading.Thread(target=second)
         waiting.start()
-        while "another process has it" not in caplog.messages and waiting.is_alive():
+        while (
+            not any("another process has it" in said for said in caplog.messages)
+            and waiting.is_alive()
+        ):
             waiting.join(0.05)
         order.append("first")
     waiting.join()
     assert order == ["first", "second"]
-    assert "nobody has it" not in caplog.messages
+    assert "nobody has it" not in caplog.text
 
 
 def result_at(folder: Path, fingerprint: str) -> None:

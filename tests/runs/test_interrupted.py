@@ -10,10 +10,9 @@ import time
 
 import pytest
 
-from tests import forked, processes
+from tests import forked
 from tests.runs import sweeps
 from xplain.runs.folder import Disk
-from xplain.runs.signals import interruptible
 from xplain.runs.sweep import finish
 
 
@@ -155,19 +154,6 @@ def test_a_sweep_that_two_processes_end_is_sent_by_one_at_a_time(tmp_path):
     for sender in senders:
         sender.join()
     assert most == [1, 1]
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, processes.HANG_UP])
-def test_an_interruption_that_became_another_error_is_one_all_the_same(number):
-    before = signal.getsignal(number)
-    with interruptible() as came:
-        try:
-            os.kill(os.getpid(), number)
-            time.sleep(10)
-        except KeyboardInterrupt:
-            pass
-        assert came.is_set()
-    assert signal.getsignal(number) is before
 
 
 @pytest.mark.parametrize("seconds", [0.5, 6])

@@ -7,8 +7,6 @@ import logging
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 from mlflow import MlflowClient
@@ -18,11 +16,11 @@ from tests.report import handmade
 from tests.runs.sweeps import planned
 from xplain.errors import InputError, XplainError
 from xplain.experiment.results import ElbowFigures, Figure, save_results
-from xplain.report.frame import Summary
-from xplain.runs import mlflow
-from xplain.runs.folder import FAILURE, Listed, SweepFolder, mark_failed
-from xplain.runs.mlflow import MLflow, sync, view
-from xplain.runs.terminal import without_passwords
+from xplain.report.folder import FAILURE, Listed, SweepFolder
+from xplain.runs.folder import without_passwords
+from xplain.runs.job import mark_failed
+from xplain.runs.mlflow import MLflow, sync
+from xplain.runs.sweep import save_sweep
 
 PARENT = "mlflow.parentRunId"
 
@@ -121,7 +119,7 @@ def test_a_run_has_its_figures_curves_choices_and_files(
 def test_a_sweep_is_a_parent_with_a_child_for_each_job_that_ended(
     client: MlflowClient, folder: SweepFolder
 ) -> None:
-    _, second, third = folder.jobs()
+    _, second, third = folder.jobs
     fail(folder, second)
     send(folder)
     assert children(client) == {second.label: "FAILED"}
@@ -138,7 +136,7 @@ def test_a_sweep_is_a_parent_with_a_child_for_each_job_that_ended(
 def test_a_sweep_that_goes_on_keeps_its_parent_and_what_was_sent(
     client: MlflowClient, folder: SweepFolder
 ) -> None:
-    first, *others = folder.jobs()
+    first, *others = folder.jobs
     send(folder)
     assert (parent(client).info.status, children(client)) == ("KILLED", {})
     finish(folder, first)
@@ -150,13 +148,13 @@ def test_a_sweep_that_goes_on_keeps_its_parent_and_what_was_sent(
     send(folder)
     assert before < {run.info.run_id for run in runs(client)}
     assert parent(client).info.status == "FINISHED"
-    assert children(client) == {job.label: "FINISHED" for job in folder.jobs()}
+    assert children(client) == {job.label: "FINISHED" for job in folder.jobs}
 
 
 def test_what_a_dead_sender_left_open_is_sent_again(
     client: MlflowClient, folder: SweepFolder
 ) -> None:
-    for job in folder.jobs():
+    for job in folder.jobs:
         finish(folder, job)
     send(folder)
     child = next(run.info.run_id for run in runs(client) if PARENT in run.data.tags)
@@ -171,7 +169,7 @@ def test_what_a_dead_sender_left_open_is_sent_again(
 def test_what_ran_again_takes_the_place_of_what_was_sent(
     client: MlflowClient, folder: SweepFolder
 ) -> None:
-    first, second, _ = folder.jobs()
+    first, second, _ = folder.jobs
     finish(folder, first)
     fail(folder, second)
     send(folder)
@@ -187,8 +185,8 @@ def test_one_result_in_two_sweeps_is_two_children(client: MlflowClient, outputs:
     first = planned(outputs, 1)
     second = SweepFolder(outputs / "sweeps" / "other-2")
     second.path.mkdir()
-    second.save(first.jobs(), outputs / "results", {"command": "", "started": 1e9})
-    finish(first, first.jobs()[0])
+    save_sweep(second.path, first.jobs, outputs, {"command": ""})
+    finish(first, first.jobs[0])
     for _ in range(2):
         for folder in (first, second):
             send(folder)
@@ -199,7 +197,7 @@ def test_one_result_in_two_sweeps_is_two_children(client: MlflowClient, outputs:
 def test_a_view_of_the_sweep_shows_what_was_swept_and_the_measure(
     client: MlflowClient, folder: SweepFolder
 ) -> None:
-    finish(folder, folder.jobs()[0])
+    finish(folder, folder.jobs[0])
     send(folder)
     experiment = client.get_experiment_by_name("xplain")
     assert experiment is not None
@@ -212,17 +210,6 @@ def test_a_view_of_the_sweep_shows_what_was_swept_and_the_measure(
     state = json.loads(shared["state"])
     assert parent(client).info.run_id in state["searchFilter"]
     assert state["selectedColumns"][0] == "metrics.`regret`"
-    swept = {"lambda": ["1", "2"], "users.count": ["2", "3"], "solver": ["qmdp"]}
-    summary = SimpleNamespace(
-        keys=tuple(swept),
-        values=swept.__getitem__,
-        results=[1],
-        measure=SimpleNamespace(name="above_floor"),
-    )
-    columns = view("parent", cast("Summary", summary))["columnOrder"]
-    assert columns[0] == "metrics.`regret_to_clairvoyant`"
-    assert {"params.`lambda`", "params.`users.count`", "params.`seed`"} < set(columns)
-    assert "params.`solver`" not in columns  # one value
 
 
 @pytest.fixture
@@ -234,14 +221,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_server_that_is_away_costs_a_line_without_its_password(
     folder: SweepFolder, caplog: pytest.LogCaptureFixture
 ) -> None:
-    finish(folder, folder.jobs()[0])
+    finish(folder, folder.jobs[0])
     away = MLflow("http://lab:secret@127.0.0.1:9")
     with caplog.at_level(logging.WARNING, "xplain"):
         assert away.log(folder.path, folder.path.parents[1]) == []
     (said,) = (one.getMessage() for one in caplog.records if one.name.startswith("xplain"))
     assert f"xplain sync {folder.path}" in said
     assert "\n" not in said
-    with pytest.raises(XplainError, match=r"tracking\.uri: MLflow does not take"):
+    with pytest.raises(XplainError, match=r"tracking\.uri: MLflow did not take this"):
         sync([folder.path], folder.path.parents[1], away)
     assert "secret" not in caplog.text
     assert without_passwords("to http://lab:secret@host/x?y") == "to http://***@host/x?y"
@@ -250,33 +237,12 @@ def test_a_server_that_is_away_costs_a_line_without_its_password(
 def test_a_deleted_experiment_and_what_is_no_database_are_one_line(
     client: MlflowClient, folder: SweepFolder
 ) -> None:
-    finish(folder, folder.jobs()[0])
+    finish(folder, folder.jobs[0])
     send(folder)
     client.delete_experiment(parent(client).info.experiment_id)
     with pytest.raises(InputError, match=r"tracking\.experiment='xplain': an experiment that"):
         send(folder)
     other = folder.path.parents[1] / "other.db"
     other.write_text("no database")
-    with pytest.raises(XplainError, match=r"^tracking\.uri: MLflow does not take .*$"):
+    with pytest.raises(XplainError, match=r"^tracking\.uri: MLflow did not take this .*$"):
         sync([folder.path], folder.path.parents[1], MLflow(f"sqlite:///{other}"))
-
-
-def test_what_mlflow_raises_costs_a_warning_that_says_why(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def fails(*_: Any) -> Any:
-        raise OSError("no space left\nsecond line")
-
-    monkeypatch.setattr(mlflow, "_make_database", fails)
-    with caplog.at_level(logging.WARNING):
-        assert MLflow().log(tmp_path / "run", tmp_path) == []
-    assert "(no space left)" in caplog.text
-
-
-def test_the_command_that_opens_the_pages_names_the_database(
-    folder: SweepFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(folder.path.parents[2])
-    shows = "  once this runs: mlflow ui --backend-store-uri sqlite:///"
-    outputs = folder.path.parents[1]
-    assert MLflow().log(folder.path, outputs)[-1] == f"{shows}{outputs.name}/mlflow.db"

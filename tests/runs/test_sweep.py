@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from omegaconf import OmegaConf
 
 from tests import forked
 from tests.configurations import composed
 from tests.runs import sweeps
 from xplain.experiment.config import CONF, GROUPS, register
-from xplain.runs.job import Job
-from xplain.runs.sweep import run_in_sweep
+from xplain.report.folder import SweepFolder
+from xplain.runs.job import Job, run_in_sweep
+from xplain.runs.plan import MANY, Plan
 
 
 def addresses(folder):
@@ -92,7 +96,7 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     other.write_text(json.dumps(json.loads(other.read_text()) | {"schema": 0}))  # of another one
     code, output = forked.run(folder, *sweeps.TINY, sweeps.SERIAL, "dry_run=true")
     assert "6 jobs: 3 done, 3 to run" in output
-    assert re.search(r"time to expect: about \d+ s of one worker, as its finished jobs", output)
+    assert re.search(r"time to expect: about \d:\d\d:\d\d of one worker, as its finished", output)
     code, output = sweeps.run(folder, *sweeps.TINY, sweeps.SERIAL)
     assert code == 0, output
     assert "3 jobs to run, 3 finished before" in output
@@ -103,15 +107,25 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
 
 
-def test_jobs_that_one_worker_runs_together_have_the_same_results(finished, tmp_path):
-    """Each at its own address; a run of MLflow each."""
-    together = "hydra.sweeper.together=[solver,lambda]"
-    code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL, together)
-    assert code == 0, output
-    assert len([*tmp_path.glob("outputs/sweeps/*/jobs/*/batch.json")]) == 1
-    expected = {name: content for name, (_, content) in results(finished.folder).items()}
-    assert {name: content for name, (_, content) in results(tmp_path).items()} == expected
-    assert len(sweeps.runs(tmp_path)) == 1 + 6
+def test_many_jobs_are_batches_each_of_one_data_set(tmp_path):
+    """Each job is in one of them; those that make data sets begin."""
+
+    def planned(data_sets, trade_offs):
+        jobs = {
+            f"{seed} {number}": cast("Job", SimpleNamespace(source=str(seed)))
+            for seed in range(data_sets)
+            for number in range(trade_offs)
+        }
+        plan = Plan(SweepFolder(tmp_path), (), jobs, frozenset(), OmegaConf.create(), {})
+        return [*jobs.values()], plan.batches()
+
+    for data_sets, trade_offs in ((2, 3), (7, 50), (MANY, 30)):
+        jobs, batches = planned(data_sets, trade_offs)
+        assert sorted(map(id, jobs)) == sorted(id(job) for batch in batches for job in batch)
+        assert all(len({job.source for job in batch}) == 1 for batch in batches)
+        assert len({batch[0].source for batch in batches[:data_sets]}) == data_sets
+        assert len(batches) <= MANY + data_sets
+        assert len(jobs) >= MANY or len(batches) == len(jobs)
 
 
 def test_all_anew_on_demand(finished, tmp_path):
@@ -257,17 +271,6 @@ def test_a_moved_project_knows_its_results(finished, tmp_path):
     assert "QMDP" in output
     code, output = sweeps.run(moved, *sweeps.TINY, sweeps.SERIAL, "tracking=none")
     assert "nothing is missing, 6 finished before" in output
-
-
-def test_sync_sends_a_sweep_once(finished, folder):
-    reference = sweeps.runs(finished.folder)
-    sweep, outputs = sweeps.sweep_folder(finished.folder), f"outputs={folder / 'outputs'}"
-    for _ in range(2):
-        code, output = forked.run(folder, "sync", str(sweep), outputs)
-        assert code == 0, output
-        assert "6 results in MLflow" in output
-    sent = sweeps.runs(folder)
-    assert [(n, s, p is None) for n, s, p in sent] == [(n, s, p is None) for n, s, p in reference]
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (CONF / "sweeps").glob("*.yaml")))

@@ -81,43 +81,39 @@ class Clips:
     """Every transition that the robot can make, as what may be asked about.
 
     Attributes:
-        pool: how many to keep for a trace.
-        setting: of the true types.
-        features: [T, F] of ``setting.reachable``.
-        learned, labels, everything: as :class:`CaseQuestions` has them, of all T.
+        most: how many to keep for a trace.
+        every: a question about each, which knows of no trace.
+        features: [T, F] of them.
     """
 
-    pool: Pool
-    setting: Setting
+    most: int
+    every: CaseQuestions
     features: NDArray[np.float64]
-    learned: LabelTable
-    labels: LabelTable
-    everything: LabelTable | None = None
 
     @classmethod
     def of(cls, setting: Setting, tables: TablesOf, pool: Pool) -> Clips:
         """Asks the labelers about each transition once."""
-        every = setting.reachable
-        features = transition_features(setting.domain, every)
-        asked, labels = tables(features, every), setting.true_labels(every)
-        return cls(pool, setting, features, asked.learned, labels, asked.everything)
+        transitions, none = setting.reachable, np.full(len(setting.reachable), -1)
+        features = transition_features(setting.domain, transitions)
+        asked = tables(features, transitions)
+        every = CaseQuestions(
+            transitions=transitions,
+            facts=none,
+            learned=asked.learned,
+            labels=setting.true_labels(transitions),
+            shows=np.zeros((len(transitions), 0), np.bool_),
+            texts=tuple(setting.domain.describe(one) for one in transitions),
+            right=none,
+            everything=asked.everything,
+        )
+        return cls(pool.clips, every, features)
 
     def near(self, features: NDArray[np.float64], transitions: NDArray[np.int64]) -> CaseQuestions:
         """Those to choose from while a trace [m, 3] with these features [m, F] is explained."""
-        every, domain = self.setting.reachable, self.setting.domain
         order = nearest_first(self.features, features)
-        order = order[alike_first(self.learned.of_steps(order.tolist()), self.pool.clips)]
-        chosen = every[order]
-        return CaseQuestions(
-            transitions=chosen,
-            facts=np.full(len(chosen), -1),
-            learned=self.learned.of_steps(order.tolist()),
-            labels=self.labels.of_steps(order.tolist()),
-            shows=(chosen[:, None] == transitions).all(axis=-1),
-            texts=tuple(domain.describe(transition) for transition in chosen),
-            right=np.full(len(chosen), -1),
-            everything=self.everything and self.everything.of_steps(order.tolist()),
-        )
+        alike = alike_first(self.every.learned.of_steps(order.tolist()), self.most)
+        chosen = self.every.take(order[alike])
+        return replace(chosen, shows=(chosen.transitions[:, None] == transitions).all(axis=-1))
 
 
 def belief_questions(

@@ -33,7 +33,7 @@ SOURCE = (*SOURCE_GROUPS, "traces", "max_steps", "seed")
 """The configuration's keys that decide data, types and traces."""
 
 
-def source_fingerprint(config: dict[str, Any]) -> str:
+def source_fingerprint(config: Mapping[str, Any]) -> str:
     """The key of a resolved configuration: the same for all that share data and types."""
     pool = {key: config["ask"][key] for key in ("kinds", "clips")}
     return fingerprint({key: config[key] for key in SOURCE} | {"ask": pool})

@@ -9,7 +9,6 @@ import secrets
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -65,7 +64,7 @@ def schema() -> DictConfig:
     kinds = {
         IntegerNode: ("seed", "points", "traces", "max_steps"),
         FloatNode: ("lambda", "discount", "inexplicability_cost"),
-        StringNode: ("discount_per", "prior", "resume", "fingerprint"),
+        StringNode: ("discount_per", "prior", "resume"),
         BooleanNode: ("dry_run",),
         AnyNode: ("message_cost",),  # a number, or one by name; checked with the messages
     }
@@ -93,22 +92,16 @@ def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> D
         with_hydra: whether the ``hydra`` node comes along, which knows the choices made.
 
     Raises:
-        InputError: an override that is no ``key=value``, or of a key that there is not.
-        HydraException, OmegaConfBaseException: a choice or a value that there is not.
+        InputError: an override that is no ``key=value``.
+        HydraException, OmegaConfBaseException: a key, choice or value that there is not.
     """
     from hydra import compose, initialize_config_dir
 
+    for override in overrides:
+        if "=" not in override and not override.startswith("~"):
+            raise InputError("argument", override, "key=value")
     register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        known = [str(key) for key in compose(name)]
-        for override in overrides:
-            key, equals, _ = override.partition("=")
-            if not equals:
-                raise InputError("argument", override, f"key=value; keys: {', '.join(known)}")
-            group, at, package = key.lstrip("+~").partition("@")  # such as study/texts@wording
-            if (package if at else group).split(".")[0].split("/")[0] not in (*known, "hydra"):
-                hint = did_you_mean(key, known)
-                raise InputError(key, override, f"no such key;{hint} keys: {', '.join(known)}")
         return compose(name, [*overrides], return_hydra_config=with_hydra)
 
 
@@ -187,10 +180,14 @@ def one_line(error: BaseException) -> str | None:
             )
         if isinstance(cause, ConfigCompositionException):
             return _composition(cause)
+        if isinstance(cause, ConfigAttributeError | ConfigKeyError):
+            return _unknown_key(cause)
         if isinstance(cause, OmegaConfBaseException):
             key = getattr(cause, "full_key", None) or "config"
             if isinstance(cause, MissingMandatoryValue):
                 return f"{key}: has to be given: {key}=VALUE"
+            if other := _OTHER_KIND(first_line(cause)):
+                return str(InputError(key, other[1], _KINDS[other[2]]))
             return f"{key}: {first_line(cause)}"
         if isinstance(cause, MarkedYAMLError) and (mark := cause.problem_mark) is not None:
             return f"{mark.name}: line {mark.line + 1}: {cause.problem}"
@@ -202,6 +199,10 @@ def one_line(error: BaseException) -> str | None:
     if isinstance(error, HydraException):
         return " ".join(str(error).split())
     return None
+
+
+_KINDS = {"Float": "a number", "Integer": "a whole number", "Boolean": "true or false"}
+_OTHER_KIND = re.compile(rf"Value '(.*)' .*could not be converted to ({'|'.join(_KINDS)})").match
 
 
 def _causes(error: BaseException) -> list[BaseException]:
@@ -239,82 +240,34 @@ def _composition(error: ConfigCompositionException) -> str:
     if several:
         allowed = "one value; to run one job for each of several, add -m (xplain.sweep)"
         return str(InputError(several[1], several[2], allowed))
-    if missing := missing_key(error):
-        if missing.count(".") > 1:
-            return _unknown_inside(missing, cause.parent_node)
-        return unknown_key(missing)
     if isinstance(cause, OmegaConfBaseException):
-        return f"{getattr(cause, 'full_key', None) or 'config'}: {first_line(cause)}"
+        return one_line(cause) or ""
     if "@domain." in str(error):
         return NO_PACKAGE
     return " ".join(str(error).split())
 
 
-def unknown_key(key: str) -> str:
-    """What a key of the experiment that there is not might have been."""
-    top, _, inner = key.partition(".")
-    known = known_keys()
-    if not inner or top not in known:
-        hint = did_you_mean(top, list(known))
-        return f"{key}: no such key;{hint} allowed: {', '.join(known)}"
-    takes = known[top]
-    if top == "message_cost":
-        return f"{key}: no such key; one a message: {top}={{{inner}: 2, …}}, all of them by name"
-    if not takes:
-        return f"{key}: no such key; {top} has none inside (--cfg job shows it)"
-    name = inner.partition(".")[0]
-    if name in takes:
-        needs = " or ".join(f"{top}={choice}" for choice in takes[name])
-        return f"{key}: no such key; it needs {needs}"
-    hint = did_you_mean(name, list(takes), f"{top}.") or f" {top} takes {', '.join(takes)}"
-    return f"{key}: no such key;{hint} (--cfg job shows them)"
+_UNTOLD = ("hydra", "_target_", "_convert_", "_partial_")
+"""Keys that nobody sets who means another."""
 
 
-def _unknown_inside(key: str, parent: Any) -> str:
-    """What a key below one of a component's own might have been; others can be added there."""
-    above, _, name = key.rpartition(".")
-    known = [str(one) for one in parent or ()]
-    hint = did_you_mean(name, known, f"{above}.")
-    there = ", ".join(known) or "none"
-    return f"{key}: no such key;{hint} {above} has {there}; +{key}=… adds this one"
-
-
-@cache
-def known_keys(of: str = "config") -> dict[str, dict[str, list[str]]]:
-    """``{key of conf/<of>.yaml: {key inside: choices of the group that have it}}``."""
-    content = _yaml(CONF / f"{of}.yaml")
-    keys: dict[str, dict[str, list[str]]] = {str(key): {} for key in schema() if of == "config"}
-    for key, value in content.items():
-        if key not in ("defaults", "hydra"):
-            keys[key] = {name: [] for name in value} if isinstance(value, dict) else {}
-    for entry in content["defaults"]:
-        for group in entry if isinstance(entry, dict) else ():
-            if " " not in group:  # no "override ..."
-                keys[group] = _inside(group)
-    return keys
-
-
-def _inside(group: str) -> dict[str, list[str]]:
-    """``{key: choices of the group that have it}``."""
-    found: dict[str, list[str]] = {}
-    for path in sorted((CONF / group).glob("*.yaml")):
-        for name in _names(path, group):
-            found.setdefault(name, []).append(path.stem)
-    return found
-
-
-def _names(path: Path, group: str) -> set[str]:
-    """The keys of a choice, with those of the choice of the same group that it changes."""
-    content = _yaml(path)
-    parents = [one for one in content.pop("defaults", ()) if isinstance(one, str)]
-    names = {name for name in content.get(group, content) if not name.startswith("_")}
-    above = [_names(path.with_stem(one), group) for one in parents if one != "_self_"]
-    return names.union(*above)
-
-
-def _yaml(path: Path) -> dict[str, Any]:
-    content: Any = OmegaConf.to_container(OmegaConf.load(path))
-    return dict(content)
+def _unknown_key(error: Any) -> str:
+    """What a key that there is not might have been: another one beside it, or one of another choice
+    of its group."""
+    above, _, name = str(error.full_key).rpartition(".")
+    known = [str(key) for key in error.parent_node or () if key not in _UNTOLD]
+    said, there = f"{error.full_key}: no such key;", ", ".join(known) or "no keys"
+    if above == "message_cost":
+        return f"{said} one a message: {above}={{{name}: 2, …}}, all of them by name"
+    if not above:
+        known += ["sweeps"] if "certify" in known else []  # the experiment's group of no key
+        return f"{said}{did_you_mean(name, known)} allowed: {', '.join(known)}"
+    sets = re.compile(rf"^ *{re.escape(name)}:", re.MULTILINE).search
+    paths = sorted((CONF / above).glob("*.yaml"))
+    if needs := [f"{above}={path.stem}" for path in paths if sets(path.read_text("utf-8"))]:
+        return f"{said} it needs {' or '.join(needs)}"
+    more = f"; +{error.full_key}=… adds this one" if "." in above else " (--cfg job shows them)"
+    return f"{said}{did_you_mean(name, known, f'{above}.')} {above} has {there}{more}"
 
 
 def did_you_mean(word: str, known: Sequence[str], before: str = "") -> str:

@@ -197,7 +197,9 @@ def evaluate(
                 own = derived_seed(seed, "explainee", index, user)
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
-                    thoughts = explainee.thoughts(labels, same, own).of_steps(steps)
+                    thoughts = None
+                    if solver.knows == "labels":
+                        thoughts = explainee.thoughts(labels, same, own).of_steps(steps)
                     problem = problem_for(
                         prepared, case, costs, solver, belief_update, user, thoughts
                     )

@@ -41,7 +41,7 @@ LIBRARIES = {
 }
 """Distributions whose version may change a number, and the package that each brings."""
 
-NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume", "dry_run", "fingerprint")
+NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume", "dry_run")
 """Keys of a configuration that cannot change a number. Hydra takes its own from a job's, but not
 from the one that a sweep is planned with."""
 
@@ -271,8 +271,8 @@ def _distributions() -> dict[str, list[str]]:
 
 def clear_caches() -> None:
     """Code is read again: in a program that lives on it may have been edited."""
-    _package.cache_clear()
-    code_version.cache_clear()
+    for known in (_package, _distributions, code_version):
+        known.cache_clear()
 
 
 _LOADED: dict[str, tuple[object, str]] = {}

@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 
 from hydra.errors import InstantiationException
 from hydra.utils import get_class, instantiate
-from omegaconf import DictConfig, OmegaConf
 
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting
@@ -28,11 +27,14 @@ from xplain.solvers.base import Solver
 
 T = TypeVar("T")
 
+Config = Mapping[str, Any]
+"""A composed configuration, or a resolved one as plain values."""
+
 KINDS: dict[str, type] = {"domain": Domain, "solver": Solver}
 """Groups whose components are looked at before any work: what all else needs of them is theirs."""
 
 
-def component(cfg: DictConfig, group: str, **given: Any) -> Any:
+def component(cfg: Config, group: str, **given: Any) -> Any:
     """The component that a configuration chooses in a group, made with what is ``given`` beside its
     keys.
 
@@ -80,20 +82,20 @@ def _require_class(key: str, target: str) -> None:
         raise InputError(key, target, allowed) from None
 
 
-def _require_parameters(group: str, node: DictConfig) -> None:
+def _require_parameters(group: str, node: Config) -> None:
     """Says what a class takes, where a file gives a parameter that it has not.
 
     Raises:
         InputError: it is so.
     """
     takes = signature(get_class(node["_target_"])).parameters
-    for key in map(str, node):
+    for key in node:
         if key not in takes and not key.startswith("_"):
             allowed = f"no parameter of {node['_target_']}; it takes {', '.join(takes)}"
             raise InputError(f"{group}.{key}", node[key], allowed)
 
 
-def _section(cfg: DictConfig, key: str, kind: type[T]) -> T:
+def _section(cfg: Config, key: str, kind: type[T]) -> T:
     """A group of keys as the value that they make.
 
     Raises:
@@ -105,7 +107,7 @@ def _section(cfg: DictConfig, key: str, kind: type[T]) -> T:
     return kind(**cfg[key])
 
 
-def experiment_of(cfg: DictConfig) -> Experiment:
+def experiment_of(cfg: Config) -> Experiment:
     """All that a run needs; made, and so checked, before any work.
 
     Raises:
@@ -118,27 +120,27 @@ def experiment_of(cfg: DictConfig) -> Experiment:
         belief=component(cfg, "belief"),
         explainee=component(cfg, "explainee"),
         certify=certify_of(cfg),
-        seed=cfg.seed,
+        seed=cfg["seed"],
     )
 
 
-def certify_of(cfg: DictConfig) -> Certify:
+def certify_of(cfg: Config) -> Certify:
     """How much work the certificates may be; they may take the memory that the solver may.
 
     Raises:
         InputError: a number out of its range, or a key that there is not.
     """
     certify = _section(cfg, "certify", Certify)
-    return replace(certify, memory_gib=cfg.solver.get("memory_gib", 8.0))
+    return replace(certify, memory_gib=cfg["solver"].get("memory_gib", 8.0))
 
 
-def components_of(cfg: DictConfig) -> Components:
+def components_of(cfg: Config) -> Components:
     """The components that decide data, types and traces.
 
     Raises:
         XplainError, HydraException: a value that one of them refuses.
     """
-    trainer = component(cfg, "labeler")
+    trainer, ask = component(cfg, "labeler"), cfg["ask"]
     return Components(
         domain=component(cfg, "domain"),
         users=component(cfg, "users"),
@@ -146,30 +148,29 @@ def components_of(cfg: DictConfig) -> Components:
         queries=component(cfg, "queries"),
         labeler=trainer,
         clusterer=component(cfg, "clusterer", labeler=trainer),
-        traces=cfg.traces,
-        max_steps=cfg.max_steps,
-        seed=cfg.seed,
-        ask=Pool(tuple(cfg.ask.kinds), cfg.ask.clips) if cfg.ask.kinds else None,
+        traces=cfg["traces"],
+        max_steps=cfg["max_steps"],
+        seed=cfg["seed"],
+        ask=Pool(tuple(ask["kinds"]), ask["clips"]) if ask["kinds"] else None,
     )
 
 
-def costs_of(cfg: DictConfig) -> Costs:
+def costs_of(cfg: Config) -> Costs:
     """λ and the other costs.
 
     Raises:
         InputError: one that no problem can have, or of a message that the domain does not have.
     """
-    message_cost = cfg.message_cost
-    if by_name := OmegaConf.is_config(message_cost):
-        message_cost = OmegaConf.to_container(message_cost, resolve=True)
+    message_cost, ask = cfg["message_cost"], cfg["ask"]
+    by_name = isinstance(message_cost, Mapping)
     costs = Costs(
         trade_off=cfg["lambda"],
-        message_cost=message_cost,
-        inexplicability_cost=cfg.inexplicability_cost,
-        discount=cfg.discount,
-        discount_per=cfg.discount_per,
-        prior=cfg.prior,
-        asking=Limits(cfg.ask.cost, cfg.ask.most, cfg.ask.when),
+        message_cost=dict(message_cost) if by_name else message_cost,
+        inexplicability_cost=cfg["inexplicability_cost"],
+        discount=cfg["discount"],
+        discount_per=cfg["discount_per"],
+        prior=cfg["prior"],
+        asking=Limits(ask["cost"], ask["most"], ask["when"]),
     )
     if by_name:  # before anything is learned
         costs.message_costs(tuple(p.name for p in component(cfg, "domain").parameters))
@@ -209,10 +210,10 @@ def check(configurations: Iterable[Mapping[str, Any]]) -> None:
         ):
             key = json.dumps([part, [config[name] for name in part]], sort_keys=True)
             if key not in seen:
-                make(OmegaConf.create(dict(config)))
+                make(config)
                 seen.add(key)
 
 
-def _solve(cfg: DictConfig) -> None:
+def _solve(cfg: Config) -> None:
     domain: Domain = component(cfg, "domain")
-    Setting.build(domain, component(cfg, "users").types(domain, stream(cfg.seed, "users")))
+    Setting.build(domain, component(cfg, "users").types(domain, stream(cfg["seed"], "users")))

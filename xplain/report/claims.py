@@ -13,6 +13,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -94,6 +95,7 @@ class Claim:
         return Estimate(*(value - end for value in vars(self.estimate).values()))
 
 
+@lru_cache(maxsize=1)
 def claims(summary: Summary) -> list[Claim]:
     """Every claim that a sweep's solvers allow, tested in each group of columns and domain."""
     _, grouping, _ = compare.layout(summary)

@@ -12,6 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import prod
 from typing import Any
 
@@ -32,6 +33,9 @@ from xplain.report.table import BEST, TIE, Table, cell, counted, number, table_o
 
 Way = tuple[Value, ...]
 
+UNKNOWN = Estimate(math.nan, math.nan, math.nan)
+"""Of what no episode has."""
+
 WIDEST = 8
 """Columns of a table, lines of a plot: more cannot be read."""
 
@@ -42,18 +46,16 @@ MOST_SEEDS = 1000
 """A difference that needs more is too small to be decided."""
 
 
-def estimate(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate | None:
+def estimate(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate:
     """Mean of a column of episodes with its interval over replicates, cut where the mean cannot be;
-    None if no episode has it."""
+    NaN if no episode has it."""
     known = frame.dropna(subset=[column])
-    return _mean(summary, known, column) if len(known) else None
+    if not len(known):
+        return UNKNOWN
+    return clustered_mean(known[column], known[summary.replicate], possible=possible(column))
 
 
-def _mean(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate:
-    return clustered_mean(frame[column], frame[summary.replicate], possible=possible(column))
-
-
-def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate | None:
+def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate:
     """The cost of the oracle or the clairvoyant: every job of a problem has the same, so each trace
     and user counts once."""
     problem = [*summary.pool, "seed", "trace", "type"]
@@ -103,12 +105,12 @@ def paired(
 
 def difference(
     summary: Summary, frame: pd.DataFrame, by: Sequence[str], one: Way, two: Way
-) -> Estimate | None:
-    """Cost of one way minus that of another, on the same traces and users; None if they share
+) -> Estimate:
+    """Cost of one way minus that of another, on the same traces and users; NaN if they share
     none."""
     both = paired(frame, by, one, two, [*summary.pool, "seed", "trace", "type"])
     if not len(both):
-        return None
+        return UNKNOWN
     return clustered_mean(both["difference"], both[summary.replicate])
 
 
@@ -121,19 +123,19 @@ class Ranked:
         name: for people.
         estimate: of the sweep's measure.
         cost: the mean.
-        behind: its cost minus the best one's on the same traces and users; None for the best.
+        behind: its cost minus the best one's on the same traces and users.
     """
 
     way: Way
     name: str
     estimate: Estimate
     cost: float
-    behind: Estimate | None
+    behind: Estimate
 
     @property
     def is_decided(self) -> bool:
         """Whether it can be told from the best: the interval leaves out 0."""
-        return self.behind is not None and self.behind.low > 0
+        return self.behind.low > 0
 
 
 def shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
@@ -156,14 +158,15 @@ def ranked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ran
         Ranked(
             way,
             label(dict(zip(by, way, strict=True))),
-            _mean(summary, own, measure),
+            estimate(summary, own, measure),
             own["cost"].mean(),
-            difference(summary, frame, by, way, order[0][0]) if i else None,
+            difference(summary, frame, by, way, order[0][0]),
         )
-        for i, (way, own) in enumerate(order)
+        for way, own in order
     ]
 
 
+@lru_cache(maxsize=1)
 def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
     """(values, ways in their order) of each problem; none if nothing that was swept competes, or
     the measure that was asked for is not fair."""
@@ -226,7 +229,7 @@ def table(summary: Summary) -> Table:
                 cost = alone["cost"].mean() if one is None else one.cost
                 below = "" if grouping or measure == "cost" else f"cost {number(cost)}"
                 after = _after(_mark(summary, one, best), published.get(solver))
-                row[title, label(way)] = cell(shown, after, below if shown else "", bool(grouping))
+                row[title, label(way)] = cell(shown, after, below, bool(grouping))
         rows.append(row)
     about = f"{summary.measure.title}: {_common(summary)}"
     return table_of(rows, len(down), _caption(summary, True), about)
@@ -355,7 +358,7 @@ def least_cost(summary: Summary) -> str:
         if best.estimate.mean == second.estimate.mean:
             return f"{text}, as does {second.name}."
         gap = second.behind
-        if gap is None or math.isnan(gap.low):
+        if math.isnan(gap.low):
             return f"{text}. Not decided: one trace and one seed tell nothing of others."
         word = "Decided" if second.is_decided else "Not decided"
         return (
@@ -420,7 +423,7 @@ def undecided(summary: Summary) -> Iterator[Undecided]:
     for values, (best, *others) in verdicts(summary):
         heads = {heading(key): value_title(key, own) for key, own in values.items()}
         for other in others:
-            if not other.is_decided and other.behind is not None:
+            if not other.is_decided:
                 ways = {"Cost of": f"{other.name} − {best.name}"}
                 yield heads | ways, other.behind, cell(other.behind)
 
@@ -437,8 +440,8 @@ def regret_csv(summary: Summary) -> str:
     for values, frame in grouped(summary, keys):
         row: dict[str, object] = {key: plain_text(value) for key, value in values.items()}
         for name in names:
-            found = estimate(summary, frame, name) or Estimate(math.nan, math.nan, math.nan)
-            row |= {f"{name}_{end}": value for end, value in vars(found).items()}
+            ends = vars(estimate(summary, frame, name)).items()
+            row |= {f"{name}_{end}": value for end, value in ends}
             row[f"{name}_n"] = int(frame.dropna(subset=[name])[summary.replicate].nunique())
         rows.append(row)
     return _csv(pd.DataFrame(rows))
@@ -464,7 +467,7 @@ def differences_csv(summary: Summary) -> str:
     for values, frame in grouped(summary, posed):
         for other, method in itertools.combinations(ways, 2):
             found = difference(summary, frame, by, method, other)
-            if found is not None:
+            if not math.isnan(found.mean):
                 pair = {"method": ways[method], "minus": ways[other]}
                 rows.append({k: plain_text(v) for k, v in values.items()} | pair | vars(found))
     return _csv(pd.DataFrame(rows, columns=[*posed, "method", "minus", "mean", "low", "high"]))

@@ -10,7 +10,6 @@ the same jobs give the same bytes.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,11 +20,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from xplain.errors import InputError, one_of
+from xplain.errors import one_of
 from xplain.experiment.cache import SOURCE
-from xplain.experiment.results import RESULTS, Results, load_results
-
-SWEEP = "sweep.json"
+from xplain.experiment.results import Results, load_results
+from xplain.report.folder import Listed, SweepFolder
 
 ORDER = (
     "qmdp",
@@ -119,23 +117,6 @@ def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> 
     return " ".join(text for text, is_true in said.items() if is_true)
 
 
-def load_sweep(folder: Path) -> dict[str, Any]:
-    """The content of a sweep's file: its command, its ``jobs``, how it is shown.
-
-    Raises:
-        OSError: there is no such file.
-        InputError: it is damaged.
-    """
-    path = folder / SWEEP
-    try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if {"command", "jobs", "results"} <= content.keys() and isinstance(content["jobs"], list):
-            return content
-    except (ValueError, AttributeError):
-        pass
-    raise InputError("sweep", str(path), "is damaged; the sweep's own command writes it anew")
-
-
 @dataclass(frozen=True)
 class Measure:
     """The figure by which a sweep's jobs are compared.
@@ -173,22 +154,18 @@ class Summary:
     """
 
     def __init__(self, folder: Path, measure: str | None = None) -> None:
-        self.folder, self.about = folder, load_sweep(folder)
+        self.folder = SweepFolder(folder)
+        self.about, self.jobs = self.folder.about, self.folder.jobs
         self._asked = None if measure is None else one_of("measure", measure, REFERENCES)
-        self.jobs: list[dict[str, Any]] = self.about["jobs"]
-        self.results: list[tuple[dict[str, Any], Results]] = [
-            (job, load_results(self.address(job)))
+        self.results: list[tuple[Listed, Results]] = [
+            (job, load_results(self.folder.address(job)))
             for job in self.jobs
-            if (self.address(job) / RESULTS).exists()
+            if self.folder.state(job) == "finished"
         ]
         self.is_table1 = self.about.get("report") == "table1"
-        keys = dict.fromkeys(key for job in self.jobs for key in job["values"])
+        keys = dict.fromkeys(key for job in self.jobs for key in job.values)
         self.keys = [key for key in keys if key != "seed"]  # seeds are replicates
         self.pool = tuple(key for key in self.about.get("pool") or () if key in self.keys)
-
-    def address(self, job: Mapping[str, Any]) -> Path:
-        """Folder of a job's result."""
-        return self.folder / str(self.about["results"]) / str(job["fingerprint"])
 
     @property
     def missing(self) -> int:
@@ -198,26 +175,23 @@ class Summary:
     @property
     def failures(self) -> list[tuple[str, str]]:
         """(job, error) of the failed jobs."""
-        finished = {job["fingerprint"] for job, _ in self.results}
-        paths = [
-            (job["label"], self.folder / "jobs" / job["fingerprint"] / "failure.json")
-            for job in self.jobs
-            if job["fingerprint"] not in finished
-        ]
-        return [(k, json.loads(p.read_text("utf-8"))["error"]) for k, p in paths if p.exists()]
+        failed = [job for job in self.jobs if self.folder.state(job) == "failed"]
+        return [(job.label, self.folder.error(job)) for job in failed]
 
     @cached_property
     def _numbers(self) -> set[str]:
         """Swept keys all of whose values are numbers."""
-        texts = {key: [job["values"].get(key, "0") for job in self.jobs] for key in self.keys}
+        texts = {key: [job.values.get(key, "0") for job in self.jobs] for key in self.keys}
         return {key for key, own in texts.items() if all(map(is_number, own))}
 
-    def values_of(self, job: Mapping[str, Any], results: Results) -> dict[str, Value]:
+    def values_of(self, job: Listed, results: Results) -> dict[str, Value]:
         """The swept values of a job; ``domain``, ``solver`` and ``lambda`` always."""
-        texts = {key: job["values"].get(key, "") for key in self.keys}
-        values = {k: float(t) if t and k in self._numbers else t for k, t in texts.items()}
-        own = {"domain": results.domain, "solver": results.solver, "lambda": results.trade_off}
-        return values | own
+        texts = {key: job.values.get(key, "") for key in self.keys}
+        values: dict[str, Value] = {
+            k: float(t) if t and k in self._numbers else t for k, t in texts.items()
+        }
+        own: dict[str, Value] = {"domain": results.domain, "solver": results.solver}
+        return values | own | {"lambda": results.trade_off}
 
     @cached_property
     def episodes(self) -> pd.DataFrame:
@@ -233,7 +207,7 @@ class Summary:
             frame["above_floor"] = frame["cost"] - frame["clairvoyant"]
         return frame
 
-    def _rows(self, job: Mapping[str, Any], results: Results) -> Iterator[dict[str, Any]]:
+    def _rows(self, job: Listed, results: Results) -> Iterator[dict[str, Any]]:
         swept = self.values_of(job, results)
         costs = {(e.solver, e.trace, e.type): e.cost for e in results.episodes}
         for episode in results.episodes:

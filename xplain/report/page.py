@@ -113,10 +113,10 @@ def example(summary: Summary, domain: Any, report: Path) -> dict[str, Any]:
     middle = 1.0 if 1.0 in trade_offs else trade_offs[len(trade_offs) // 2]
     at = [one for one in own if one[1].trade_off == middle]
     job, results = min(at, key=lambda one: (rank(one[1].solver), one[1].solver))
-    figure, story, which = trace.draw_typical(summary.address(job), results)
+    figure, story, which = trace.draw_typical(summary.folder.address(job), results)
     plots.save(figure, path := report / f"trace_{domain}.svg")
-    words = [*job["overrides"], "--trace", str(story.trace), "--user", story.user_type]
-    whose = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job['label']}”)"
+    words = [*job.overrides, "--trace", str(story.trace), "--user", story.user_type]
+    whose = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job.label}”)"
     return {
         "domain": title(domain),
         "caption": f"{title(domain)}, {whose}: {which}.",

@@ -194,7 +194,7 @@ def against_main_key(summary: Summary, measure: str) -> Figure | None:
             for at in summary.values(x):
                 own = where(where(frame, line), {x: at})
                 found = estimate(summary, own, measure)
-                if found is not None:
+                if not np.isnan(found.mean):
                     problem = str(own["domain"].iloc[0]), float(own["lambda"].iloc[0])
                     known = table1().get(problem, {}) if is_beside_paper(summary) else {}
                     paper = known.get(str(line.get("solver"))) if measure == "regret" else None

@@ -115,7 +115,7 @@ def table_of(
     return Table(frame, left, caption, about)
 
 
-def cell(estimate: Estimate | None, after: str = "", below: str = "", split: bool = False) -> str:
+def cell(estimate: Estimate, after: str = "", below: str = "", split: bool = False) -> str:
     """A mean with its interval: ``0.52 ± 0.21 *``; "" if there is no estimate.
 
     Args:
@@ -124,7 +124,7 @@ def cell(estimate: Estimate | None, after: str = "", below: str = "", split: boo
         below: a second line.
         split: whether the interval has a line of its own.
     """
-    if estimate is None or math.isnan(estimate.mean):
+    if math.isnan(estimate.mean):
         return ""
     mean, width = number(estimate.mean), half(estimate)
     words = [f"{mean} {after}".strip(), width] if split else [f"{mean} {width} {after}".strip()]

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
@@ -31,7 +31,7 @@ from hydra.errors import HydraException
 from hydra.utils import instantiate
 from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
-from omegaconf import OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
@@ -40,7 +40,6 @@ from xplain.experiment.config import (
     CONF,
     GROUPS,
     did_you_mean,
-    known_keys,
     one_line,
     register,
     require_names,
@@ -49,12 +48,13 @@ from xplain.experiment.fingerprint import clear_caches, require_as_loaded
 from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.report.claims import answer
 from xplain.report.compare import table
-from xplain.report.frame import SWEEP, TITLES, Summary, warning_about_oracle
+from xplain.report.folder import SWEEP
+from xplain.report.frame import TITLES, Summary, warning_about_oracle
 from xplain.report.stages import stages
 from xplain.runs.discovery import Discovery, discovery, require_writable
-from xplain.runs.folder import Listed
-from xplain.runs.job import Job, run_alone
-from xplain.runs.sweep import Plan, finish, run_in_sweep, run_missing, set_values
+from xplain.runs.job import Job, run_alone, run_batch
+from xplain.runs.plan import Compose, Plan, set_values
+from xplain.runs.sweep import finish, run_missing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -123,7 +123,7 @@ class Sweep:
     @property
     def runs(self) -> list[Run]:
         """Its finished jobs, in order."""
-        return [Run(self.summary.address(job)) for job, _ in self.summary.results]
+        return [Run(self.summary.folder.address(job)) for job, _ in self.summary.results]
 
     def frame(self, rows: str = "jobs") -> pd.DataFrame:
         """The swept values and what came out.
@@ -180,26 +180,12 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
     Raises:
         XplainError: a key or value that is not allowed, in one line.
     """
-    with _started():
-        words, objects = _split(keys)
-        several = {key: values for key, values in objects.items() if len(values) > 1}
-        for key, values in several.items():
-            raise InputError(key, values, "one value; xplain.sweep runs a job for each of several")
-        with _composing([*overrides, *words], config_dir) as composed:
-            cfg = composed([*overrides, *words])
-            own = {key: value for key, (value,) in objects.items()}
-            choices = dict(cfg.hydra.runtime.choices) | set_values(cfg, own)
-            job, folder = Job.of(cfg, choices), Path(cfg.hydra.run.dir).absolute()
-        require_as_loaded(job.config)
-        if cfg.dry_run:
-            raise InputError("dry_run", True, "false: nothing ran")
-        there = folder.exists()
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            run_alone(job, folder, instantiate(cfg.tracking), stages(), shown=False)
-        finally:
-            if not there and not any(folder.iterdir()):
-                folder.rmdir()
+    with _composing(overrides, keys, config_dir) as (words, given, composed):
+        cfg = composed(words)
+        job = Job.of(cfg, dict(cfg.hydra.runtime.choices) | set_values(cfg, _single(given)))
+        _require_runnable([job], cfg)
+        folder = Path(cfg.hydra.run.dir).absolute()
+        run_alone(job, folder, instantiate(cfg.tracking), stages(), shown=False)
         return Run(folder)
 
 
@@ -216,53 +202,35 @@ def sweep(
     Raises:
         XplainError: a key or value that is not allowed, in one line; nothing was run.
     """
-    with _started():
+    with _composing(overrides, keys, config_dir) as (words, given, composed):
         began = time.time()
-        chosen, objects = _split(keys)
-        words = [*overrides, *chosen]
-        single = [one for one in words if not _parsed(one).is_sweep_override()]
-        with _composing(words, config_dir) as composed:
-            config = composed(single)
-            config.hydra.overrides.task = words  # all of them
-            alike = {key: values[0] for key, values in objects.items() if len(values) == 1}
-            set_values(config, alike)
-            file: Any = OmegaConf.to_container(config.hydra.sweeper)
-            named = {key: value for key, value in file.items() if not key.startswith("_")}
-            where = [one for one in single if one.startswith("hydra")]
-            task = [one for one in words if one not in where]
-            plan = Plan.of(config, named, task, objects, lambda own: composed([*where, *own]))
-        for one in plan.todo.values():
-            require_as_loaded(one.config)
+        parsed = OverridesParser.create().parse_overrides(words)
+        single = [str(one.input_line) for one in parsed if not one.is_sweep_override()]
+        config = composed(single)
+        config.hydra.overrides.task = words  # all of them
+        set_values(config, {key: values[0] for key, values in given.items() if len(values) == 1})
+        where = [one for one in single if one.startswith("hydra")]
+        task = [one for one in words if one not in where]
+        plan = Plan.of(config, task, given, lambda own: composed([*where, *own]))
+        _require_runnable(plan.todo.values(), config)
         workers = config.hydra.launcher.get("n_jobs", 1)
-        for key, values in objects.items():
-            if workers != 1 and key in GROUPS and any(map(_is_of_this_program, values)):
-                allowed = "a component from a file: workers of a sweep import it (or n_jobs=1)"
-                raise InputError(key, values[0]["_target_"], allowed)
+        for key in GROUPS if workers != 1 else ():
+            for value in given.get(key, ()):
+                if isinstance(value, dict) and value["_target_"].startswith("__main__."):
+                    allowed = "a component from a file: workers of a sweep import it (or n_jobs=1)"
+                    raise InputError(key, value["_target_"], allowed)
 
-        def launch(batches: list[list[Listed]], _: Any) -> list[Any]:
-            calls = [
-                delayed(_run_batch)(
-                    [(plan.todo[job.fingerprint], plan.folder.of(job)) for job in batch]
-                )
-                for batch in batches
-            ]
+        def launch(batches: Sequence[Path]) -> None:
+            jobs = plan.folder.path / "jobs"
             try:
-                Parallel(n_jobs=workers, batch_size=1)(calls)
+                Parallel(workers, batch_size=1)(delayed(run_batch)(path, jobs) for path in batches)
             finally:
                 get_reusable_executor().shutdown()  # a worker has the code of its first job
-            return []
 
         run_missing(plan, launch)
-        if config.dry_run:
-            raise InputError("dry_run", True, "false: nothing ran")
         outputs = plan.folder.path.parents[1]
         finish(plan.folder, instantiate(config.tracking), outputs, began, log.info, shown=False)
         return Sweep(plan.folder.path, measure)
-
-
-def _run_batch(batch: Sequence[tuple[Job, Path]]) -> None:
-    for job, folder in batch:
-        run_in_sweep(job, folder, folder.name)
 
 
 def discover(
@@ -278,21 +246,19 @@ def discover(
     Raises:
         XplainError: a table, key or value that is not allowed, in one line.
     """
-    with _started(), tempfile.TemporaryDirectory() as place:
-        path = Path(place) / "labels.csv"
+    known = _composing(overrides, keys, config_dir, "discover")
+    with known as (words, given, composed), tempfile.TemporaryDirectory() as place:
         if isinstance(data, pd.DataFrame):
-            data.to_csv(path, index=False)
-        words, objects = _split(keys, "discover")
-        known = _composing([*overrides, *words], config_dir, "discover")
-        with known as composed:
-            cfg = composed([*overrides, *words])
-        given = path if isinstance(data, pd.DataFrame) else data
-        set_values(cfg, {"data": str(given), **{key: own[0] for key, own in objects.items()}})
-        if "output" in objects:
-            require_writable(Path(cfg.output))
+            frame, data = data, Path(place) / "labels.csv"
+            frame.to_csv(data, index=False)
+        cfg = composed(words)
+        set_values(cfg, {"data": str(data), **_single(given)})
+        folder = Path(cfg.output) if "output" in given else None
+        if folder is not None:
+            require_writable(folder)
         found = discovery(cfg)
-        if "output" in objects:
-            found.save(Path(cfg.output))
+        if folder is not None:
+            found.save(folder)
         return found
 
 
@@ -313,11 +279,16 @@ def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
 _ONE_AT_A_TIME = threading.RLock()
 """Hydra keeps what it composes in globals of the process: a second thread waits."""
 
+Asked = tuple[list[str], dict[str, list[Any]], Compose]
+"""Overrides, values from Python by key, and Hydra's composition."""
+
 
 @contextmanager
-def _started() -> Iterator[None]:
-    """Errors of the caller's making are one line; what it is at goes to standard error, unless the
-    program has logging of its own."""
+def _composing(
+    overrides: Sequence[str], keys: Mapping[str, Any], config_dir: str | None, of: str = "config"
+) -> Iterator[Asked]:
+    """Reads what a caller asks for. Errors of their making are one line; what the work is at goes
+    to standard error, unless the program has logging of its own."""
     own = logging.getLogger("xplain")
     quiet = bool(logging.getLogger().handlers or own.handlers)
     handler, level = logging.StreamHandler(sys.stderr), own.level
@@ -327,7 +298,22 @@ def _started() -> Iterator[None]:
             if not quiet:
                 own.addHandler(handler)
                 own.setLevel(logging.INFO)
-            yield
+            where = []
+            if config_dir is not None:
+                if not Path(config_dir).is_dir():
+                    raise InputError("config_dir", config_dir, "a folder with choices of your own")
+                where = [f"hydra.searchpath=[{quoted(f'file://{Path(config_dir).absolute()}')}]"]
+            register()
+            with initialize_config_dir(str(CONF), version_base="1.3"):
+                known = [*map(str, compose(of, where)), "sweeps", "hydra"]
+                words, given = _split(keys, known)
+                words = [*overrides, *words]
+                require_names(words)
+                yield (
+                    words,
+                    given,
+                    lambda own: compose(of, [*where, *own], return_hydra_config=True),
+                )
         except XplainError:
             raise
         except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
@@ -341,50 +327,50 @@ def _started() -> Iterator[None]:
                 own.setLevel(level)
 
 
-@contextmanager
-def _composing(words: Sequence[str], config_dir: str | None, name: str = "config") -> Iterator[Any]:
-    """Hydra's composition, from overrides to a configuration with the ``hydra`` node."""
-    where = []
-    if config_dir is not None:
-        if not Path(config_dir).is_dir():
-            raise InputError("config_dir", config_dir, "a folder with choices of your own")
-        where = [f"hydra.searchpath=[{quoted(f'file://{Path(config_dir).absolute()}')}]"]
-    register()
-    require_names(words)
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        yield lambda own: compose(name, [*where, *own], return_hydra_config=True)
+def _require_runnable(jobs: Iterable[Job], cfg: DictConfig) -> None:
+    """Refuses jobs whose code was edited after it was loaded, and ``dry_run``, which runs none."""
+    if cfg.dry_run:
+        raise InputError("dry_run", True, "false: nothing ran")
+    for job in jobs:
+        require_as_loaded(job.config)
 
 
-def _parsed(word: str) -> Any:
-    return OverridesParser.create().parse_override(word)
+def _single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
+    """The value of each key.
+
+    Raises:
+        InputError: a key has several.
+    """
+    for key, values in given.items():
+        if len(values) > 1:
+            raise InputError(key, values, "one value; xplain.sweep runs a job for each of several")
+    return {key: value for key, (value,) in given.items()}
 
 
-def _split(keys: Mapping[str, Any], of: str = "config") -> tuple[list[str], dict[str, list[Any]]]:
+def _split(keys: Mapping[str, Any], known: Sequence[str]) -> tuple[list[str], dict[str, list[Any]]]:
     """Choices by name, as overrides, and values that Python gives, a list each."""
-    words, objects = list[str](), dict[str, list[Any]]()
-    for name, given in keys.items():
-        key = _key(name, of)
-        value = given.tolist() if isinstance(given, np.ndarray | np.generic) else given
+    words, given = list[str](), dict[str, list[Any]]()
+    for name, own in keys.items():
+        key = _key(name, known)
+        value = own.tolist() if isinstance(own, np.ndarray | np.generic) else own
         several = list(value) if isinstance(value, list | tuple | range) else [value]
         groups = (*GROUPS, "tracking", "sweeps")
         if key in groups and all(isinstance(one, str | None) for one in several):
             words.append(f"{key}={','.join('null' if one is None else one for one in several)}")
         else:
-            objects[key] = [_plain(key, one) for one in several]
-    return words, objects
+            given[key] = [_plain(key, one) for one in several]
+    return words, given
 
 
-def _key(name: str, of: str) -> str:
+def _key(name: str, known: Sequence[str]) -> str:
     """A keyword as a key of the configuration: ``users_count`` is ``users.count``."""
-    known = known_keys(of)
     group, _, inside = name.partition("_")
     if name in PYTHON:
         return PYTHON[name]
-    if name not in known and inside in known.get(group, {}):
+    if name not in known and inside and group in known:
         return f"{group}.{inside}"
-    if name.partition(".")[0] not in (*known, "hydra"):
-        names = [*PYTHON, *known, *(f"{key}_{one}" for key in known for one in known[key])]
-        hint = did_you_mean(name, names)
+    if name.partition(".")[0] not in known:
+        hint = did_you_mean(name, [*PYTHON, *known])
         raise XplainError(f"{name}: no such key;{hint or ' allowed: ' + ', '.join(known)}")
     return name
 
@@ -412,8 +398,3 @@ def _plain(key: str, value: Any) -> Any:
         raise InputError(key, value, allowed)
     own = {one.name: _plain(key, getattr(value, one.name)) for one in fields(value) if one.init}
     return {"_target_": path, **own}
-
-
-def _is_of_this_program(node: Any) -> bool:
-    """Whether workers cannot import a component: its class stands in the script or notebook."""
-    return isinstance(node, Mapping) and str(node.get("_target_")).startswith("__main__.")

@@ -27,7 +27,7 @@ register()
 
 
 def job(cfg: DictConfig) -> float | None:
-    """What launchers send to workers: one run, or one job of a sweep. Returns its mean regret."""
+    """What launchers send to workers: one run, or jobs of a sweep. Returns its mean regret."""
     own = HydraConfig.get()
     if own.mode != RunMode.RUN:
         return _in_sweep(cfg, own)
@@ -44,11 +44,11 @@ def _alone(cfg: DictConfig, own: Any) -> float | None:
         shown = progress.stage("loading") if is_terminal(sys.stderr) else nullcontext()
         with shown, left_at_once():
             from xplain.numba_kernels import tell_when_compiling
-            from xplain.runs.job import Job, dry_run, run_alone
+            from xplain.runs.job import Job, run_alone
         tell_when_compiling(progress.compiling)
         made = Job.of(cfg, own.runtime.choices)
         if cfg.dry_run:
-            dry_run(made)
+            _check(made)
             return None
         return run_alone(made, folder, instantiate(cfg.tracking), progress).regret
     finally:
@@ -59,19 +59,29 @@ def _alone(cfg: DictConfig, own: Any) -> float | None:
 
 
 def _in_sweep(cfg: DictConfig, own: Any) -> float | None:
-    from xplain.runs.job import Job, dry_run
-    from xplain.runs.sweep import list_job, run_batch, run_in_sweep
+    from xplain.runs.job import Job, run_batch, run_in_sweep
+    from xplain.runs.sweep import list_job
 
-    made = Job.of(cfg, own.runtime.choices)
-    folder = Path(own.sweep.dir).absolute() / "jobs" / (cfg.fingerprint or made.fingerprint)
-    if cfg.dry_run:  # of another sweeper than ours
-        dry_run(made)
+    sweep = Path(own.sweep.dir).absolute()
+    batch = sweep / str(own.sweep.subdir) / "batch.json"
+    if batch.exists():
+        run_batch(batch, sweep / "jobs")
         return None
-    if cfg.fingerprint is None:
-        list_job(made, own.overrides.task, folder)
-    regret = run_in_sweep(made, folder, cfg.fingerprint or made.fingerprint)
-    run_batch(folder)
-    return regret
+    made = Job.of(cfg, own.runtime.choices)  # of another sweeper than ours
+    if cfg.dry_run:
+        _check(made)
+        return None
+    folder = sweep / "jobs" / made.fingerprint
+    list_job(made, own.overrides.task, folder)
+    return run_in_sweep(made, folder, made.fingerprint)
+
+
+def _check(made: Any) -> None:
+    """What ``dry_run=true`` does with one job."""
+    from xplain.experiment.from_config import check
+
+    check([made.config])
+    print("1 job" + (", done" if made.finished() else ""))
 
 
 class SweepEnd(Callback):
@@ -84,7 +94,7 @@ class SweepEnd(Callback):
         """Ends the process with exit code 1 where a job has no result."""
         from xplain.runs.sweep import collected, finish
 
-        folder = collected(config)
+        folder = None if config.dry_run else collected(config)
         if folder is None:
             return
         outputs = Path(config.outputs).absolute()

@@ -1,161 +1,63 @@
-"""A sweep on disk: which jobs it has, and how far each one is.
-
-``sweep.json`` lists the jobs with the fingerprints of their results. A job is finished where its
-result's address has ``results.json``; where it failed, ``failure.json`` in its own folder below
-``jobs/`` says why. Both are written whole or not at all.
-"""
+"""The outputs folder: runs, sweeps and results in it, and what is said beside what is saved."""
 
 from __future__ import annotations
 
-import json
 import logging
 import os
+import re
 import shutil
-import traceback
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
 
 from filelock import FileLock, Timeout
 
-from xplain.errors import InputError
-from xplain.experiment.config import GROUPS
+from xplain.errors import InputError, first_line
 from xplain.experiment.results import RESULTS, load_results
-from xplain.report.frame import SWEEP, load_sweep
-from xplain.runs.terminal import without_passwords
-from xplain.storage import write_text
+from xplain.report.folder import SWEEP, SweepFolder
 
 log = logging.getLogger(__name__)
 
-FAILURE = "failure.json"
-LISTED = "job.json"
-"""In a job's own folder, where another sweeper than ours lists no jobs: what it was."""
 
-_LAST = ("solver", "lambda", "seed")
-"""Keys that end a job's label, so that labels sort by setting."""
+@contextmanager
+def attempted(otherwise: str) -> Iterator[None]:
+    """What follows the saved results: where it fails, a line says what is missing.
 
-
-@dataclass(frozen=True)
-class Listed:
-    """A job as its sweep lists it.
-
-    Attributes:
-        label: for people, in MLflow and in messages.
-        overrides: what Hydra makes its configuration from.
-        values: the swept keys and the values that its configuration has, as text.
-        fingerprint: of its result.
+    Args:
+        otherwise: what is missing then.
     """
-
-    label: str
-    overrides: tuple[str, ...]
-    values: dict[str, str]
-    fingerprint: str
-
-
-def listed(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
-    """The jobs with the values and labels of swept keys alone: those that differ or that some jobs
-    lack."""
-    keys = dict.fromkeys(key for job in jobs for key in job.values)
-    varying = [key for key in keys if len({job.values.get(key) for job in jobs}) > 1]
-    varying = varying or [key for key in ("domain", "solver", "lambda") if key in keys]
-    varying.sort(key=lambda key: _LAST.index(key) if key in _LAST else -1)
-    found = []
-    for job in jobs:
-        values = {key: job.values[key] for key in varying if key in job.values}
-        found.append(Listed(_label(values), job.overrides, values, job.fingerprint))
-    return tuple(found)
+    try:
+        yield
+    except (BrokenPipeError, SystemExit) as error:  # rich makes the second of the first
+        if not isinstance(error.__context__ or error, BrokenPipeError):
+            raise
+        log.warning("%s: nobody reads the output any more (closed pipe)", otherwise)
+        # Python writes what is left in the buffer when it ends.
+        with suppress(OSError, ValueError, AttributeError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except Exception as error:
+        log.warning("%s: %s", otherwise, first_line(error)[:300])
+        log.debug("it failed", exc_info=True)
 
 
-def _label(values: Mapping[str, str]) -> str:
-    words = []
-    for key, value in values.items():
-        name = "λ" if key == "lambda" else key.rpartition(".")[2]
-        words.append(value if key in GROUPS else f"{name}={value}")
-    return " ".join(words) or "only job"
+def without_passwords(text: str) -> str:
+    """The text, without user name and password in the addresses that it holds."""
+    return re.sub(r"://[^/@\s'\"]+@", "://***@", text)
 
 
-@dataclass(frozen=True)
-class SweepFolder:
-    """The folder of one sweep."""
-
-    path: Path
-
-    @property
-    def identity(self) -> str:
-        """Name of the folder."""
-        return self.path.name
-
-    @contextmanager
-    def alone(self, waiting: str) -> Iterator[None]:
-        """Holds the sweep's lock; tells ``waiting`` when another process has it."""
-        self.path.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(self.path / "sweep.lock")
-        try:
-            held = lock.acquire(timeout=1)
-        except Timeout:
-            log.info(waiting)
-            held = lock.acquire()
-        with held:
-            yield
-
-    def save(self, jobs: Sequence[Listed], results: Path, about: Mapping[str, Any]) -> None:
-        """Writes down what the sweep is: once, or anew where the file is damaged.
-
-        Args:
-            jobs: all of them.
-            results: folder of all results' addresses.
-            about: beside the jobs, such as its command and how it is reported.
-        """
-        with suppress(OSError, InputError):
-            load_sweep(self.path)
-            return
-        # A path from here: a project may be moved.
-        content = {**about, "results": os.path.relpath(results, self.path)}
-        text = json.dumps({**content, "jobs": [asdict(job) for job in jobs]}, indent=1) + "\n"
-        write_text(self.path / SWEEP, without_passwords(text))
-
-    def jobs(self) -> tuple[Listed, ...]:
-        """The jobs, in their order."""
-        return tuple(
-            Listed(**{**job, "overrides": tuple(job["overrides"])})
-            for job in load_sweep(self.path)["jobs"]
-        )
-
-    def of(self, job: Listed) -> Path:
-        """Path of the job's own folder, whether it exists or not."""
-        return self.path / "jobs" / job.fingerprint
-
-    def address(self, job: Listed) -> Path:
-        """Where the job's result is, or will be."""
-        return self._results / job.fingerprint
-
-    @cached_property
-    def _results(self) -> Path:
-        return self.path / load_sweep(self.path)["results"]
-
-    def state(self, job: Listed) -> Literal["waiting", "finished", "failed"]:
-        """How far the job is."""
-        if (self.address(job) / RESULTS).exists():
-            return "finished"
-        return "failed" if (self.of(job) / FAILURE).exists() else "waiting"
-
-    def failure(self, job: Listed) -> dict[str, str]:
-        """Error and traceback of a failed job."""
-        return json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))
-
-
-def mark_failed(folder: Path, error: BaseException) -> None:
-    """Writes the error of a job that raised, with its traceback, into its folder."""
-    text = " ".join(str(error).split()) or "no message"
-    content = {
-        "error": f"{type(error).__name__}: {text}",
-        "traceback": "".join(traceback.format_exception(error)),
-    }
+@contextmanager
+def alone(folder: Path, waiting: str) -> Iterator[None]:
+    """Holds a sweep's lock; tells ``waiting`` when another process has it."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / FAILURE, json.dumps(content, indent=1) + "\n")
+    lock = FileLock(folder / "sweep.lock")
+    try:
+        held = lock.acquire(timeout=1)
+    except Timeout:
+        log.info("%s: %s", folder.name, waiting)
+        held = lock.acquire()
+    with held:
+        yield
 
 
 class Disk:
@@ -194,10 +96,9 @@ def newest_sweep(outputs: Path) -> Path:
     Raises:
         InputError: there is none.
     """
-    lists = sorted(outputs.glob(f"sweeps/*/{SWEEP}"), key=lambda path: -path.stat().st_mtime)
-    for path in lists:
+    for path in sorted(outputs.glob(f"sweeps/*/{SWEEP}"), key=lambda p: -p.stat().st_mtime):
         with suppress(InputError):  # a damaged one hides no other
-            load_sweep(path.parent)
+            _ = SweepFolder(path.parent).about
             return path.parent
     raise InputError("folder", str(outputs / "sweeps"), "no sweep there; name a sweep's folder")
 
@@ -212,12 +113,11 @@ def unlisted_results(outputs: Path) -> dict[Path, int]:
     kept = {path.name for path in outputs.glob("sweeps/*/jobs/*")}
     for folder in runs_and_sweeps(outputs):
         if (folder / SWEEP).exists():
-            kept |= {job["fingerprint"] for job in load_sweep(folder)["jobs"]}
+            kept |= {job.fingerprint for job in SweepFolder(folder).jobs}
         else:
             kept.add(load_results(folder).fingerprint)
-    others = [path for path in sorted(outputs.glob("results/*")) if path.name not in kept]
-    files = {folder: [*folder.iterdir()] for folder in others if folder.is_dir()}
-    return {folder: sum(path.stat().st_size for path in own) for folder, own in files.items()}
+    others = [path for path in sorted(outputs.glob("results/*/")) if path.name not in kept]
+    return {path: sum(file.stat().st_size for file in path.iterdir()) for path in others}
 
 
 def delete_result(folder: Path) -> None:

@@ -8,13 +8,16 @@ processes may compute the same one.
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import shutil
 import socket
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -26,7 +29,7 @@ from xplain.errors import InputError, XplainError
 from xplain.experiment.cache import EpisodeCache, source_fingerprint
 from xplain.experiment.config import GROUPS, require_usable
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
-from xplain.experiment.from_config import check, experiment_of
+from xplain.experiment.from_config import experiment_of
 from xplain.experiment.progress import SILENT, Progress
 from xplain.experiment.results import (
     EPISODES,
@@ -39,12 +42,18 @@ from xplain.experiment.results import (
     results_of,
     save_results,
 )
+from xplain.report.folder import FAILURE
 from xplain.report.terminal import print_certificates, print_summary
-from xplain.runs.folder import Disk
-from xplain.runs.terminal import attempted, without_passwords
+from xplain.runs.folder import Disk, attempted
+from xplain.runs.signals import end_with_parent
 from xplain.storage import write_text
 
 log = logging.getLogger(__name__)
+
+OTHER_CODE = (
+    "this worker has other code, libraries, data or files of choices than the process that started "
+    "the sweep: give it the same, and start the command again"
+)
 
 
 @dataclass(frozen=True)
@@ -54,13 +63,13 @@ class Job:
     Attributes:
         config: all of it that decides a number, resolved.
         choices: the component chosen in each group, by name.
-        outputs: the outputs folder.
+        outputs: path of the outputs folder.
         anew: whether it is computed although it has a result, past every cache.
     """
 
     config: Mapping[str, Any]
     choices: Mapping[str, str]
-    outputs: Path
+    outputs: str
     anew: bool = False
 
     @classmethod
@@ -72,8 +81,8 @@ class Job:
         """
         require_usable(cfg)
         chosen = {group: str(choices[group]) for group in GROUPS}
-        anew = cfg.resume == "none"
-        return cls(configuration(cfg), chosen, Path(cfg.outputs).absolute(), anew)
+        outputs = str(Path(cfg.outputs).absolute())
+        return cls(configuration(cfg), chosen, outputs, cfg.resume == "none")
 
     @cached_property
     def fingerprint(self) -> str:
@@ -83,12 +92,16 @@ class Job:
     @cached_property
     def source(self) -> str:
         """Fingerprint of all that its data, types and traces depend on."""
-        return source_fingerprint(dict(self.config))
+        return source_fingerprint(self.config)
 
     @property
     def address(self) -> Path:
         """Where its result is, or will be."""
-        return self.outputs / "results" / self.fingerprint
+        return Path(self.outputs, "results", self.fingerprint)
+
+    def finished(self) -> Results | None:
+        """Its result, if there is one that it may have."""
+        return None if self.anew else finished_at(self.address)
 
     def result(
         self,
@@ -102,14 +115,12 @@ class Job:
             save: is given the results and the text of its episodes before the certificates, which
                 take as long again, are sought.
         """
-        known = None if self.anew else finished_at(self.address)
-        if known is not None:
+        if (known := self.finished()) is not None:
             log.info("its result was there: %s", os.path.relpath(self.address))
             return known
         started, begun = time.time(), time.perf_counter()
-        cfg = OmegaConf.create(dict(self.config))
-        experiment = experiment_of(cfg)
-        cache = None if self.anew else self.outputs / "cache"
+        experiment = experiment_of(self.config)
+        cache = None if self.anew else Path(self.outputs, "cache")
         prepared = experiment.prepared(cache, self.source, progress)
         halfway = time.perf_counter()
         shared = EpisodeCache(cache, self.config)
@@ -128,10 +139,8 @@ class Job:
             choices=self.choices,
             config=self.config,
         )
-        results, episodes = (
-            results_of(prepared, records, provenance),
-            episode_lines(prepared, records),
-        )
+        results = results_of(prepared, records, provenance)
+        episodes = episode_lines(prepared, records)
         save(results, episodes)
         if experiment.certify.traces:
             bounds: dict[str, float] = {}
@@ -142,7 +151,6 @@ class Job:
             results = replace(results, bounds=bounds, certificates=made, seconds=seconds)
         self.address.mkdir(parents=True, exist_ok=True)
         write_text(self.address / EPISODES, episodes)
-        write_text(self.address / "config.yaml", without_passwords(OmegaConf.to_yaml(cfg)))
         save_results(self.address, results)
         return results
 
@@ -154,7 +162,7 @@ def run_alone(
 
     Args:
         job: to run.
-        folder: takes copies of the result's files, and its pictures.
+        folder: takes copies of the result's files, and its pictures; made with the first of them.
         tracking: where results go besides the disk.
         progress: hears how far it is.
         shown: whether tables are printed.
@@ -167,6 +175,7 @@ def run_alone(
         raise InputError("hydra.run.dir", os.path.relpath(folder), allowed)
 
     def save(results: Results, episodes: str) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / EPISODES, episodes)
         save_results(folder, results)
         show(results)
@@ -182,6 +191,8 @@ def run_alone(
         raise XplainError(ended_by(error)) from error
     if not (folder / RESULTS).exists():
         show(results)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(dict(job.config))))
     for path in job.address.iterdir():
         shutil.copy2(path, folder)
     if shown:
@@ -191,24 +202,65 @@ def run_alone(
     with progress.stage("drawing one explanation"), attempted("there is no picture"):
         drawn = _draw(folder, results)
     with progress.stage("sending the run to MLflow"):
-        lines = tracking.log(folder, job.outputs)
+        lines = tracking.log(folder, Path(job.outputs))
     log.info("folder: %s", os.path.relpath(folder))
     if drawn:
         log.info("  trace.png is one explanation: %s", drawn)
-    log.info("  results.json has all figures")
-    for line in lines:
+    for line in ("  results.json has all figures", *lines):
         log.info(line)
     return results
 
 
-def dry_run(job: Job) -> None:
-    """Checks a job and runs nothing.
+def save_batch(path: Path, jobs: Iterable[Job]) -> None:
+    """Writes down the jobs that one worker of a sweep runs after each other."""
+    write_text(path, json.dumps({job.fingerprint: asdict(job) for job in jobs}))
 
-    Raises:
-        XplainError, HydraException: a value that is not allowed.
+
+def run_batch(path: Path, folder: Path) -> None:
+    """Runs the jobs of a batch; those that fail write it into their folders below ``folder``."""
+    end_with_parent()
+    for listed, content in json.loads(path.read_text(encoding="utf-8")).items():
+        run_in_sweep(Job(**content), folder / listed, listed)
+
+
+def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:
+    """Runs a job of a sweep and returns its mean regret. It never raises: the others go on, and
+    what went wrong is in its folder.
+
+    Args:
+        job: to run.
+        folder: its own, in the sweep's.
+        listed: the fingerprint that its sweep lists.
     """
-    check([job.config])
-    print("1 job" + (", done" if finished_at(job.address) else ""))
+    regret = None
+    with failing_into(folder):
+        if listed != job.fingerprint:
+            raise RuntimeError(OTHER_CODE)
+        regret = job.result().regret
+    return regret
+
+
+@contextmanager
+def failing_into(folder: Path) -> Iterator[None]:
+    """An error ends the block, and is written into the folder: a failure is a result of a
+    sweep."""
+    try:
+        yield
+    except SystemExit as error:
+        mark_failed(folder, RuntimeError(ended_by(error)))
+    except Exception as error:  # noqa: BLE001  (components raise what they like)
+        mark_failed(folder, error)
+
+
+def mark_failed(folder: Path, error: BaseException) -> None:
+    """Writes the error of a job that raised, with its traceback, into its folder."""
+    text = " ".join(str(error).split()) or "no message"
+    content = {
+        "error": f"{type(error).__name__}: {text}",
+        "traceback": "".join(traceback.format_exception(error)),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / FAILURE, json.dumps(content, indent=1) + "\n")
 
 
 def ended_by(error: SystemExit) -> str:

@@ -13,8 +13,7 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,21 +24,16 @@ from mlflow.entities import Metric, Param, Run
 from xplain.errors import InputError, XplainError, first_line
 from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.report.claims import answer
-from xplain.report.frame import (
-    PROBLEM,
-    SWEEP,
-    Summary,
-    is_in,
-    load_sweep,
-    warning_about_oracle,
-)
-from xplain.runs.folder import FAILURE, Disk, SweepFolder, runs_and_sweeps
-from xplain.runs.terminal import without_passwords
+from xplain.report.folder import FAILURE, SWEEP, SweepFolder
+from xplain.report.frame import PROBLEM, Summary, is_in, warning_about_oracle
+from xplain.runs.folder import Disk, alone, runs_and_sweeps, without_passwords
 
 log = logging.getLogger(__name__)
 
 RESULT_TAG, SWEEP_TAG = "xplain.result", "xplain.sweep"
 PARENT_TAG = "mlflow.parentRunId"
+SOURCE = {"mlflow.user": os.environ.get("USER", ""), "mlflow.source.name": "python -m xplain"}
+"""Tags of every run, which MLflow's own client does not set."""
 
 FIGURES = {
     "regret": "regret",
@@ -75,15 +69,9 @@ class MLflow(Disk):
         """Sends the results; a failure costs a warning that tells how to send them later."""
         try:
             return self.send(folder, outputs)
-        except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
-            log.warning(
-                "MLflow did not take this (%s). The results are safe in %s; send them later "
-                "with: python -m xplain sync %s",
-                without_passwords(first_line(error))[:200],
-                folder,
-                folder,
-            )
-            log.debug("MLflow failed", exc_info=True)
+        except XplainError as error:
+            said = "%s. The results are safe; send them later with: python -m xplain sync %s"
+            log.warning(said, error, folder)
             return []
 
     def send(self, folder: Path, outputs: Path) -> list[str]:
@@ -93,9 +81,17 @@ class MLflow(Disk):
             Lines for the terminal: where to look.
 
         Raises:
-            InputError: the experiment was deleted in MLflow.
-            OSError, SQLAlchemyError, MlflowException: the store cannot take it.
+            XplainError: MLflow cannot take it, or the experiment was deleted there.
         """
+        try:
+            return [without_passwords(line) for line in self._send(folder, outputs)]
+        except XplainError:
+            raise
+        except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
+            text = without_passwords(first_line(error))[:200]
+            raise XplainError(f"tracking.uri: MLflow did not take this ({text})") from error
+
+    def _send(self, folder: Path, outputs: Path) -> list[str]:
         outputs.mkdir(parents=True, exist_ok=True)
         own = outputs.resolve() / "mlflow.db"
         uri = self.uri or f"sqlite:///{own}"
@@ -112,55 +108,47 @@ class MLflow(Disk):
             experiment = found.experiment_id if found else None
             experiment = experiment or client.create_experiment(self.experiment, artifacts)
         store = _Store(client, experiment)
-        page = f"{uri.rstrip('/') if served else 'http://127.0.0.1:5000'}/#/experiments"
         if (folder / SWEEP).exists():
-            shown = f"workflowType=machine_learning&viewStateShareKey={store.send_sweep(folder)}"
-            lines = [f"MLflow: {page}/{experiment}/runs?{shown}"]
+            key = store.send_sweep(SweepFolder(folder))
+            shown = f"?workflowType=machine_learning&viewStateShareKey={key}"
         else:
-            run = store.send_result(folder, load_results(folder), {}, {"xplain.single": "yes"})
-            lines = [f"MLflow: {page}/{experiment}/runs/{run}"]
+            known = {"xplain.single": "yes"}
+            shown = "/" + store.send_result(folder, load_results(folder), "", {}, known)
+        page = f"{uri.rstrip('/') if served else 'http://127.0.0.1:5000'}/#/experiments"
+        lines = [f"MLflow: {page}/{experiment}/runs{shown}"]
         if not served:
             place = f"sqlite:///{os.path.relpath(own)}" if self.uri is None else self.uri
             lines.append(f"  once this runs: mlflow ui --backend-store-uri {place}")
-        return [without_passwords(line) for line in lines]
+        return lines
 
 
 def sync(folders: Sequence[Path], outputs: Path, tracking: MLflow) -> int:
-    """Sends every run and sweep at or below the folders; returns how many results there are.
+    """Sends every run and sweep at or below the folders; returns how many results there are. A
+    sweep that is damaged is left out, and told.
 
     Raises:
         InputError: a folder is not there, or holds no results.
         XplainError: MLflow cannot take them.
     """
     count = 0
-    for one in [path for folder in folders for path in _sent(folder)]:
-        sweep = SweepFolder(one) if (one / SWEEP).exists() else None
-        try:
-            with sweep.alone(f"{one.name}: it is running; waiting") if sweep else nullcontext():
-                tracking.send(one, outputs)
-        except XplainError:
-            raise
-        except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
-            text = without_passwords(first_line(error))
-            said = f"tracking.uri: MLflow does not take the results ({text})"
-            raise XplainError(said) from error
-        states = [sweep.state(job) for job in sweep.jobs()] if sweep else ["finished"]
-        count += states.count("finished")
+    for folder in folders:
+        found = list(runs_and_sweeps(folder))
+        if not found:
+            raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
+        for path in found:
+            if not (path / SWEEP).exists():
+                tracking.send(path, outputs)
+                count += 1
+                continue
+            sweep = SweepFolder(path)
+            try:
+                count += [sweep.state(job) for job in sweep.jobs].count("finished")
+            except InputError as error:
+                log.warning("left out: %s", error)
+                continue
+            with alone(path, "it is running; waiting"):
+                tracking.send(path, outputs)
     return count
-
-
-def _sent(folder: Path) -> list[Path]:
-    """The runs and sweeps at or below a folder; says which sweep is damaged and left out."""
-    found = list(runs_and_sweeps(folder))
-    if not found:
-        raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
-    for one in [path for path in found if (path / SWEEP).exists()]:
-        try:
-            load_sweep(one)
-        except InputError as error:
-            log.warning("left out: %s", error)
-            found.remove(one)
-    return found
 
 
 def _make_database(path: Path) -> None:
@@ -182,103 +170,104 @@ class _Store:
         self,
         folder: Path,
         results: Results,
+        label: str,
         swept: Mapping[str, str],
-        tags: Mapping[str, str],
+        known_by: Mapping[str, str],
         among: Sequence[Run] | None = None,
     ) -> str:
         """Sends a result unless its run is there; returns the id of the run.
 
         Args:
             folder, results: of the finished run.
+            label: of its job in a sweep; "" for a run of its own.
             swept: keys of the sweep with this run's values.
-            tags: that tell it from runs of the same result in other sweeps.
+            known_by: tags that tell it from runs of the same result elsewhere.
             among: runs that may be its; None looks for them.
         """
-        times = (results.started, results.started + sum(results.seconds.values()))
-        started, end = (int(1000 * seconds) for seconds in times)
+        end = results.started + sum(results.seconds.values())
+        times = int(1000 * results.started), int(1000 * end)
         about = {
             "mlflow.source.git.commit": results.git.get("commit", ""),
             "xplain.rule": results.elbow.rule,
             "xplain.warning": warning_about_oracle(results.learning, results.regret or 0),
         }
-        tags = {RESULT_TAG: results.fingerprint, **tags}
-        run, new = self._run(results.name, "FINISHED", started, tags, about, among)
-        if new:
-            known = sorted(figures(results).items())
-            metrics = [Metric(key, round(value, 4), end, 0) for key, value in known]
-            params = [Param(key, value) for key, value in parameters(results, swept).items()]
-            self.client.log_batch(run, metrics, params)
-            self.client.log_artifacts(run, str(folder))
-            self.client.set_terminated(run, "FINISHED", end)
-        return run
+        found = sorted(figures(results).items())
+        metrics = [Metric(key, round(value, 4), times[1], 0) for key, value in found]
+        params = [Param(key, value) for key, value in parameters(results, swept).items()]
+        known_by = {RESULT_TAG: results.fingerprint, **known_by}
+        among = self._known(known_by) if among is None else among
+        name, figured = label or results.name, (metrics, params)
+        return self._put(folder, name, "FINISHED", times, known_by, about, among, *figured)
 
-    def send_sweep(self, path: Path) -> str:
+    def send_sweep(self, sweep: SweepFolder) -> str:
         """Sends a sweep's jobs that ended, its report and a view of it; returns the view's key."""
-        sweep, summary = SweepFolder(path), Summary(path)
-        started = int(1000 * summary.about["started"])
-        parent, _ = self._run(sweep.identity, "", started, {SWEEP_TAG: sweep.identity}, {})
+        summary, name = Summary(sweep.path), sweep.path.name
+        began, now = int(1000 * summary.about["started"]), int(1000 * time.time())
+        tags = {SWEEP_TAG: name, **SOURCE}
+        found = self._known({SWEEP_TAG: name})
+        own = found[0] if found else self.client.create_run(self.experiment, began, tags, name)
+        parent = str(own.info.run_id)
         self.client.set_tag(parent, "mlflow.note.content", answer(summary))
-        children = self._known({PARENT_TAG: parent})
-        states = {job.fingerprint: sweep.state(job) for job in sweep.jobs()}
-        for job in sweep.jobs():
-            tags = {RESULT_TAG: job.fingerprint, PARENT_TAG: parent}
-            if states[job.fingerprint] == "finished":
-                own = replace(load_results(sweep.address(job)), name=job.label)
-                self.send_result(sweep.address(job), own, job.values, tags, children)
-            elif states[job.fingerprint] == "failed":
-                at = int(1000 * (sweep.of(job) / FAILURE).stat().st_mtime)
-                error = {"xplain.error": sweep.failure(job)["error"][:4000]}
-                run, new = self._run(job.label, "FAILED", at, tags, error, children)
-                if new:
-                    self.client.log_artifacts(run, str(sweep.of(job)))
-                    self.client.set_terminated(run, "FAILED", at)
-        if (path / "report").is_dir():
-            self.client.log_artifacts(parent, str(path / "report"), "report")
-        every = set(states.values())
-        ended = "FAILED" if "failed" in every else "KILLED" if "waiting" in every else "FINISHED"
+        children, states = self._known({PARENT_TAG: parent}), [sweep.state(j) for j in sweep.jobs]
+        for job, state in zip(sweep.jobs, states, strict=True):
+            known_by = {RESULT_TAG: job.fingerprint, PARENT_TAG: parent}
+            if state == "finished":
+                results = load_results(address := sweep.address(job))
+                self.send_result(address, results, job.label, job.values, known_by, children)
+            elif state == "failed":
+                at = int(1000 * ((folder := sweep.of(job)) / FAILURE).stat().st_mtime)
+                error = {"xplain.error": sweep.error(job)[:4000]}
+                self._put(folder, job.label, "FAILED", (at, at), known_by, error, children)
+        if (report := sweep.path / "report").is_dir():
+            self.client.log_artifacts(parent, str(report), "report")
+        ended = "FAILED" if "failed" in states else "KILLED" if "waiting" in states else "FINISHED"
         self.client.set_terminated(parent, ended)
-        key, now = sweep.identity.rpartition("-")[2], int(1000 * time.time())
         # The form in which MLflow lists views itself, from 3.15 on.
-        shared = {"name": sweep.identity, "createdAt": now, "updatedAt": now}
+        shared = {"name": name, "createdAt": now, "updatedAt": now}
         text = json.dumps({**shared, "state": json.dumps(view(parent, summary))})
+        key = name.rpartition("-")[2]
         self.client.set_experiment_tag(self.experiment, f"mlflow.sharedViewState.{key}", text)
         return key
 
-    def _run(
+    def _put(
         self,
+        folder: Path,
         name: str,
         status: str,
-        started: int,
+        times: tuple[int, int],
         known_by: Mapping[str, str],
         tags: Mapping[str, str],
-        among: Sequence[Run] | None = None,
-    ) -> tuple[str, bool]:
-        """The id of the run that is known by these tags, and whether it is new. Runs of another
-        status or start are of earlier attempts, or their sender died: they are deleted.
+        among: Sequence[Run],
+        metrics: Sequence[Metric] = (),
+        params: Sequence[Param] = (),
+    ) -> str:
+        """Writes a run that ended, unless it is there; returns its id. Runs of another status or
+        start are of earlier attempts, or their sender died: they are deleted.
 
         Args:
-            name: of a new run.
-            status: that it has to have; "" takes any.
-            started: when, in milliseconds since 1970.
+            folder: its artifacts.
+            name, status: of the run.
+            times: its start and its end, in milliseconds since 1970.
             known_by: tags that tell it from all others.
-            tags: more of them, of a new run.
-            among: runs that may be it; None looks for them.
+            tags: more of them.
+            among: runs that may be it.
+            metrics, params: of the run.
         """
-        found = self._known(known_by) if among is None else among
         kept = None
-        for run in (one for one in found if known_by.items() <= one.data.tags.items()):
-            same = (run.info.status, run.info.start_time) == (status or run.info.status, started)
-            if same and kept is None:
-                kept = run
-            else:
-                self.client.delete_run(run.info.run_id)
-        source = {
-            "mlflow.user": os.environ.get("USER", ""),
-            "mlflow.source.name": "python -m xplain",
-        }
-        every = {**known_by, **tags, **source}
-        made = kept or self.client.create_run(self.experiment, started, every, name)
-        return str(made.info.run_id), kept is None
+        for run in among:
+            if known_by.items() <= run.data.tags.items():
+                if kept is None and (run.info.status, run.info.start_time) == (status, times[0]):
+                    kept = str(run.info.run_id)
+                else:
+                    self.client.delete_run(run.info.run_id)
+        if kept is not None:
+            return kept
+        every = {**known_by, **tags, **SOURCE}
+        made = self.client.create_run(self.experiment, times[0], every, name)
+        self.client.log_batch(made.info.run_id, metrics, params)
+        self.client.log_artifacts(made.info.run_id, str(folder))
+        self.client.set_terminated(made.info.run_id, status, times[1])
+        return str(made.info.run_id)
 
     def _known(self, tags: Mapping[str, str]) -> Sequence[Run]:
         """The runs with these tags, which are not deleted."""
@@ -302,7 +291,7 @@ def figures(results: Results) -> dict[str, float]:
 
 def parameters(results: Results, swept: Mapping[str, str]) -> dict[str, str]:
     """What was swept, the choices by group (``solver = pomcp``), and the experiment's own numbers
-    and words; ``config.yaml`` among the artifacts has all keys."""
+    and words; ``results.json`` among the artifacts has all keys."""
     own = {key: value for key, value in results.config.items() if not isinstance(value, Mapping)}
     every = {**{key: swept[key] for key in swept if "." in key}, **results.choices, **own}
     return {key: str(value)[:500] for key, value in every.items()}

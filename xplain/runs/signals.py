@@ -1,4 +1,4 @@
-"""A sweep ends cleanly on a signal, and its workers end with it."""
+"""A command's sweep ends cleanly on a signal, and its workers end with it."""
 
 from __future__ import annotations
 
@@ -7,60 +7,35 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
 from functools import cache
+from multiprocessing import resource_tracker
+from typing import NoReturn
+
+CAME = threading.Event()
+"""Set by a signal that ends the process: a library may make another error of the interruption."""
 
 
-@contextmanager
-def interruptible() -> Iterator[threading.Event]:
-    """SIGTERM and a closed terminal end the sweep like Ctrl-C, so that MLflow hears of it; the
-    event tells that one of them came."""
-    came = threading.Event()
+def end_on_signals() -> None:
+    """From here on SIGTERM and a closed terminal interrupt this process as Ctrl-C does, and Ctrl-C
+    reaches no worker: one that imports would print a traceback."""
 
-    def interrupt(*_: object) -> None:
-        came.set()
+    def interrupt(*_: object) -> NoReturn:
+        CAME.set()
         raise KeyboardInterrupt
 
-    numbers = []
-    if threading.current_thread() is threading.main_thread():  # else someone embeds this
-        numbers = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
-    # A shell's background job ignores Ctrl-C, and shall; nohup a closed terminal.
-    heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, interrupt) for number in heard}
-    try:
-        with _not_for_workers() if signal.SIGINT in heard else nullcontext():
-            yield came
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _not_for_workers() -> Iterator[None]:
-    """Ctrl-C reaches every process of the terminal, and a worker that imports would print
-    tracebacks. Workers inherit that it is blocked; here a thread waits for it."""
-    from multiprocessing import resource_tracker
-
-    resource_tracker.ensure_running()  # its start lifts the block
-    ended = threading.Event()
-
     def wait() -> None:
-        signal.sigwait({signal.SIGINT})
-        if not ended.is_set():
+        while signal.sigwait({signal.SIGINT}):
             os.kill(os.getpid(), signal.SIGTERM)
 
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    waiting = threading.Thread(target=wait, daemon=True)
-    waiting.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        if waiting.is_alive():
-            signal.pthread_kill(waiting.ident or 0, signal.SIGINT)
-        waiting.join()
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    # A shell's background job ignores Ctrl-C, and shall; nohup a closed terminal.
+    numbers = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+    heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    for number in heard:
+        signal.signal(number, interrupt)
+    if signal.SIGINT in heard:
+        resource_tracker.ensure_running()  # its start would lift the block
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which workers inherit
+        threading.Thread(target=wait, daemon=True).start()
 
 
 @cache

@@ -1,0 +1,317 @@
+"""Which jobs a sweep consists of, and which of them have to run.
+
+The command line and Python plan alike: words as Hydra's command line has them, and values that
+Python gives, which never become text.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import logging
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Glob, Override
+from hydra.errors import ConfigCompositionException
+from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
+
+from xplain.errors import InputError, checks, mapping
+from xplain.experiment.config import GROUPS, missing_key
+from xplain.experiment.from_config import check
+from xplain.report.folder import FAILURE, Listed, SweepFolder
+from xplain.runs.job import Job
+
+log = logging.getLogger(__name__)
+
+MANY = 100
+"""A sweep of so many jobs runs several in one batch, since a worker takes 0.2 s to begin one. No
+sweep has many more batches: all cores stay busy to the end."""
+
+LAST = ("solver", "lambda", "seed")
+"""Keys that end a job's label, so that labels sort by setting."""
+
+Compose = Callable[[list[str]], DictConfig]
+"""From overrides to a job's configuration, with the ``hydra`` node."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A sweep that may run.
+
+    Attributes:
+        folder: of the sweep.
+        jobs: as it lists them.
+        todo: the job of each fingerprint that has to run.
+        finished: fingerprints of the jobs that have results.
+        config: of the process that plans it, with the ``hydra`` node.
+        about: what is kept beside the jobs.
+    """
+
+    folder: SweepFolder
+    jobs: tuple[Listed, ...]
+    todo: Mapping[str, Job]
+    finished: frozenset[str]
+    config: DictConfig
+    about: Mapping[str, Any]
+
+    @classmethod
+    def of(
+        cls,
+        config: DictConfig,
+        words: Sequence[str],
+        given: Mapping[str, Sequence[Any]],
+        compose: Compose,
+    ) -> Plan:
+        """Composes and checks every job, so that a mistake shows before the first one starts.
+
+        Args:
+            config: of the process that plans it, with the ``hydra`` node.
+            words: overrides, swept (``choice``, ``range``, commas) or single.
+            given: values from Python by key.
+            compose: makes a job's configuration.
+
+        Raises:
+            XplainError, HydraException, OmegaConfBaseException: the configuration of some job is
+                wrong, or a kind of sweep has no finite list of values.
+        """
+        keys: Any = OmegaConf.to_container(config.hydra.sweeper)
+        file = _File(**{key: value for key, value in keys.items() if not key.startswith("_")})
+        settings = [{**file.params, **setting} for setting in file.settings or [{}]]
+        composer = _Composer(compose, set(config.hydra.runtime.choices))
+        jobs, rows = dict[str, Job](), dict[str, Listed]()
+        combinations = _combinations(settings, _parse(words))
+        for texts, values in itertools.product(combinations, itertools.product(*given.values())):
+            own = dict(zip(given, values, strict=True))
+            named = {k: v for k, v in own.items() if k in GROUPS and isinstance(v, str)}
+            texts = {**texts, **named}
+            cfg = composer.compose(texts)
+            others = {key: value for key, value in own.items() if key not in named}
+            job = Job.of(cfg, dict(cfg.hydra.runtime.choices) | set_values(cfg, others))
+            if jobs.setdefault(job.fingerprint, job) is job:
+                shown = values_of([*texts, *others], job)
+                rows[job.fingerprint] = Listed("", _overrides(texts), shown, job.fingerprint)
+        composer.require_known([*rows.values()])
+        name = config.hydra.runtime.choices.get("sweeps") or "multirun"
+        digest = hashlib.sha256(json.dumps([*jobs]).encode()).hexdigest()[:10]
+        folder = SweepFolder(Path(config.outputs).absolute() / "sweeps" / f"{name}-{digest}")
+        finished = frozenset(key for key, job in jobs.items() if job.finished())
+        todo = {key: job for key, job in jobs.items() if key not in finished}
+        if config.resume == "failed":
+            failed = {path.parent.name for path in folder.path.glob(f"jobs/*/{FAILURE}")}
+            todo = {key: job for key, job in todo.items() if key in failed}
+        check([job.config for job in todo.values()])
+        about = {"name": name, "command": command(config), "pool": file.pool}
+        about["report"] = file.report
+        return cls(folder, listed([*rows.values()]), todo, finished, config, about)
+
+    def batches(self) -> list[list[Job]]:
+        """The jobs to run, by the worker that runs them: those of one data set together, since they
+        wait for the first of them. One batch of each data set comes before further ones."""
+        by_data: dict[str, list[Job]] = {}
+        for job in self.todo.values():
+            by_data.setdefault(job.source, []).append(job)
+        size = 1 + len(self.todo) // MANY
+        cut = [[own[i : i + size] for i in range(0, len(own), size)] for own in by_data.values()]
+        return [batch for turn in itertools.zip_longest(*cut) for batch in turn if batch]
+
+
+@checks("hydra.sweeper")
+class _File:
+    """Keys of hydra.sweeper; see :class:`hydra_plugins.xplain_sweeper.XplainSweeper`."""
+
+    def __init__(
+        self,
+        params: Any = None,
+        settings: list[dict[str, Any]] | None = None,
+        pool: list[str] | None = None,
+        report: str | None = None,
+    ) -> None:
+        self.params = mapping("hydra.sweeper.params", params or {}, "key: values")
+        self.settings, self.pool, self.report = settings, list(pool or ()), report
+
+
+def listed(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
+    """The jobs with the values and labels of swept keys alone: those that differ or that some jobs
+    lack."""
+    keys = dict.fromkeys(key for job in jobs for key in job.values)
+    varying = [key for key in keys if len({job.values.get(key) for job in jobs}) > 1]
+    varying = varying or [key for key in ("domain", "solver", "lambda") if key in keys]
+    varying.sort(key=lambda key: LAST.index(key) if key in LAST else -1)
+    found = []
+    for job in jobs:
+        values = {key: job.values[key] for key in varying if key in job.values}
+        names = {key: "λ" if key == "lambda" else key.rpartition(".")[2] for key in values}
+        words = [own if key in GROUPS else f"{names[key]}={own}" for key, own in values.items()]
+        label = " ".join(words) or "only job"
+        found.append(Listed(label, job.overrides, values, job.fingerprint))
+    return tuple(found)
+
+
+def values_of(keys: Sequence[str], job: Job) -> dict[str, str]:
+    """``{key: value}`` that a job's configuration has, as text, of those keys that decide a
+    number."""
+    names = dict.fromkeys(key.lstrip("+~").partition("@")[0] for key in keys)
+    return {
+        key: job.choices[key] if key in job.choices else _text(_inside(job.config, key))
+        for key in names
+        if key in job.choices or key.partition(".")[0] in job.config
+    }
+
+
+def _inside(node: Any, key: str) -> Any:
+    """The value at a dotted key; None where there is none."""
+    for name in key.split("."):
+        node = node.get(name) if isinstance(node, Mapping) else None
+    return node
+
+
+def set_values(cfg: DictConfig, values: Mapping[str, Any]) -> dict[str, str]:
+    """Sets values from Python in a configuration; returns the names of the components among them,
+    by group.
+
+    Raises:
+        OmegaConfBaseException: there is no such key, or it takes no such value.
+    """
+    names = {}
+    for key, value in values.items():
+        if key in GROUPS:
+            digest = hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+            names[key] = f"{str(value['_target_']).rpartition('.')[2]}_{digest[:4]}"
+            with open_dict(cfg):
+                cfg[key] = value
+        else:
+            OmegaConf.update(cfg, key, value)
+    return names
+
+
+def _combinations(
+    settings: list[dict[str, Any]], given: dict[str, list[str]]
+) -> list[dict[str, str]]:
+    """Values of keys, a mapping a job; each only once."""
+    apart = [key for key in given if len({str(setting.get(key)) for setting in settings}) > 1]
+    texts = [{key: _swept_text(value) for key, value in setting.items()} for setting in settings]
+    chosen: dict[tuple[str, ...], dict[str, str]] = {}
+    for setting in texts:
+        own = _parse(_overrides(setting))
+        merged = own | {key: values for key, values in given.items() if key not in apart}
+        for combination in itertools.product(*merged.values()):
+            values = dict(zip(merged, combination, strict=True))
+            if all(values.get(key) in given[key] for key in apart):
+                chosen[_overrides(values)] = values
+    if not chosen:
+        known = [{key: own[key] for key in apart if key in own} for own in texts]
+        has = "; ".join(" ".join(_overrides(own)) or "none" for own in known)
+        asked = ",".join(given[apart[0]])
+        raise InputError(apart[0], asked, f"values of one of the sweep's settings: {has}")
+    return list(chosen.values())
+
+
+def _overrides(values: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(f"{key}={value}" for key, value in values.items())
+
+
+def _parse(overrides: Sequence[str]) -> dict[str, list[str]]:
+    """``{key: values}`` of overrides, in their order."""
+    parsed: dict[str, list[str]] = {}
+    for override in OverridesParser.create().parse_overrides([*overrides]):
+        key = override.get_key_element()
+        if not override.is_sweep_override():
+            values = [override.get_value_element_as_str()]
+        elif override.is_discrete_sweep() and not isinstance(override.value(), Glob):
+            values = [str(value) for value in override.sweep_string_iterator()]
+        else:
+            asked = (override.input_line or "").partition("=")[2]
+            raise InputError(key, asked, "a list, choice(...) or range(...)")
+        # Truth values as YAML has them: Hydra gives them in Python's spelling.
+        parsed[key] = [{"True": "true", "False": "false"}.get(own, own) for own in values]
+    return parsed
+
+
+def _swept_text(value: Any) -> str:
+    """Values of a key in a sweep's file, as an override has them."""
+    return ",".join(map(_text, value)) if isinstance(value, list) else _text(value)
+
+
+def _text(value: Any) -> str:
+    """A value as YAML has it; numbers without zeros at their ends."""
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+class _Composer:
+    """Composes once for each choice of groups, since Hydra needs a fifth of a second: overrides
+    that only set a value (``lambda=1.5``) change a configuration that is there. All else, and all
+    that goes wrong, is left to Hydra.
+
+    Args:
+        load: Hydra's composition.
+        groups: keys that choose a file.
+    """
+
+    def __init__(self, load: Compose, groups: set[str]) -> None:
+        self._load, self._groups = load, groups
+        self._like: dict[tuple[str, ...], DictConfig] = {}
+        self._lacking: dict[str, tuple[Exception, dict[str, None]]] = {}
+
+    def compose(self, values: dict[str, str]) -> DictConfig:
+        """The configuration of one combination. Its values lose the keys that its choice of a group
+        lacks, such as ``solver.simulations`` if another solver searches."""
+        try:
+            return self._composed([*_overrides(values)])
+        except ConfigCompositionException as error:
+            key = missing_key(error) or ""
+            group = key.partition(".")[0]
+            if key not in values or group == key or group not in values:
+                raise
+            self._lacking.setdefault(key, (error, {}))[1][values[group]] = None
+            del values[key]
+            return self.compose(values)
+
+    def require_known(self, jobs: Sequence[Listed]) -> None:
+        """Says which choices lack a swept key.
+
+        Raises:
+            ConfigCompositionException: no choice has it.
+        """
+        for key, (error, choices) in self._lacking.items():
+            if not any(key in job.values for job in jobs):
+                raise error
+            log.info("%s: no key of %s", key, ", ".join(choices))
+
+    def _composed(self, overrides: list[str]) -> DictConfig:
+        parsed = OverridesParser.create().parse_overrides(overrides)
+        values = [override for override in parsed if self._sets_a_value(override)]
+        others = (override.input_line or "" for override in parsed if override not in values)
+        kind = (*others, "", *(override.key_or_group for override in values))
+        try:
+            config = self._like[kind]
+            for override in values:
+                OmegaConf.update(config, override.key_or_group, override.value())
+        except (KeyError, OmegaConfBaseException):
+            config = self._load(overrides)
+        self._like[kind] = config
+        return config
+
+    def _sets_a_value(self, override: Override) -> bool:
+        key = override.key_or_group
+        plain = override.package is None and not (
+            override.is_add() or override.is_force_add() or override.is_delete()
+        )
+        scalar = isinstance(override.value(), (str, int, float, bool, type(None)))
+        return plain and scalar and key not in self._groups and key.partition(".")[0] != "hydra"
+
+
+def command(config: DictConfig) -> str:
+    """What starts the same sweep."""
+    given = [*config.hydra.overrides.hydra, *config.hydra.overrides.task]
+    words = [word for word in given if not word.startswith("hydra.mode=")]
+    prepared = any(word.startswith("sweeps=") for word in words)
+    return shlex.join(["python", "-m", "xplain", *([] if prepared else ["-m"]), *words])
