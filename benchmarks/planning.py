@@ -26,8 +26,7 @@ from xplain.solvers.base import GIB
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi import Certified, CertifiedPolicy
-from xplain.solvers.known_type import known_bytes, known_values
-from xplain.solvers.process import make_process
+from xplain.solvers.process import known_bytes, known_values, make_process
 
 
 def facts_problem(m: int, n: int, types: int, seed: int = 0, trade_off: float = 1.0) -> Problem:

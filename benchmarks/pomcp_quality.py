@@ -31,8 +31,7 @@ from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import Greedy
 from xplain.solvers.hsvi import Effort
-from xplain.solvers.known_type import known_values
-from xplain.solvers.process import make_process, matters, outcomes
+from xplain.solvers.process import known_values, make_process, matters, outcomes
 
 NEGLIGIBLE = 1e-4
 """Answers less likely than this are worth what known types are."""

@@ -1,10 +1,18 @@
-"""What policies decide and value, as numbers: sets of messages are bitmasks, question q is ~q."""
+"""What policies decide and value, as numbers (sets of messages are bitmasks, question q is ~q), and
+what they are worth by enumeration."""
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
+from numpy.typing import NDArray
 
 from xplain.explanation.actions import AskQuestion, VisibleState
+from xplain.explanation.belief import answered, told, update
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.message_sets import indices
+from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy, messages_of
 
 
@@ -34,3 +42,58 @@ def worths(
         ~action.question if isinstance(action, AskQuestion) else messages_of(action): value
         for action, value in found
     }
+
+
+def worth_by_enumeration(
+    problem: Problem,
+    policy: Policy,
+    visible: VisibleState | None = None,
+    belief: NDArray[np.float64] | None = None,
+) -> tuple[float, float]:
+    """Discounted return and undiscounted cost, over every vector of answers: nothing is merged."""
+    visible = visible or VisibleState()
+    step, given, asked = visible
+    if step == problem.n_steps:
+        return 0.0, 0.0
+    belief = problem.start if belief is None else belief
+    action = policy.decide(visible, belief)
+    if isinstance(action, AskQuestion):
+        q, cost = action.question, problem.questions.limits.cost
+        yes = float(belief @ _columns(problem, problem.questions.table, q + 1, given)[1][:, q])
+        value = -cost
+        for answer, chance in ((1, yes), (0, 1 - yes)):
+            if chance > 1e-12:
+                after = answered(problem, belief, given, q, answer)
+                later = visible._replace(asked=asked | 1 << q)
+                returned, paid = worth_by_enumeration(problem, policy, later, after)
+                value, cost = value + chance * returned, cost + chance * paid
+        return value, cost
+    new = messages_of(action)
+    value, cost, factor = 0.0, 0.0, 1.0
+    for price in sorted(problem.prices[indices(new)].tolist()):
+        value, cost = value - factor * price, cost + price
+        factor *= problem.message_discount
+    belief, given = told(problem, belief, new), given | new
+    thought, p = _columns(problem, problem.table, step + 1, given)
+    zeros = problem.inexplicability_cost * float(belief @ (1 - thought).sum(axis=1))
+    value, cost = value - factor * zeros, cost + zeros
+    for labels in product((0, 1), repeat=step + 1):
+        heard = np.array(labels, dtype=np.uint8)
+        chance = float(belief @ np.where(heard == 1, p, 1 - p).prod(axis=1))
+        if chance > 0:
+            after = update(problem, belief, given, heard)
+            later = VisibleState(step + 1, given, asked)
+            returned, paid = worth_by_enumeration(problem, policy, later, after)
+            value += factor * chance * problem.discount * returned
+            cost += chance * paid
+    return value, cost
+
+
+def _columns(problem: Problem, table: LabelTable, count: int, given: int) -> list[np.ndarray]:
+    """[S, count] P(label is 1) and P(answer is 1)."""
+    if problem.messages_land:
+        return [
+            table.label_probabilities(count, given),
+            table.answer_probabilities(count, given),
+        ]
+    return [p[:count].reshape(count, -1).T for p in (table.p, table.answered)]

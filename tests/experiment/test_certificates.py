@@ -10,10 +10,8 @@ import pytest
 from scipy import stats
 
 from tests.configurations import composed
-from tests.decisions import messages_given
+from tests.decisions import messages_given, worth_by_enumeration
 from tests.handmade import a_prepared, with_cases
-from tests.solvers.test_again import worth_of
-from tests.solvers.test_policy_evaluation import worth_by_enumeration
 from xplain.errors import InputError, TooLargeError
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs, trace_seed
@@ -24,7 +22,7 @@ from xplain.explanation.problem import Problem
 from xplain.solvers import evaluate as policy_value
 from xplain.solvers.base import GIB, Policy
 from xplain.solvers.greedy import QMDP, Baseline, KnownType
-from xplain.solvers.known_type import known_bytes
+from xplain.solvers.process import known_bytes
 from xplain.solvers.simple import QHR, Silent
 from xplain.testing.literal_pomdp import literal_optimal_value, reduced_optimal_value
 
@@ -207,7 +205,7 @@ def test_where_messages_may_be_missed_all_is_of_that_model(solver):
     assert found["optimal_upper"] - found["optimal_lower"] <= EFFORT["gap"] + 1e-9
     everyone = problem_of(first).with_types(first.everyone, ("everyone",))
     own = problem if solver.knows == "types" else everyone
-    value, cost = worth_of(problem, solver.plan(own))
+    value, cost = worth_by_enumeration(problem, solver.plan(own))
     assert found["policy_value_exact"] == 1
     assert found["policy_value"] == pytest.approx(value)
     assert found["policy_cost"] == pytest.approx(cost)

@@ -60,32 +60,6 @@ def test_a_question_does_not_pay_by_delay() -> None:
         assert literal_optimal_value(asking) == pytest.approx(literal_optimal_value(problem))
 
 
-def test_the_nearest_of_those_alike_is_open_then_the_next() -> None:
-    columns = [[0.9, 0.2], [0.6, 0.4], [0.1, 0.7], [0.8, 0.3]]  # of two types: 0, 1 and 3 alike
-    table = LabelTable.dense(np.array(columns).T[:, :, None])
-    questions = Questions(table, Limits(most=3))
-    assert questions.open(0, 0, 0b0000) == [0, 2]
-    assert questions.open(1, 0, 0b0001) == [1, 2]
-    assert questions.open(0, 0, 0b0111) == []  # three were asked
-    first = Questions(table, Limits(most=3, when="first"))
-    assert first.open(0, 0, 0) == [0, 2]
-    assert first.open(1, 0, 0) == []
-
-
-def test_what_is_alike_depends_on_the_messages() -> None:
-    """Two clips that only a message tells apart."""
-    p = np.array([[[0, 0], [0, 1]], [[1, 1], [1, 0]]], dtype=float)
-    questions = Questions(LabelTable.dense(p), Limits())
-    assert questions.open(0, 0, 0) == [0]
-    assert questions.open(0, 1, 0) == [0, 1]
-
-
-def test_what_all_answer_alike_is_no_question_and_hides_none() -> None:
-    p = np.array([[0.6, 0.7], [0.6, 0.9]])  # of one kind
-    questions = Questions(LabelTable.dense(p[:, :, None]), Limits())
-    assert questions.open(0, 0, 0) == questions.open(0, None, 0) == [1]
-
-
 def test_second_opinions_come_after_every_kind() -> None:
     rng = np.random.default_rng(1)
     kinds = np.array([[0, 1, 1], [1, 0, 1], [0, 0, 1]])
@@ -97,11 +71,6 @@ def test_second_opinions_come_after_every_kind() -> None:
     assert len(kept) == 5
     seconds = sorted(int(np.flatnonzero(which == kind)[1]) for kind in range(3))
     assert sorted(set(kept.tolist()) - set(firsts)) == seconds[:2]
-
-
-def test_what_all_types_answer_alike_is_left_out() -> None:
-    p = np.array([[[0.3], [0.6]], [[0.3], [0.6]]])
-    assert alike_first(LabelTable.dense(p), 9).size == 0
 
 
 def test_the_nearest_differ_in_the_fewest_features() -> None:
@@ -137,7 +106,8 @@ class AsksAll:
 
     def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
         self.heard.append(visible.asked)
-        left = self.problem.questions.open(*visible)
+        count = len(self.problem.questions)
+        left = [q for q in range(count) if not visible.asked >> q & 1]
         return AskQuestion(left[0]) if left else EXPLAIN
 
     def values(self, visible: VisibleState, belief: np.ndarray) -> dict[Action, float]:

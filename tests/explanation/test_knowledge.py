@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.decisions import messages_given, worths
-from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, told, update
+from tests.decisions import messages_given, worth_by_enumeration, worths
+from xplain.explanation.belief import told, update
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.interaction.dialogue import Dialogue, Given, Labelled
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.known_type import known_values
-from xplain.solvers.process import make_process
-from xplain.solvers.voi import PATIENCE
+from xplain.solvers.process import PATIENCE, known_values, make_process
 from xplain.testing.literal_pomdp import (
     EXPLAIN,
     LiteralPOMDP,
@@ -89,28 +84,6 @@ def after(
     return {state: weight / total for state, weight in joint.items()} if total else {}
 
 
-def worth(problem: Problem, step: int, mask: int, belief: np.ndarray) -> float:
-    """What QMDP's policy earns, over every answer."""
-    if step == problem.n_steps:
-        return 0.0
-    policy = QMDP().plan(problem)
-    new = messages_given(policy, step, mask, belief)
-    value = -float(problem.prices[indices(new)].sum())
-    belief, mask = told(problem, belief, new), mask | new
-    count = step + 1
-    p, answered = (
-        t[:count].reshape(count, -1).T for t in (problem.table.p, problem.table.answered)
-    )
-    zeros = problem.inexplicability_cost * float(belief @ (1 - p).sum(axis=1))
-    later = 0.0
-    for labels in product((0, 1), repeat=count):
-        answer = np.array(labels, dtype=np.uint8)
-        chance = float(belief @ np.where(answer == 1, answered, 1 - answered).prod(axis=1))
-        if chance > 0:
-            later += chance * worth(problem, count, mask, update(problem, belief, mask, answer))
-    return value + problem.discount * later - zeros
-
-
 @settings(max_examples=40, deadline=None)
 @given(seeds)
 def test_qmdp_is_between_what_it_earns_and_nothing_better(seed: int) -> None:
@@ -118,7 +91,7 @@ def test_qmdp_is_between_what_it_earns_and_nothing_better(seed: int) -> None:
     most its own value at the start, where type and knowledge become known."""
     problem = problem_of(seed)
     optimum = literal_optimal_value(problem)
-    assert worth(problem, 0, 0, problem.start) <= optimum + 1e-9
+    assert worth_by_enumeration(problem, QMDP().plan(problem))[0] <= optimum + 1e-9
     assert optimum <= float(problem.start @ known_values(make_process(problem)).now(0, 0)) + 1e-9
 
 
@@ -150,34 +123,8 @@ def test_users_who_all_but_surely_listen_are_told_the_same(seed: int) -> None:
         assert messages_given(knowing, step, 0, wide.ravel()) == said
 
 
-def said_and_heard(update: BeliefUpdate, said: list[int], forget: float) -> np.ndarray:
-    """The belief of one who was told these and answered 1, 0 0, 1 1 1, …"""
-    rng = np.random.default_rng(3)
-    problem = Problem(rng.uniform(0.1, 0.9, (2, len(said), 2)), np.ones(1))
-    aware = problem.with_habits(habits_of(0.0, 0.7, forget))
-    talk = Dialogue(aware, QMDP().plan(problem), update)
-    for k, new in enumerate(said):
-        talk.hear(Given(new), Labelled((1 - k % 2,) * (k + 1)))
-    return talk.state.belief
-
-
-def test_what_may_have_been_forgotten_or_was_said_again_makes_old_questions_new() -> None:
-    """Who may know something else than before may answer something else: all labels are evidence.
-    Only where nothing can have changed does an answer given before count once."""
-    one, other = Independent(), Persistent()
-    again, silent = [1, 1, 1], [1, 0, 0]
-    assert np.array_equal(said_and_heard(one, again, 0.0), said_and_heard(other, again, 0.0))
-    assert np.array_equal(said_and_heard(one, silent, 0.2), said_and_heard(other, silent, 0.2))
-    assert not np.allclose(said_and_heard(one, silent, 0.0), said_and_heard(other, silent, 0.0))
-
-
 def test_a_message_that_changes_answers_alone_has_an_effect() -> None:
     table = LabelTable.dense(np.full((1, 2, 4), 0.5), np.full((1, 2, 4), 0.5))
     table.answers[:, 2:] = 0.7
     assert table.effective() == [(1,)]
     assert table.effective_of_any() == (1,)
-
-
-def test_the_paper_is_the_default() -> None:
-    problem = Problem(np.full((2, 2, 4), 0.5), np.ones(2))
-    assert problem.with_habits(Independent().habits()) is problem

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from tests.explanation.by_type_problems import pair_of_problems, pairs, plain
+from tests.explanation.by_type_problems import pairs, plain
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.belief import update
-from xplain.explanation.files import load, pomdp_lines, save
+from xplain.explanation.files import load, save
 from xplain.explanation.label_table import LabelTable, joined, stacked
 from xplain.explanation.problem import Problem
 
@@ -80,29 +80,6 @@ def test_sixty_messages_come_back_from_a_file(tmp_path: Path) -> None:
     assert (tmp_path / "problem.npz").stat().st_size < 20_000
 
 
-def test_a_file_holds_the_smaller_form(tmp_path: Path) -> None:
-    """Fourteen messages, three of them relevant at most: by type a thousandth of the numbers."""
-    by_type, dense = pair_of_problems(np.random.default_rng(5), 2, 3, 14)
-    assert by_type.table.relevant.shape[1] > 0
-    for name, problem in (("by_type", by_type), ("dense", dense)):
-        save(problem, tmp_path / f"{name}.npz")
-        with np.load(tmp_path / f"{name}.npz") as file:
-            assert "p_explicable" not in file
-        again = load(tmp_path / f"{name}.npz")
-        assert np.array_equal(again.p_explicable, dense.p_explicable)
-    small, _ = pair_of_problems(np.random.default_rng(5), 2, 3, 4)
-    save(small, tmp_path / "small.npz")
-    again = load(tmp_path / "small.npz")
-    assert np.array_equal(again.p_explicable, small.p_explicable)
-
-
-def test_what_does_not_fit_a_dense_table_is_refused_at_once() -> None:
-    with pytest.raises(TooLargeError, match="60 messages"):
-        large().table.array(60)
-    with pytest.raises(TooLargeError, match="format=pomdp"):
-        next(pomdp_lines(large()))
-
-
 @pytest.mark.parametrize("many", [20, 21])
 def test_twenty_relevant_messages_are_the_most(many: int) -> None:
     """Of one type; of what types need together; and of one type over the parts of a trace."""
@@ -161,10 +138,3 @@ def test_bad_tables_are_named(key: str, changes: dict[str, Any]) -> None:
         problem(**changes)
     assert caught.value.key == key
     assert "\n" not in str(caught.value)
-
-
-def test_a_pad_changes_nothing_whatever_stands_there() -> None:
-    table = np.array([[[0.1, 0.2, np.nan, 7.0]]])
-    problem = Problem(LabelTable.by_type(np.array([[2, -1]]), table), np.ones(3))
-    assert problem.table.label_probabilities(1, 0).tolist() == [[0.1]]
-    assert problem.table.label_probabilities(1, 0b111).tolist() == [[0.2]]

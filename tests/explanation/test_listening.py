@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xplain.errors import InputError
 from xplain.explanation.belief import Independent
 from xplain.explanation.habits import Habits, habits_of
-from xplain.explanation.label_table import LabelTable
 from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learned_habits
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.interaction.dialogue import Dialogue, Given, Labelled
-from xplain.interaction.explainees import Heedless
-from xplain.solvers.base import messages_of
-from xplain.solvers.greedy import QMDP
 
 FACTS, STEPS = 4, 10
 PAIRS = ((0, 1), (1, 2), (2, 3))
@@ -100,78 +92,11 @@ def test_the_shares_are_the_mode_of_their_posterior(seed: int) -> None:
     assert learned_habits(people, habits).prior[0] == pytest.approx(share[log.argmax()], abs=2e-4)
 
 
-class Counts(NamedTuple):
-    """How often each thing could happen that a rate is of."""
-
-    heard: int
-    kept: int
-    labels: int
-
-
-@dataclass
-class Crowd:
-    """People who heed and answer as told, each explained one trace by an explainer that says
-    messages again."""
-
-    accept: float
-    forget: float
-    error: float
-    explained: list[Explained] = field(default_factory=list)
-
-    def explain(self, people: int) -> Counts:
-        sets = np.arange(1 << FACTS)
-        about = np.arange(STEPS) % FACTS
-        truth = np.array(
-            [~np.isin(about, own)[:, None] | (sets >> about[:, None] & 1 == 1) for own in PAIRS]
-        )
-        problem = Problem(truth.astype(float), np.ones(FACTS))
-        update = Independent("learned", "learned", "learned")
-        aware = problem.with_habits(update.habits())
-        policy, rng = QMDP().plan(aware), np.random.default_rng(people)
-        heard = kept = labels = 0
-        for number in range(people):
-            table = LabelTable.dense(truth[number % len(PAIRS)][None].astype(float))
-            person = Heedless(self.accept, self.forget).meet(table, about, number)
-            assert person.knows is not None
-            talk, said, answers = Dialogue(aware, policy, update), [], []
-            for k in range(STEPS):
-                new = messages_of(talk.decide())
-                talk.hear(Given(new))
-                heard += (new & ~person.knows).bit_count()
-                person.hear(new)
-                kept += person.knows.bit_count()
-                given = talk.state.visible.given
-                answer = person.react(given, k + 1).answers ^ (rng.random(k + 1) < self.error)
-                labels += k + 1
-                talk.hear(Labelled(tuple(answer.tolist())))
-                said.append(new)
-                answers.append(answer.astype(np.uint8))
-            self.explained.append(Explained(aware, said, answers))
-        return Counts(heard, kept, labels)
-
-
-@pytest.mark.parametrize(
-    "crowd", [Crowd(0.8, 0.05, 0.04), Crowd(0.7, 0.03, 0.1), Crowd(1, 0, 0)], ids=str
-)
-def test_rates_of_simulated_people_are_found_again(crowd: Crowd) -> None:
-    """Within four standard deviations of who sees every message land and every fact go, and what
-    the documented shares pull, had there been half as much to see."""
-    people = 120
-    counts = crowd.explain(people)
-    found = learned_habits(crowd.explained)
-    pull = PRIOR_PEOPLE / (people / 2 + PRIOR_PEOPLE)
-    for key, seen in zip(("accept", "forget", "error"), counts, strict=True):
-        true, before = getattr(crowd, key), float(getattr(UNKNOWN, key) @ UNKNOWN.prior)
-        mean = float(getattr(found, key) @ found.prior)
-        tolerance = 4 * np.sqrt(true * (1 - true) / (seen / 2)) + pull * abs(true - before)
-        assert abs(mean - true) <= tolerance, key
-        assert tolerance < 0.15
-
-
 def test_what_was_learned_is_what_a_belief_takes() -> None:
-    crowd = Crowd(0.6, 0.1, 0.1)
-    crowd.explain(12)
-    found = learned_habits(crowd.explained)
+    rng = np.random.default_rng(5)
+    problem = Problem(rng.random((2, 2, 4)), np.ones(2))
+    answers = [rng.integers(2, size=k + 1).astype(np.uint8) for k in range(2)]
+    found = learned_habits([Explained(problem, [1, 2], answers)])
     taken = Independent("learned", "learned", "learned").habits(found)
     for key in ("error", "accept", "forget"):
         shares = [getattr(h, key) @ h.prior for h in (found, taken)]
@@ -188,8 +113,3 @@ def test_answers_to_questions_tell_nothing_of_messages_that_do_not_land() -> Non
     for key in ("accept", "forget"):
         rates, shares = getattr(UNKNOWN, key), UNKNOWN.prior
         assert getattr(taken, key) @ taken.prior == pytest.approx(rates @ shares)
-
-
-def test_nobody_tells_nothing() -> None:
-    with pytest.raises(InputError, match="at least one who was told something"):
-        learned_habits([])

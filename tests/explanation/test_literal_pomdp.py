@@ -12,8 +12,7 @@ from tests.explanation.problems import tiny_problems
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.problem import Problem
 from xplain.solvers.greedy import QMDP
-from xplain.solvers.known_type import known_values
-from xplain.solvers.process import make_process
+from xplain.solvers.process import known_values, make_process
 from xplain.testing.literal_pomdp import (
     EXPLAIN,
     LiteralPOMDP,

@@ -13,8 +13,7 @@ from hypothesis import example, given, settings
 
 from tests.explanation.flat_pomdp import Flat, read
 from tests.explanation.problems import misleading_problem, tiny_problems
-from xplain.errors import InputError, TooLargeError
-from xplain.explanation import files
+from xplain.errors import InputError
 from xplain.explanation.files import pomdp_lines
 from xplain.explanation.problem import Problem
 from xplain.testing.literal_pomdp import reduced_optimal_value
@@ -77,62 +76,6 @@ def test_the_file_is_a_pomdp(problem: Problem) -> None:
         assert sum(flat.transition[action, state].values()) == pytest.approx(1)
         assert sum(flat.observation[action, state].values()) == pytest.approx(1)
         assert max(flat.observation[action, state]) < flat.observations
-
-
-@settings(deadline=None, max_examples=40)
-@given(tiny_problems())
-def test_rewards_are_one_line_a_state_and_action(problem: Problem) -> None:
-    """And each is the expected reward: of *explain*, over every label vector of the prefix."""
-    if problem.discount_per == "step" and problem.discount < 1:
-        return
-    text = text_of(problem)
-    flat = read(text)
-    n, sets = problem.n_messages, 1 << problem.n_messages
-    pairs = re.findall(r"(?m)^R: (\d+) : (\d+) : ", text)
-    assert len(pairs) == len(set(pairs)) == problem.n_types * problem.n_steps * sets * (n + 1)
-    states = product(range(problem.n_steps), range(sets), range(problem.n_types))
-    for here, (k, shown, t) in enumerate(states):
-        expected = 0.0
-        for labels in product((0, 1), repeat=k + 1):
-            chance = 1.0
-            for i, label in enumerate(labels):
-                p = float(problem.p_explicable[t, i, shown])
-                chance *= p if label else 1 - p
-            expected -= chance * problem.inexplicability_cost * labels.count(0)
-        assert flat.reward[0, here] == pytest.approx(expected, abs=1e-12)
-        for j in range(n):
-            if j in problem.messages_with_effect and not shown >> j & 1:
-                price = problem.trade_off * problem.message_cost[j]
-                assert flat.reward[j + 1, here] == pytest.approx(-price, abs=1e-12)
-            else:  # worse than all that could still follow, so nobody says a message twice
-                labels = problem.n_steps * (problem.n_steps + 1) // 2
-                worst = problem.trade_off * problem.message_cost.sum()
-                worst += problem.inexplicability_cost * labels
-                assert flat.reward[j + 1, here] < -worst
-
-
-def test_reader_refuses_what_it_does_not_know() -> None:
-    text = text_of(Problem(np.full((1, 1, 2), 0.5), np.ones(1)))
-    with pytest.raises(InputError, match="line 7"):
-        read(text.replace("T: 0 : 0 :", "T: * : 0 :", 1))
-    with pytest.raises(InputError, match="line 8"):
-        read(text.replace("R: 0 : 0 : * : *", "R: 0 : 0 : 2 : 0", 1))
-
-
-def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "MAX_LINES", 100)
-    with pytest.raises(TooLargeError, match="lines"):
-        text_of(Problem(np.full((2, 3, 8), 0.5), np.ones(3)))
-
-
-def test_the_lines_of_answers_count_before_any_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = Problem(np.random.default_rng(0).random((2, 4, 4)), np.ones(2))
-    written = text_of(problem).splitlines()
-    answers = sum(line.startswith("O:") for line in written)
-    others = sum(line.startswith(("T:", "R:")) for line in written)
-    monkeypatch.setattr(files, "MAX_LINES", others + answers // 2)
-    with pytest.raises(TooLargeError, match="lines"):
-        next(files.pomdp_lines(problem))
 
 
 @pytest.mark.skipif("POMDPSOL_PATH" not in os.environ, reason="POMDPSOL_PATH names no pomdpsol")

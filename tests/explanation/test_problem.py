@@ -13,7 +13,7 @@ from tests.explanation.by_type_problems import plain
 from xplain.errors import InputError
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.files import load, save
-from xplain.explanation.habits import PAPER, Habits
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
@@ -72,21 +72,6 @@ def test_what_is_left_out_is_as_documented() -> None:
     assert (len(problem.type_names), len(problem.message_names)) == (4, 1)
 
 
-def test_a_large_table_that_no_form_by_type_makes_smaller_stays_dense(tmp_path: Path) -> None:
-    """Thirteen messages, all of which matter to a type."""
-    problem = Problem(np.random.default_rng(1).random((2, 1, 1 << 13)), np.ones(13))
-    save(problem, tmp_path / "problem.npz")
-    with np.load(tmp_path / "problem.npz") as file:
-        assert "p_explicable" in file
-    assert plain(load(tmp_path / "problem.npz")) == plain(problem)
-
-
-def test_twenty_messages_are_the_most_of_a_dense_table() -> None:
-    assert Problem(np.full((1, 1, 1 << 20), 0.5), np.ones(20)).n_messages == 20
-    with pytest.raises(InputError, match=r"at most 2\*\*20"):
-        Problem(np.full((1, 1, 1 << 21), 0.5), np.ones(21))
-
-
 def test_62_messages_are_the_most_by_type() -> None:
     table = LabelTable.by_type([[0]], HALF)
     assert Problem(table, np.ones(62)).n_messages == 62
@@ -106,18 +91,6 @@ def test_nobody_changes_a_problem_by_its_arrays() -> None:
     made = Problem(problem.p_explicable, cost, prior=prior)
     cost[0] = prior[0] = 9
     assert (made.message_cost[0], made.prior[0]) == (1, 0.25)
-
-
-@pytest.mark.parametrize("types", [3, 7, 10, 49])
-def test_a_mixture_of_the_sure_is_sure(types: int) -> None:
-    """Weights that sum to 1 but for rounding make no probability above 1."""
-    weights = np.full(types, 1 / types) * (1 + 4e-16)
-    problem = Problem(np.ones((types, 2, 2)), np.ones(1))
-    relevant = np.arange(types)[:, None] % 2  # not all look at the same message
-    by_type = Problem(LabelTable.by_type(relevant, np.ones((types, 2, 2))), np.ones(2))
-    for each in (problem, by_type):
-        mixed = each.mixture(weights).p_explicable
-        assert mixed == pytest.approx(np.ones(mixed.shape))
 
 
 def test_a_mixture_by_hand() -> None:
@@ -166,28 +139,6 @@ def test_a_file_of_anything_else_is_refused_in_a_line(
     with pytest.raises(InputError, match=said) as caught:
         load(path)
     assert "\n" not in str(caught.value)
-
-
-def test_other_types_keep_the_costs_and_are_equally_likely() -> None:
-    problem = unusual()
-    table = LabelTable.dense(np.full((4, 3, 4), 0.25))
-    other = problem.with_types(table, ("a", "b", "c", "d"))
-    changed = {"table", "relevant", "answers", "prior", "type_names", "habits", "whose", "as_found"}
-    changed |= {"questions", "asked", "asked_answers"}  # there are none of other types
-    assert {k: v for k, v in plain(other).items() if k.split(".")[0] not in changed} == {
-        k: v for k, v in plain(problem).items() if k.split(".")[0] not in changed
-    }
-    assert other.prior.tolist() == [0.25] * 4
-    assert other.type_names == ("a", "b", "c", "d")
-    assert other.habits is PAPER  # of the table given, types are types
-
-
-def test_a_prior_is_a_distribution_to_the_last_bit_however_often_it_is_handed_on() -> None:
-    first = Problem(np.full((3, 1, 1), 0.5), np.empty(0), prior=np.array([0.3, 0.3, 0.4 + 5e-7]))
-    assert first.prior.sum() == pytest.approx(1, abs=1e-15)
-    assert first.prior == pytest.approx(np.array([0.3, 0.3, 0.4]), abs=1e-6)
-    again = Problem(first.p_explicable, np.empty(0), prior=first.prior)
-    assert np.array_equal(again.prior, first.prior)
 
 
 @pytest.mark.parametrize(

@@ -6,16 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.explanation.problems import random_problem
-from xplain.errors import InputError
-from xplain.explanation.asking import Questions, worded
+from xplain.explanation.asking import worded
 from xplain.explanation.files import load, save
-from xplain.explanation.label_table import LabelTable
-from xplain.explanation.problem import Problem
 from xplain.testing.problems import with_questions
 
 
@@ -51,13 +47,6 @@ def test_a_saved_problem_carries_its_questions(tmp_path: Path, seed: int, words:
     ]
 
 
-def test_a_file_of_before_there_were_questions_opens(tmp_path: Path) -> None:
-    save(Problem(np.full((2, 3, 2), 0.5), np.ones(1)), tmp_path / "problem.npz")
-    with np.load(tmp_path / "problem.npz") as file:
-        assert not [name for name in file.files if name.startswith("question")]
-    assert not load(tmp_path / "problem.npz").questions
-
-
 def test_a_belief_shows_its_sentences_in_the_order_given() -> None:
     for right in (0, 1):
         question = worded(3, "It needs fuel.\nIt needs none.", right)
@@ -65,10 +54,3 @@ def test_a_belief_shows_its_sentences_in_the_order_given() -> None:
         assert question.replies[right][1] == 1
         assert question.replies[1 - right][1] == 0
         assert "fuel" in str(question)
-
-
-@pytest.mark.parametrize("key", ["texts", "right", "shows"])
-def test_questions_of_other_lengths_are_refused(key: str) -> None:
-    other = {"texts": ("one",), "right": np.array([-1]), "shows": np.zeros((1, 2), np.bool_)}
-    with pytest.raises(InputError, match="questions"):
-        Questions(LabelTable.dense(np.full((2, 2, 1), 0.5)), **{key: other[key]})

@@ -130,41 +130,6 @@ def test_a_session_that_asks_is_the_experiments_loop(situation: Situation) -> No
     assert session.cost == pytest.approx(wanted)
 
 
-@given(situations())
-@settings(max_examples=60, deadline=None)
-def test_a_session_that_asks_goes_on_where_it_stood(situation: Situation) -> None:
-    there = situation.session()
-    for _ in range(int(situation.rng.integers(8))):
-        if not there.finished:
-            situation.move(there)
-    if not there.finished and situation.rng.random() < 0.7:
-        there.next()  # asked, or said, and nothing heard yet
-    here = situation.explainer.from_json(there.to_json())
-    assert here.to_json() == there.to_json()
-    assert (here.said, here.shown, here.cost) == (there.said, there.shown, there.cost)
-    assert here.belief == there.belief
-    assert situation.play(here) == situation.play(there)
-    assert (here.belief, here.cost) == (there.belief, there.cost)
-
-
-@given(situations())
-@settings(max_examples=40, deadline=None)
-def test_messages_asks_nothing_and_plans_on(situation: Situation) -> None:
-    """Calls of before there were questions do as they did, whatever could be asked."""
-    session = situation.session()
-    while not session.finished:
-        if situation.rng.random() < 0.5:
-            session.next()  # a question that nobody answers, or messages
-        session.messages()
-        given = mask_of(session.said, situation.explainer.types.messages)
-        session.observe(situation.answers[: session.shown, given])
-    zeros = sum((labels == 0).sum() for labels in session.explained.answers)
-    said = session.explained.problem.communication(session.explained.said)
-    problem = session.explained.problem
-    own = problem.trade_off * said + problem.inexplicability_cost * zeros
-    assert session.cost == pytest.approx(own)  # no question was paid for
-
-
 ASKING = Explainer(TYPES, trade_off=0.5, discount=1.0, ask=Limits(cost=0.01))
 
 

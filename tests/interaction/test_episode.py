@@ -11,7 +11,6 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.solvers.base import CachedPolicy
 
 
 class Scripted:
@@ -102,26 +101,6 @@ def test_persistent_belief_counts_each_label_of_a_message_set_once(interaction):
                 p = problem.p_explicable[:, i, mask]
                 weight = weight * (p if table[i, mask] else 1 - p)
         np.testing.assert_allclose(episode.beliefs[k + 1], weight / weight.sum(), rtol=1e-9)
-
-
-class Counted(Scripted):
-    """Counts its decisions."""
-
-    asked = 0
-
-    def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
-        self.asked += 1
-        return super().decide(visible, belief)
-
-
-def test_users_who_answer_alike_share_a_cached_policys_decisions_and_their_seconds():
-    problem = Problem(np.full((2, 3, 4), 0.5), np.ones(2))
-    policy = Counted([1, 0, 2])
-    cached, user = CachedPolicy(policy), SimulatedUser.of(np.ones((3, 4)))
-    first, second = (explain(problem, cached, user, Independent()) for _ in range(2))
-    assert policy.asked == 3
-    # What was cached does not pass for fast.
-    assert second.seconds.tolist() == first.seconds.tolist()
 
 
 class Careless(Scripted):

@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,14 +14,12 @@ from tests.explanation.problems import random_problem
 from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
 from xplain.explanation.belief import Independent, Persistent
-from xplain.explanation.habits import Habits
-from xplain.explanation.label_table import DENSE, LabelTable, joined
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.listening import learned_habits
 from xplain.explanation.message_sets import mask_of, names_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.interaction.session import Show
-from xplain.solvers.greedy import QMDP, Conformant, KnownType
+from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR
@@ -101,39 +99,6 @@ def test_a_session_is_an_episode_of_the_experiments(situation):
 
 @given(situations())
 @settings(max_examples=60, deadline=None)
-def test_a_session_goes_on_in_another_process_as_if_nothing_had_happened(situation):
-    problem, answers, explainer, rng = situation
-    there = explainer.session(range(problem.n_steps), int(rng.integers(2 * problem.n_steps)))
-    play(there, answers, int(rng.integers(problem.n_steps + 1)))
-    if not there.finished and rng.random() < 0.5:
-        there.messages()  # said, and the user's answer not heard yet
-    here = explainer.from_json(there.to_json())
-    assert here.belief == there.belief
-    assert (here.said, here.shown, here.cost) == (there.said, there.shown, there.cost)
-    assert play(here, answers) == play(there, answers)
-    assert here.belief == there.belief
-    assert here.to_json() == there.to_json()
-
-
-def test_a_restore_before_each_request_changes_no_move():
-    table = np.array([[[0.05, 0.95], [0.05, 0.9]]])
-    explainer = Explainer(GivenTypes(table, ("fuel",), ("novice",)), trade_off=0.2)
-
-    def moves(restored):
-        session, seen = explainer.session([0, 1]), []
-        while not session.finished and len(seen) < 9:
-            if restored:
-                session = explainer.from_json(session.to_json())
-            seen.append(session.next())
-            if isinstance(seen[-1], Show):
-                session.observe([1] * seen[-1].steps)
-        return seen
-
-    assert moves(restored=True) == moves(restored=False)
-
-
-@given(situations())
-@settings(max_examples=60, deadline=None)
 def test_a_trace_that_grows_is_planned_for_with_all_that_is_known(situation):
     """Each decision is the one of a session that knew as much from the start."""
     problem, answers, explainer, _ = situation
@@ -172,88 +137,6 @@ def test_why_ranks_the_choice_first_and_keeps_the_reasons_of_the_moment():
     assert "fuel" in str(before)
 
 
-def test_a_session_taken_up_still_expects_the_rest_of_the_trace():
-    table = np.array([[[0.0, 1.0]]])
-    explainer = Explainer(GivenTypes(table, ("m",), ("t",)), message_cost=3.0, discount=1.0)
-    text = explainer.session([0], expected_steps=4).to_json()
-    assert explainer.from_json(text).messages() == ("m",)
-
-
-def test_why_tells_of_the_newest_decision_alone():
-    """The second transition needs another message; the first one's is among those given."""
-    mends = np.array([[0, 1, 0, 1], [0, 0, 1, 1]], dtype=float)
-    explainer = Explainer(GivenTypes(mends[None], ("a", "b"), ("t",)), trade_off=0.5, discount=1.0)
-    session = explainer.session([0])
-    assert session.messages() == ("a",)
-    session.observe([1])
-    session.extend([1])
-    assert session.messages() == ("b",)
-    why = session.why()
-    assert (why.step, why.given, why.chosen) == (1, ("a",), ("b",))
-    assert set(why.values) == {(), ("b",)}
-
-
-@dataclass
-class Noting:
-    """QMDP that notes what it is asked to plan, and on which seed."""
-
-    planned: list
-    knows = "types"
-
-    def plan(self, problem, seed=0):
-        self.planned.append((problem, seed))
-        return QMDP().plan(problem, seed)
-
-
-def test_the_solver_plans_for_exactly_what_the_explainer_was_told():
-    planned = []
-    table = np.full((2, 1, 4), 0.5)
-    types = GivenTypes(table, ("a", "b"), ("x", "y"), (0.2, 0.8))
-    explainer = Explainer(
-        types, Noting(planned), 0.7, [2.0, 3.0], 1.5, 0.9, "step", Persistent(), seed=5
-    )
-    explainer.session([0]).messages()
-    ((problem, seed),) = planned
-    assert seed == 5
-    assert np.array_equal(problem.p_explicable, table)
-    assert problem.message_cost.tolist() == [2.0, 3.0]
-    assert problem.prior.tolist() == [0.2, 0.8]
-    told = (problem.trade_off, problem.inexplicability_cost, problem.discount)
-    assert told == (0.7, 1.5, 0.9)
-    assert problem.discount_per == "step"
-    assert (problem.message_names, problem.type_names) == (("a", "b"), ("x", "y"))
-
-
-@pytest.mark.parametrize("n", [3, DENSE + 2])
-@pytest.mark.parametrize("expected_steps", [0, 2, 4, 9])
-def test_a_trace_in_parts_is_planned_as_the_whole(n, expected_steps):
-    """The transitions of all parts, and as many unknown ones as are still expected."""
-    rng = np.random.default_rng(n)
-    types = GivenTypes(
-        LabelTable.by_type(np.array([[0, 2], [1, -1]]), np.tile(rng.random((2, 5, 2)), 2)),
-        tuple(f"m{j:02}" for j in range(n)),
-        ("x", "y"),
-    )
-    planned = []
-    explainer = Explainer(types, Noting(planned))
-    explainer.session(range(5), expected_steps).messages()
-    parts = explainer.session([], expected_steps)
-    for part in ([0], [1, 2], [], [3, 4]):
-        parts.extend(part)
-        if part == [1, 2]:
-            parts.messages()  # planned between parts, too
-    parts.observe([1])
-    parts.messages()
-    whole, _, last = (problem for problem, _ in planned)
-    assert whole.n_steps == last.n_steps == max(5, expected_steps)
-    for mask in range(8):
-        one, other = (p.table.label_probabilities(p.n_steps, mask) for p in (whole, last))
-        assert np.array_equal(one, other)
-        known = types.label_table(range(5)).label_probabilities(5, mask)
-        assert np.array_equal(one[:, :5], known)
-        assert (one[:, 5:] == 1).all()
-
-
 def test_types_may_be_a_function_of_whatever_a_transition_is():
     def table(transitions):
         hard = np.array([move["hard"] for move in transitions])
@@ -269,25 +152,6 @@ def test_types_may_be_a_function_of_whatever_a_transition_is():
 
 
 TYPES = GivenTypes(np.full((2, 3, 4), 0.5), ("a", "b"), ("x", "y"))
-
-
-@pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ({"trade_off": -1}, ["trade_off", "-1", "≥ 0"]),
-        ({"discount": 0}, ["discount", "(0, 1]"]),
-        ({"message_cost": [1, 2, 3]}, ["message_cost", "2 costs"]),
-        ({"solver": KnownType()}, ["solver", "KnownType"]),
-        ({"types": GivenTypes(TYPES.table, ("a", "a"), ("x", "y"))}, ["messages", "once"]),
-        ({"types": GivenTypes(TYPES.table, ("a", "b"), ("x", "y"), (0.9, 0.9))}, ["prior"]),
-    ],
-)
-def test_a_bad_setting_is_one_clear_line(setting, words):
-    with pytest.raises(InputError) as error:
-        Explainer(**{"types": TYPES} | setting)
-    assert "\n" not in str(error.value)
-    for word in words:
-        assert word in str(error.value)
 
 
 HALF = np.full((2, 3, 4), 0.5)
@@ -390,79 +254,12 @@ def test_misuse_is_one_clear_line():
         assert words in str(error.value)
 
 
-def test_rows_of_arrays_are_transitions_that_json_holds():
-    """As numpy's rows and numbers, or as plain lists."""
-
-    def table(transitions):
-        return np.array([[[0.3 * row[0], 0.2 * row[1]] for row in transitions]])
-
-    explainer = Explainer(GivenTypes(table, ("m",), ("t",)))
-    rows = np.array([[1.0, 2.0], [3.0, 4.0]])
-    session, plain = explainer.session(rows), explainer.session(rows.tolist())
-    assert session.trace == plain.trace == ([1.0, 2.0], [3.0, 4.0])
-    assert session.to_json() == plain.to_json()
-    assert explainer.from_json(session.to_json()).trace == session.trace
-    indices = Explainer(TYPES).session(np.array([0, 2]))
-    assert Explainer(TYPES).from_json(indices.to_json()).trace == indices.trace == (0, 2)
-
-
-def test_an_answer_may_come_before_more_is_known():
-    """What was said and answered stays when the trace grows, and messages asked for twice are
-    said once."""
-    session = Explainer(TYPES).session([0, 1])
-    first = session.messages()
-    session.extend([2])
-    assert session.messages() == first
-    session.observe([0])
-    assert (session.shown, session.finished) == (2, False)
-    assert len(session.trace) == 3
-
-
 def test_importing_the_package_imports_nothing_heavy():
     code = (
         "import sys, xplain; print([m for m in ('numpy', 'numba', 'sklearn') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def many(steps=6, n=40):
-    """Two types of forty messages; each finds its own message wanting at every second step."""
-    table = np.full((2, steps, 2), 0.95)
-    table[:, ::2, 0] = 0.05
-    by_type = LabelTable.by_type(np.array([[7], [33]]), table)
-    names = tuple(f"m{j:02}" for j in range(n))
-    return GivenTypes(by_type, names, ("seven", "thirty-three"), (1.0, 0.0))
-
-
-def test_forty_messages_are_kept_by_type():
-    session = Explainer(many()).session([0, 1, 2])
-    assert session.messages() == ("m07",)
-    session.observe([1])
-    session.extend([3, 4])
-    assert session.messages() == ()
-    again = Explainer(many()).from_json(session.to_json())
-    assert again.said == ("m07",)
-    assert again.belief == session.belief
-
-
-def test_transitions_not_known_yet_puzzle_nobody_however_many_messages_there_are():
-    """As many steps of which nothing is known: the message pays all the same."""
-    sure = Explainer(many(), trade_off=3.0)
-    assert sure.session([0]).messages() == ()
-    assert sure.session([0], expected_steps=6).messages() == ("m07",)
-
-
-def test_a_trace_in_parts_is_the_trace_however_its_parts_are_kept():
-    rng = np.random.default_rng(0)
-    one = LabelTable.by_type(np.array([[3, 1], [0, -1]]), rng.random((2, 2, 4)))
-    other = LabelTable.by_type(np.array([[3], [2]]), rng.random((2, 3, 2)))
-    parts = [one, other, LabelTable.dense(rng.random((2, 1, 16)))]
-    expected = np.concatenate([part.array(4) for part in parts], axis=1)
-    assert np.array_equal(joined(parts).array(4), expected)
-    twice = joined([parts[2], parts[2]])
-    assert twice.is_dense(4)
-    assert np.array_equal(twice.array(4), np.concatenate([parts[2].array(4)] * 2, axis=1))
 
 
 def test_more_than_62_messages_are_refused():
@@ -511,25 +308,3 @@ def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
         assert belief.accept @ belief.prior == pytest.approx(found.accept @ found.prior)
         rates.append(found.accept @ found.prior)
     assert rates[0] < 0.75 < 0.9 < rates[1]
-
-
-RATES = Habits(np.array([0.02, 0.2]), np.ones(2), np.zeros(2), np.array([0.7, 0.3]))
-
-
-@pytest.mark.parametrize(
-    ("habits", "usual"), [(None, Independent()), (RATES, Persistent("learned"))]
-)
-def test_learned_rates_are_heeded_unless_told_otherwise(habits, usual):
-    """The same beliefs and messages as of an explainer that is told so, and others than the other
-    update gives: a label that is shown again is no news to one, and rates make it weaker."""
-    table = np.array([[[0.9, 0.9]] * 3, [[0.2, 0.9]] * 3])
-    types = GivenTypes(table, ("m",), ("a", "b"), habits=habits)
-    found = []
-    for update in (None, usual, Independent(), Persistent("learned")):
-        session = Explainer(types, trade_off=5.0, belief_update=update).session([0, 1, 2])
-        for labels in ([1], [1, 0]):
-            session.messages()
-            session.observe(labels)
-        found.append((session.belief, session.messages()))
-    assert found[0] == found[1]
-    assert found[2][0]["a"] != pytest.approx(found[3][0]["a"], abs=0.01)

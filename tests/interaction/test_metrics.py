@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -104,104 +103,6 @@ def recorded(draw, solvers=("solver", "oracle", "clairvoyant")):
     return [records[i] for i in rng.permutation(len(records))], users, lengths
 
 
-def zeros_of_triangle(episode, k):
-    return sum(int(episode.labels[k, i]) == 0 for i in range(k + 1))
-
-
-def ones(mask):
-    return bin(int(mask)).count("1")
-
-
-def again(masks):
-    """How many messages had been said at an earlier step."""
-    heard = [j for mask in masks for j in range(8) if int(mask) >> j & 1]
-    return len(heard) - len(set(heard))
-
-
-def belief_in_true_type(record, k):
-    return sum(b for b, true in zip(record.episode.beliefs[k], record.right, strict=True) if true)
-
-
-def until_sure(record):
-    m = len(record.episode.messages)
-    for k in range(m + 1):
-        if belief_in_true_type(record, k) > 0.9:
-            return k
-    return m + 1
-
-
-@given(recorded())
-@settings(max_examples=40, deadline=None)
-def test_every_figure_is_the_mean_over_traces_and_users(data):
-    records, users, lengths = data
-    of = {(r.solver, r.trace, r.user_type): r for r in records}
-    columns = {}
-    for trace, m in enumerate(lengths):
-        for user in range(users):
-            own = of["solver", trace, user]
-            episode = own.episode
-            oracle = of["oracle", trace, user].episode.cost
-            clairvoyant = of["clairvoyant", trace, user].episode.cost
-            figures = {
-                "cost": episode.cost,
-                "messages": sum(map(ones, episode.messages)),
-                "messages_again": again(episode.messages),
-                "inexplicable_labels": sum(zeros_of_triangle(episode, k) for k in range(m)),
-                "decision_ms": 1000 * sum(episode.seconds) / m,
-                "steps_until_sure": until_sure(own),
-                "final_belief": belief_in_true_type(own, m),
-                "oracle_cost": oracle,
-                "clairvoyant_cost": clairvoyant,
-                "regret": episode.cost - oracle,
-                "regret_to_clairvoyant": episode.cost - clairvoyant,
-            }
-            for name, value in figures.items():
-                columns.setdefault(name, []).append((trace, value))
-    if not any(count for _, count in columns["messages_again"]):
-        del columns["messages_again"]  # left out where nothing was said again
-    summary = summarise(records)
-    dear, cheap = (sum(v for _, v in columns[name]) for name in ("oracle_cost", "clairvoyant_cost"))
-    ratio = summary.pop("oracle_over_clairvoyant", None)
-    assert (ratio is None) == (cheap == 0)
-    if ratio is not None:
-        assert ratio.mean == pytest.approx(dear / cheap)
-    assert summary.keys() == columns.keys()
-    for name, column in columns.items():
-        assert summary[name].mean == pytest.approx(np.mean([value for _, value in column]))
-        # As many users on each trace: the interval is that of the traces' means.
-        means = [np.mean([v for t, v in column if t == trace]) for trace in range(len(lengths))]
-        half = stats.t.ppf(0.975, len(means) - 1) * stats.sem(means)
-        # It ends where the mean cannot be, but for what was seen (costs here are any numbers).
-        seen = [value for _, value in column]
-        least = -math.inf if name == "regret" else min(0, *seen)
-        most = 1 if name == "final_belief" else math.inf
-        low, high = max(np.mean(means) - half, least), min(np.mean(means) + half, most)
-        assert summary[name].low == pytest.approx(low, abs=1e-9), name
-        assert summary[name].high == pytest.approx(high, abs=1e-9), name
-
-
-@given(recorded())
-@settings(max_examples=40, deadline=None)
-def test_every_step_is_the_mean_of_those_that_come_so_far(data):
-    records, _, lengths = data
-    steps = by_step(records)
-    own = [record for record in records if record.solver == "solver"]
-    longest = max(lengths)
-    assert len(steps["episodes"]) == len(steps["belief_in_true_type"]) == longest + 1
-    assert len(steps["messages_given"]) == len(steps["inexplicable_labels_shown"]) == longest
-    for k in range(longest + 1):
-        there = [record for record in own if len(record.episode.messages) >= k]
-        assert steps["episodes"][k] == len(there)
-        beliefs = [belief_in_true_type(record, k) for record in there]
-        assert steps["belief_in_true_type"][k] == pytest.approx(np.mean(beliefs))
-    for k in range(longest):
-        there = [record.episode for record in own if len(record.episode.messages) > k]
-        given_here = [ones(episode.messages[k]) for episode in there]
-        assert steps["messages_given"][k] == pytest.approx(np.mean(given_here))
-        zeros = [zeros_of_triangle(episode, k) for episode in there]
-        assert steps["inexplicable_labels_shown"][k] == pytest.approx(np.mean(zeros))
-
-
 @pytest.mark.parametrize("reference", ["oracle", "clairvoyant"])
 def test_a_regret_is_left_out_where_its_reference_did_not_run(reference):
     figures = summarise([record for record in RECORDS if record.solver != reference])
@@ -232,9 +133,3 @@ def test_no_recognition_where_nobody_knows_which_type_is_the_true_one():
     ]
     left_out = summarise(RECORDS).keys() - summarise(unknown).keys()
     assert left_out == {"steps_until_sure", "final_belief"}
-
-
-def test_one_trace_leaves_every_interval_unknown():
-    figures = summarise([record for record in RECORDS if record.trace == 0])
-    assert figures["regret"].mean == 1
-    assert all(math.isnan(e.low) and math.isnan(e.high) for e in figures.values())

@@ -19,21 +19,6 @@ def test_with_one_value_a_cluster_it_is_the_t_interval(values):
     assert estimate.mean - estimate.low == pytest.approx(half, abs=1e-9)
 
 
-@given(st.lists(st.floats(-100, 100), min_size=2, max_size=10), st.integers(2, 5))
-def test_copies_within_a_cluster_add_no_information(values, copies):
-    once = clustered_mean(values, range(len(values)))
-    again = clustered_mean(np.repeat(values, copies), np.repeat(range(len(values)), copies))
-    assert again.low == pytest.approx(once.low, abs=1e-9)
-    assert again.high == pytest.approx(once.high, abs=1e-9)
-
-
-def test_one_cluster_leaves_the_interval_unknown():
-    estimate = clustered_mean([1.0, 2.0], [7, 7])
-    assert estimate.mean == 1.5
-    assert np.isnan(estimate.low)
-    assert np.isnan(estimate.high)
-
-
 def test_intervals_cover_as_often_as_they_say():
     rng = np.random.default_rng(5)
     covered = 0
@@ -54,18 +39,6 @@ def test_an_interval_of_a_share_is_one_of_shares(values):
     assert (cut.low, cut.high) == (max(0, plain.low), min(1, plain.high))
     assert 0 <= cut.low <= cut.mean + 1e-12
     assert cut.mean - 1e-12 <= cut.high <= 1
-
-
-def test_what_was_seen_is_possible():
-    cut = clustered_mean([-1, 0, 1, 4], range(4), possible=(0, 2))
-    assert (cut.low, cut.high) == (-1, 4)
-
-
-@given(st.lists(st.floats(0.1, 100), min_size=4, max_size=20), st.floats(0.1, 10))
-def test_a_ratio_that_never_varies_is_certain(below, ratio):
-    estimate = clustered_ratio(np.multiply(below, ratio), below, range(len(below)))
-    assert estimate.mean == pytest.approx(ratio)
-    assert (estimate.low, estimate.high) == (pytest.approx(ratio), pytest.approx(ratio))
 
 
 def test_ratios_cover_as_often_as_they_say_and_are_never_negative():

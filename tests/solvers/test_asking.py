@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.decisions import messages_given, question_asked
+from tests.decisions import question_asked, worth_by_enumeration
 from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleState
 from xplain.explanation.asking import Limits, Questions
-from xplain.explanation.belief import answered, update
+from xplain.explanation.belief import answered
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import CachedPolicy, Policy, best_action
+from xplain.solvers.base import CachedPolicy, best_action
 from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP
@@ -27,45 +26,6 @@ from xplain.testing.literal_pomdp import literal_optimal_value
 from xplain.testing.problems import random_problem, with_questions
 
 CLOSE = Effort(gap=1e-9, nodes=100_000, memory_gib=1.0)
-
-
-def plain_value(problem: Problem, policy: Policy) -> float:
-    """What a policy that asks is worth, by enumeration of all answers: nothing is merged."""
-    questions = problem.questions
-
-    def value(step: int, given: int, belief: np.ndarray, asked: int) -> float:
-        if step == problem.n_steps:
-            return 0.0
-        q = question_asked(policy, step, given, belief, asked)
-        if q is not None:
-            yes = float(belief @ questions.table.answer_probabilities(q + 1, given)[:, q])
-            total = -questions.limits.cost
-            for answer, p in ((1, yes), (0, 1 - yes)):
-                if p > 1e-12:
-                    after = answered(problem, belief, given, q, answer)
-                    total += p * value(step, given, after, asked | 1 << q)
-            return total
-        new = messages_given(policy, step, given, belief, asked)
-        price, delay = 0.0, 1.0
-        per_message = problem.discount if problem.discount_per == "action" else 1.0
-        for j in sorted(indices(new), key=lambda j: problem.message_cost[j]):
-            price += delay * problem.trade_off * float(problem.message_cost[j])
-            delay *= per_message
-        given |= new
-        thought = problem.table.label_probabilities(step + 1, given)
-        cost = problem.inexplicability_cost * float(belief @ (1 - thought).sum(axis=1))
-        p = problem.table.answer_probabilities(step + 1, given)
-        later = 0.0
-        for code in range(1 << step + 1):
-            labels = np.array([code >> i & 1 for i in range(step + 1)], np.uint8)
-            mass = float(belief @ np.where(labels == 1, p, 1 - p).prod(axis=1))
-            if mass > 1e-12:
-                later += mass * value(
-                    step + 1, given, update(problem, belief, given, labels), asked
-                )
-        return -price + delay * (-cost + problem.discount * later)
-
-    return value(0, 0, problem.prior, 0)
 
 
 def asking_problem(rng: np.random.Generator, undiscounted: bool = False) -> Problem:
@@ -137,7 +97,7 @@ def test_the_value_of_a_policy_that_asks_is_exact(solver: QMDP | POMCP | Certifi
         policy = CachedPolicy(solver.plan(problem, 0))  # sees beliefs rounded: one search each
         asked += question_asked(policy, 0, 0, problem.prior) is not None
         worth = evaluate(problem, policy)
-        assert worth.value == pytest.approx(plain_value(problem, policy), abs=1e-7)
+        assert worth.value == pytest.approx(worth_by_enumeration(problem, policy)[0], abs=1e-7)
         if number < 5:
             drawn = simulate(problem, policy, 400, 1)
             assert abs(drawn.value - worth.value) <= 4.5 * drawn.value_se + 1e-9
@@ -262,7 +222,10 @@ def test_a_question_is_part_of_what_an_unlikely_belief_may_cost() -> None:
     prior = np.array([0.9995, 0.0005])
     problem = Problem(LabelTable.dense(table), np.ones(1), prior=prior, questions=questions)
     policy = AsksWhere(1, lambda step, belief: step == 1 and belief[1] > 0.5)
-    found, true = evaluate(problem, policy, precision=0.01), plain_value(problem, policy)
+    found, true = (
+        evaluate(problem, policy, precision=0.01),
+        worth_by_enumeration(problem, policy)[0],
+    )
     assert true < -0.4
     assert found.value_is == "exact"
     assert found.value == pytest.approx(true, abs=0.01 * (1 - true))

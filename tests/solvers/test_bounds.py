@@ -9,14 +9,14 @@ import pytest
 
 from tests.decisions import worths
 from tests.solvers.plain_values import plain_optimal_value
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import TooLargeError
 from xplain.solvers.base import GIB
-from xplain.solvers.bounds import Bounds, bounds, known_type_value
+from xplain.solvers.bounds import bounds, known_type_value
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi import Effort
-from xplain.solvers.known_type import known_bytes
 from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.process import known_bytes
 from xplain.testing.literal_pomdp import reduced_optimal_value
 from xplain.testing.problems import random_problem
 
@@ -39,14 +39,6 @@ def test_bounds_and_prices_enclose_the_truth() -> None:
         value = evaluate(problem, QMDP().plan(problem)).value
         least, most = found.suboptimality(value)
         assert least - 1e-9 <= optimum - value <= most + 1e-9
-
-
-def test_prices_are_differences_that_are_never_negative() -> None:
-    found = Bounds(lower=-3.0, upper=-2.0, known_type=-0.5)
-    assert found.value_of_perfect_information == (1.5, 2.5)
-    assert found.suboptimality(-4.0) == (1.0, 2.0)
-    assert found.suboptimality(-2.5) == (0.0, 0.5)
-    assert found.suboptimality(-2.0) == (0.0, 0.0)
 
 
 def test_lookaheads_values_bound_the_optimum_and_tighten_that_by_known_types() -> None:
@@ -94,7 +86,7 @@ def test_as_many_messages_as_masks_hold_are_searched(monkeypatch: pytest.MonkeyP
     wide = (random_problem(rng, max_steps=3, max_messages=2) for _ in range(200))
     problem = next(p for p in wide if _open(p))
     for most, searched in ((2, True), (1, False)):
-        monkeypatch.setattr("xplain.solvers.hsvi.MAX_RELEVANT", most)
+        monkeypatch.setattr("xplain.solvers.process.MAX_RELEVANT", most)
         found = bounds(problem)
         assert (found.upper - found.lower <= 1e-3) == searched
         assert found.lower - 1e-9 <= reduced_optimal_value(problem) <= found.upper + 1e-9
@@ -111,9 +103,3 @@ def _open(problem) -> bool:
 def _between(problem) -> float:
     """Room for the tables of known types, not for those of the search."""
     return 1.1 * known_bytes(problem) / GIB
-
-
-@pytest.mark.parametrize("key", ["candidates", "answers", "memory_gib"])
-def test_bad_options(key: str) -> None:
-    with pytest.raises(InputError, match=key):
-        Lookahead(**{key: 0})

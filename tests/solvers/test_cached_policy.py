@@ -59,19 +59,3 @@ def test_what_was_asked_before_makes_no_difference() -> None:
     step, given, belief = questions[0]
     apart = worths(policy, step, given, belief * (1 + 1e-15))
     assert apart == pytest.approx(worths(policy, step, given, belief), rel=1e-15)
-
-
-def test_equal_beliefs_are_one_question() -> None:
-    """Zeros with a sign, and what differs by rounding, are the same belief with other bytes."""
-    rng = np.random.default_rng(4)
-    for number in range(20):
-        problem = Problem(rng.random((4, 5, 8)), np.ones(3), trade_off=0.3)
-        policy = POMCP(simulations=40).plan(problem, number)
-        belief = np.array([*rng.dirichlet(np.ones(3)), 0.0])
-        other = belief * (1 + 1e-15)
-        other[3] = -0.0
-        assert worths(policy, 1, 0, belief) == worths(policy, 1, 0, other)
-        slow = Slow()
-        cached = CachedPolicy(slow)
-        assert messages_given(cached, 1, 0, belief) == messages_given(cached, 1, 0, other)
-        assert slow.asked == 1

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 import tracemalloc
 
 import numpy as np
 import pytest
 
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import TooLargeError
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import GIB, check_memory
@@ -19,21 +18,6 @@ def test_what_fits_exactly_is_allowed_and_a_byte_more_is_not() -> None:
     check_memory("qmdp", GIB, 1.0, "fewer messages")
     with pytest.raises(TooLargeError, match=r"qmdp needs 1\.00 GiB.*fewer messages"):
         check_memory("qmdp", GIB + 1, 1.0, "fewer messages")
-
-
-@pytest.mark.parametrize(("size", "told"), [(GIB // 4, False), (GIB // 4 + 1, True)])
-def test_more_than_a_quarter_of_a_gibibyte_is_told(
-    size: int, told: bool, caplog: pytest.LogCaptureFixture
-) -> None:
-    with caplog.at_level(logging.INFO):
-        check_memory("qmdp", size, 8.0, "fewer messages")
-    assert bool(caplog.records) == told
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
-def test_a_limit_is_a_positive_number(value: float) -> None:
-    with pytest.raises(InputError, match=r"solver\.memory_gib"):
-        QMDP(memory_gib=value)
 
 
 def test_planning_type_by_type_takes_what_the_types_take() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,10 +23,9 @@ from xplain.solvers.base import Solver, best_action
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.greedy import QMDP, Baseline, Conformant, KnownType
 from xplain.solvers.hsvi import Certified
-from xplain.solvers.known_type import known_values
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp import POMCP
-from xplain.solvers.process import make_process
+from xplain.solvers.process import known_values, make_process
 from xplain.solvers.simple import QHR
 from xplain.testing.literal_pomdp import literal_optimal_value
 
@@ -253,19 +251,3 @@ def test_the_best_set_is_the_smallest_of_the_best_then_the_first(values: dict[in
     fewest = min(bin(chosen).count("1") for chosen in tied)
     first = min(chosen for chosen in tied if bin(chosen).count("1") == fewest)
     assert best_action({give(one): value for one, value in values.items()}) == give(first)
-
-
-def test_too_large_is_refused_before_memory_is_taken() -> None:
-    rng = np.random.default_rng(0)
-    problem = Problem(rng.random((2, 3, 1 << 10)), np.ones(10))
-    with pytest.raises(TooLargeError, match=r"GiB.*memory_gib.*qhr"):
-        QMDP(memory_gib=1e-5).plan(problem)
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
-@pytest.mark.parametrize(
-    "solver", [QMDP, Baseline, Conformant, KnownType, Lookahead, Certified, POMCP]
-)
-def test_memory_limit_must_be_positive(solver: Callable[..., Solver], value: float) -> None:
-    with pytest.raises(InputError, match="memory_gib"):
-        solver(memory_gib=value)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from tests.decisions import messages_given
 from tests.explanation.problems import tiny_problems
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
@@ -49,11 +48,3 @@ def test_what_they_are_worth_is_a_sum_over_prefixes(problem: Problem) -> None:
         worth = evaluate(problem, solver.plan(problem), beliefs=100_000)
         assert worth.value_is == "exact"
         assert worth.cost == pytest.approx(expected)
-
-
-def test_what_was_said_is_not_said_again() -> None:
-    problem = Problem(np.full((1, 2, 8), 0.5), np.ones(3))
-    policy, belief = SayAll().plan(problem), np.ones(1)
-    assert messages_given(policy, 0, 0, belief) == 0b111
-    assert messages_given(policy, 1, 0b010, belief) == 0b101
-    assert messages_given(policy, 1, 0b111, belief) == 0

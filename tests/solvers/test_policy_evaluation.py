@@ -4,65 +4,22 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from numpy.typing import NDArray
 
-from tests.decisions import messages_given
+from tests.decisions import messages_given, worth_by_enumeration
 from tests.explanation.problems import tiny_problems
 from xplain.explanation.actions import Action, VisibleState, give
-from xplain.explanation.belief import rounded, update
+from xplain.explanation.belief import rounded
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Policy
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR
 from xplain.testing.literal_pomdp import reduced_optimal_value
-
-
-def worth_by_enumeration(
-    problem: Problem,
-    policy: Policy,
-    step: int = 0,
-    shown: int = 0,
-    belief: NDArray[np.float64] | None = None,
-) -> tuple[float, float]:
-    """Discounted return and undiscounted cost, over every label vector."""
-    if belief is None:
-        belief = problem.prior
-    if step == problem.n_steps:
-        return 0.0, 0.0
-    per_message = problem.discount if problem.discount_per == "action" else 1.0
-    new = messages_given(policy, step, shown, belief)
-    value, cost, factor = 0.0, 0.0, 1.0
-    prices = [
-        problem.trade_off * float(problem.message_cost[j])
-        for j in range(problem.n_messages)
-        if new >> j & 1
-    ]
-    for price in sorted(prices):
-        value -= factor * price
-        cost += price
-        factor *= per_message
-    shown |= new
-    thought = problem.table.label_probabilities(step + 1, shown)
-    zeros = problem.inexplicability_cost * float(belief @ (1 - thought).sum(axis=1))
-    value, cost = value - factor * zeros, cost + zeros
-    p = problem.table.answer_probabilities(step + 1, shown)
-    for labels in product((0, 1), repeat=step + 1):
-        answer = np.array(labels, dtype=np.uint8)
-        likelihood = np.where(answer == 1, p, 1 - p).prod(axis=1)
-        probability = float(belief @ likelihood)
-        if probability > 0:
-            after = update(problem, belief, shown, answer)
-            later_value, later_cost = worth_by_enumeration(problem, policy, step + 1, shown, after)
-            value += factor * probability * problem.discount * later_value
-            cost += probability * later_cost
-    return value, cost
 
 
 @settings(deadline=None, max_examples=60)

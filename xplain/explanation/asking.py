@@ -132,28 +132,6 @@ class Questions:
         text = self.texts[number] if self.texts else f"question {number + 1}"
         return worded(number, text, int(self.right[number]))
 
-    def open(self, step: int, given: int | None, asked: int) -> list[int]:
-        """The questions that may be asked at (k, H): of those that are alike the nearest not
-        ``asked`` (a bitmask) yet. The rule by which :mod:`xplain.solvers.voi` goes as well.
-
-        Where nobody can tell what a user knows, ``given`` is None, and clips are alike that are so
-        whatever is known.
-        """
-        if asked.bit_count() >= self.limits.most:
-            return []
-        if self.limits.when == "first" and (step or given):
-            return []
-        count, labels, answers = len(self), self.table.p, self.table.answered
-        if given is not None:
-            labels = self.table.label_probabilities(count, given).T
-            answers = self.table.answer_probabilities(count, given).T
-        tells = np.ptp(answers, axis=tuple(range(1, answers.ndim))) > 0
-        found: dict[bytes, int] = {}
-        for q, column in enumerate(labels >= 0.5):
-            if tells[q] and not asked >> q & 1:
-                found.setdefault(column.tobytes(), q)
-        return list(found.values())
-
 
 def worded(number: int, text: str, right: int) -> Question:
     """A question for people, of what :class:`Questions` has of it."""

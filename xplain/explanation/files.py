@@ -90,13 +90,13 @@ def load(path: str | Path) -> Problem:
         # TypeError, that it holds one array.
         reason = getattr(error, "strerror", None) or "it must hold named arrays of numbers"
         raise InputError("problem", str(path), f"not a readable .npz file ({reason})") from None
-    asked = {k.removeprefix(PREFIX): arrays.pop(k) for k in [*arrays] if k.startswith(PREFIX)}
+    own = {k.removeprefix(PREFIX): arrays.pop(k) for k in [*arrays] if k.startswith(PREFIX)}
     table = _table_of(arrays, {"message_cost"}, Problem)
-    if asked:
+    if own:
         needed = {*BY_TYPE, *(field.name for field in fields(Limits))}
-        questions = _table_of(asked, needed, Questions, Limits)
-        limits = Limits(**{field.name: asked.pop(field.name) for field in fields(Limits)})
-        arrays["questions"] = Questions(questions, limits, **asked)
+        questions = _table_of(own, needed, Questions, Limits)
+        limits = Limits(**{field.name: own.pop(field.name) for field in fields(Limits)})
+        arrays["questions"] = Questions(questions, limits, **own)
     if "habits" in arrays:
         arrays["habits"] = Habits(*numbers("habits", arrays["habits"]))
     return Problem(table, **arrays)

@@ -7,7 +7,7 @@ alone, wherever it stood. The experiments, the study and the sessions that peopl
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import InitVar, dataclass, field
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -72,11 +72,6 @@ class DialogueState(NamedTuple):
     told: bool = False
     repeats: bool = False
     clips: int = 0
-
-
-def begin(problem: Problem) -> DialogueState:
-    """Nothing was said or shown yet."""
-    return DialogueState(VisibleState(), problem.start)
 
 
 def advance(
@@ -150,7 +145,7 @@ class Dialogue:
         problem: what the agent believes of users.
         policy: planned for that problem.
         belief_update: which labels change the belief.
-        events: what happened since ``stands``, where it stood before; None at the beginning.
+        events: what happened, in order.
         state: what follows from them.
     """
 
@@ -158,11 +153,10 @@ class Dialogue:
     policy: Policy
     belief_update: BeliefUpdate
     events: list[Event] = field(default_factory=list)
-    stands: InitVar[DialogueState | None] = None
     state: DialogueState = field(init=False)
 
-    def __post_init__(self, stands: DialogueState | None) -> None:
-        self.state = begin(self.problem) if stands is None else stands
+    def __post_init__(self) -> None:
+        self.state = DialogueState(VisibleState(), self.problem.start)
         events, self.events = self.events, []
         self.hear(*events)
 

@@ -6,6 +6,7 @@ docs/method.md, section 7.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,10 +159,6 @@ def _asked(episode: Episode) -> NDArray[np.float64]:
 
 
 def _ragged_mean(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    longest = max(len(row) for row in rows)
-    total, count = np.zeros(longest), np.zeros(longest)
-    for row in rows:
-        total[: len(row)] += row
-        count[: len(row)] += 1
-    mean: NDArray[np.float64] = total / count
+    padded = np.array(list(zip_longest(*rows, fillvalue=np.nan)), np.float64)
+    mean: NDArray[np.float64] = np.nanmean(padded, axis=1)
     return mean

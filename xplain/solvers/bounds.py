@@ -14,8 +14,14 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.base import check_memory, messages_of
 from xplain.solvers.greedy import Greedy
 from xplain.solvers.hsvi import Effort, search
-from xplain.solvers.known_type import KnownValues, known_bytes, known_values
-from xplain.solvers.process import Process, make_process, set_prices
+from xplain.solvers.process import (
+    KnownValues,
+    Process,
+    known_bytes,
+    known_values,
+    make_process,
+    set_prices,
+)
 
 
 @dataclass(frozen=True)
@@ -53,8 +59,8 @@ def bounds(
     problem: Problem, effort: Effort = DEFAULT, told: Callable[[float], None] | None = None
 ) -> Bounds:
     """Certified bounds of the optimal value: by HSVI; where its tables would take more than the
-    effort's memory by one step of lookahead; where messages are too many for that too, from
-    above by known types and from below by plans that use no answer.
+    effort's memory, or messages are too many, from above by known types and from below by plans
+    that use no answer.
 
     Args:
         problem: from the start of the trace.
@@ -71,7 +77,7 @@ def bounds(
             raise
         return _simple_bounds(problem, effort.memory_gib)
     start = problem.start
-    known = float(start @ found.tables.known[0, : start.size])
+    known = float(start @ found.tables.model.value[0, : start.size])
     return Bounds(found.lower, found.upper, known)
 
 

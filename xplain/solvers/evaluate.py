@@ -17,13 +17,13 @@ from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.randomness import stream
 from xplain.solvers.base import CachedPolicy, Policy, PolicyValue, messages_of
-from xplain.solvers.known_type import known_values
 from xplain.solvers.process import (
     Process,
     before_step,
     forget,
     give_all,
     hear_answer,
+    known_values,
     make_process,
     outcomes,
     set_prices,

@@ -1,6 +1,6 @@
 """Solvers that act as if the hidden state became known after the next action.
 
-Q(b, a) = E[Q*(k, v, s, a)], Q* by exact dynamic programming (:mod:`xplain.solvers.known_type`):
+Q(b, a) = E[Q*(k, v, s, a)], Q* by exact dynamic programming (:mod:`xplain.solvers.process`):
 
 - *QMDP* (Littman, Cassandra & Kaelbling 1995; the paper, "Myopic Approximation: QMDP") takes the
   user types, and never asks for a label's sake;
@@ -22,19 +22,23 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError, Positive, checks
 from xplain.explanation.actions import EXPLAIN, Action, GiveMessages, VisibleState, give
+from xplain.explanation.label_table import DENSE
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy, best_of, check_memory
-from xplain.solvers.known_type import KnownValues, known_bytes, known_values
 from xplain.solvers.process import (
+    PATIENCE,
+    KnownValues,
     Process,
     before_step,
     expected_after_giving,
+    known_bytes,
+    known_values,
     make_process,
     matters,
 )
 from xplain.solvers.process import give as give_message
-from xplain.solvers.voi import PATIENCE, with_questions
+from xplain.solvers.voi import with_questions
 
 
 @dataclass(frozen=True)
@@ -129,7 +133,7 @@ class Baseline:
     labelers, weighed by the prior.
 
     Args:
-        memory_gib: most that the tables [steps, 2^messages] may take.
+        memory_gib: most that its tables may take.
     """
 
     memory_gib: Positive = 8.0
@@ -137,8 +141,7 @@ class Baseline:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        one = problem.mixture(problem.prior)
-        return FixedBelief(greedy_policy(one, "baseline", self.memory_gib), one_type)
+        return one_labeler(problem, problem.prior, "baseline", self.memory_gib)
 
 
 @checks("solver")
@@ -148,7 +151,7 @@ class Conformant:
     by a belief nor divided by M (the paper's user study; docs/choices.md, slip 3).
 
     Args:
-        memory_gib: most that the tables [steps, 2^messages] may take.
+        memory_gib: most that its tables may take.
     """
 
     memory_gib: Positive = 8.0
@@ -158,11 +161,23 @@ class Conformant:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         # M types' costs are M times the cost of the mean labeler.
         count = len(np.unique(problem.whose[problem.as_found]))
-        summed = replace(
-            problem.mixture(problem.as_found / problem.as_found.sum()),
-            inexplicability_cost=problem.inexplicability_cost * count,
-        )
-        return FixedBelief(greedy_policy(summed, "conformant", self.memory_gib), one_type)
+        cost = problem.inexplicability_cost * count
+        shares = problem.as_found / problem.as_found.sum()
+        summed = replace(problem, inexplicability_cost=cost)
+        return one_labeler(summed, shares, "conformant", self.memory_gib)
+
+
+def one_labeler(
+    problem: Problem, shares: NDArray[np.float64], what: str, memory_gib: float
+) -> FixedBelief:
+    """QMDP for one type in the place of all, whose labels are as likely as those of a user drawn by
+    ``shares`` [N] anew for every label. Where more than DENSE messages matter, a table over all of
+    their sets is too large: QMDP then holds ``shares`` for its belief for ever, and so plans what
+    comes later for each type alone."""
+    if problem.messages_land and len(problem.messages_with_effect) > DENSE:
+        return FixedBelief(greedy_policy(problem, what, memory_gib), lambda _: shares)
+    one = problem.mixture(shares)
+    return FixedBelief(greedy_policy(one, what, memory_gib), lambda _: np.ones(1))
 
 
 @checks("solver")
@@ -203,11 +218,6 @@ class FixedBelief:
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """As :class:`xplain.solvers.base.Policy` says."""
         return self.policy.values(visible, self.belief_of(belief))
-
-
-def one_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The belief for a policy of one type in a world of several: the given one is ignored."""
-    return np.ones(1)
 
 
 def certain_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -25,9 +25,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import Count, Positive, Range, TooLargeError, checks
+from xplain.errors import Count, Positive, Range, checks
 from xplain.explanation.actions import Action, AskQuestion, VisibleState, give
-from xplain.explanation.label_table import MAX_RELEVANT, NONE
+from xplain.explanation.label_table import NONE
 from xplain.explanation.message_sets import compress, expand
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
@@ -50,13 +50,15 @@ from xplain.solvers.hsvi_kernel import (
     Store,
     Tables,
 )
-from xplain.solvers.known_type import known_values
+from xplain.solvers.pomcp import search_model
 from xplain.solvers.process import (
     Process,
     before_step,
     expected_after_forgetting,
+    known_values,
     make_process,
     set_prices,
+    weighable,
 )
 
 log = logging.getLogger(__name__)
@@ -71,8 +73,6 @@ TAIL = 0.6
 """Share of the gap that may come from answers not told apart."""
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
-MISSED = 10
-"""Messages whose sets are weighed together where they may be missed, at most."""
 Gap = Annotated[float, Range(1e-9)]
 
 
@@ -146,17 +146,14 @@ class Searched:
         """Upper bound on the root's optimal value."""
         return float(self.store.nodes["upper"][ROOT])
 
-    def whole(self, given: int) -> int:
-        """The bitmask of all messages for one of the tables'."""
-        return expand(given, self.kept)
-
     def values(self, node: int = int(ROOT)) -> dict[Action, float]:
         """Certified lower bounds of the actions not ruled out at an opened node."""
         opened = self.store.nodes[node]
         first = int(opened["first_action"])
         actions = self.store.actions[first : first + int(opened["n_actions"])]
         names = [
-            AskQuestion(~m) if m < 0 else give(self.whole(m)) for m in actions["messages"].tolist()
+            AskQuestion(~m) if m < 0 else give(expand(m, self.kept))
+            for m in actions["messages"].tolist()
         ]
         return dict(zip(names, actions["lower"].tolist(), strict=True))
 
@@ -304,18 +301,13 @@ class _Search:
 
 def _words(tables: Tables, asked: int) -> NDArray[np.int64]:
     """A bitmask of questions in integers of WORD bits, the first questions first."""
-    words = range(-(-len(tables.asked) // WORD))
+    words = range(-(-len(tables.model.asked_answered) // WORD))
     return np.array([asked >> WORD * w & (1 << WORD) - 1 for w in words], np.int64)
 
 
 def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple[int, ...]]:
     """The process, as the search reads it, and the messages that matter, the cheapest first."""
-    kept, limit = problem.messages_with_effect, MAX_RELEVANT if problem.messages_land else MISSED
-    if len(kept) > limit:
-        raise TooLargeError(
-            f"certified weighs sets of messages together: {len(kept)} matter on this trace, "
-            f"at most {limit}; solver=qmdp or pomcp gives one after the other"
-        )
+    kept = weighable(problem, "certified")
     sets = 1 << len(kept) if problem.messages_land else 1 << 2 * problem.table.relevant.shape[1]
     size = 48 * (problem.n_steps + 1) * sets * problem.n_types
     check_memory("certified", size, memory_gib, "solver=qhr plans without tables")
@@ -325,7 +317,6 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
     if process.jump is None and kept:
         kept = tuple(process.own[0][process.own[0] != NONE].tolist())
     cells, states, steps = process.p.shape[1], process.n_states, process.n_steps
-    above = np.ascontiguousarray(known.value[:, :cells])
     by_type = 8 * states * (steps + 1) * cells <= memory_gib * GIB - size and process.jump is None
     plans = np.zeros((states + 1 if by_type else 1, steps + 1, cells))
     for k in reversed(range(steps)):
@@ -333,45 +324,27 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
         plans[-1, k] = process.discount * later - process.explain_cost[k]
     if by_type:
         price, discounts = process.price[list(kept)], (process.discount, process.message_discount)
-        kernel.make_plans(above, known.explain, process.explain_cost, price, discounts, plans)
+        kernel.make_plans(known.value, known.explain, process.explain_cost, price, discounts, plans)
     prices, factors = set_prices(
         process, np.array([expand(c, kept) for c in range(1 << len(kept))])
     )
     worst = process.explain_cost.max(axis=1) + process.price.sum()
-    questions, nothing = process.questions, np.zeros(0)
+    questions, model = process.questions, search_model(process, known, searches=False)
     floor = np.append(-np.cumsum(worst[::-1])[::-1], 0.0) - questions.cost * questions.most
-    jump = np.zeros((0, states), np.int64) if process.jump is None else process.jump[list(kept)]
-    forget = np.zeros(process.n_types) if process.forget is None else process.forget
-    tables = Tables(
-        states if process.jump is None else 0,
-        process.answered,
-        process.explain_cost,
-        above,
-        known.explain,
-        plans,
-        floor - 1.0,
-        prices,
-        factors,
-        jump,
-        nothing if process.accept is None else process.accept,
-        forget,
-        process.discount,
-        questions.answered,
-        questions.likelier,
-        questions.cells.stride[list(kept)],
-        questions.cost,
-        questions.most,
-        questions.first,
-    )
+    model = model._replace(question_stride=questions.cells.stride[list(kept)])
+    if process.jump is not None:
+        model = model._replace(jump=process.jump[list(kept)])
+    width = states if process.jump is None else 0
+    tables = Tables(model, width, plans, floor - 1.0, prices, factors)
     return process, tables, kept
 
 
 def _store(tables: Tables, states: int, nodes: int = 1 << 10) -> Store:
     """An empty store, with room for so many nodes."""
-    sets, words = len(tables.price), -(-len(tables.asked) // WORD)
+    sets, words = len(tables.price), -(-len(tables.model.asked_answered) // WORD)
     actions, rows = max(4 * nodes, 2 * sets), 16
     visible = sets if tables.width else 1
-    places = np.zeros((len(tables.cost), visible), kernel.PLACE)
+    places = np.zeros((len(tables.model.explain_cost), visible), kernel.PLACE)
     places["row"] = kernel.NONE
     return Store(
         np.zeros(8, np.int64),
@@ -379,7 +352,7 @@ def _store(tables: Tables, states: int, nodes: int = 1 << 10) -> Store:
         np.zeros((nodes, states)),
         np.zeros((nodes, states)),
         np.zeros((nodes, words), np.int64),
-        np.zeros(actions + len(tables.asked), kernel.ACTION),
+        np.zeros(actions + len(tables.model.asked_answered), kernel.ACTION),
         np.zeros(4 * nodes, kernel.ANSWER),
         np.zeros((4 * nodes, states)),
         np.zeros(actions, np.int64),
@@ -424,7 +397,7 @@ def _grown(store: Store) -> Store:
 
 def _scratch(tables: Tables, store: Store, answers: int) -> Scratch:
     states, words = store.belief.shape[1], store.asked.shape[1]
-    levels = len(tables.cost) + tables.most + 1
+    levels = len(tables.model.explain_cost) + tables.model.most + 1
     return Scratch(
         np.empty((answers, states)),
         np.empty((answers, states)),
@@ -432,9 +405,10 @@ def _scratch(tables: Tables, store: Store, answers: int) -> Scratch:
         np.empty(states),
         np.empty(states),
         np.empty(words, np.int64),
-        np.empty((len(tables.cost) + 1, states)),
+        np.empty((len(tables.model.explain_cost) + 1, states)),
         np.empty((len(tables.price), states)),
-        np.empty(len(tables.asked)),
+        np.empty(len(tables.model.asked_answered)),
+        np.empty(states, np.int64),
         np.empty(levels, np.int64),
         np.empty(levels, np.int64),
         np.empty(levels),

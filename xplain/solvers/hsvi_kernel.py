@@ -24,6 +24,7 @@ from numba import njit, uint64
 from numpy.typing import NDArray
 
 from xplain.numba_kernels import GOLDEN, borrow, first_bit, kernel, part, splitmix64
+from xplain.solvers.parts import NO_NEWS, SearchModel, find_cell, forget, give, rank_questions
 
 NODE = np.dtype(
     [
@@ -66,8 +67,6 @@ HAIR = 1e-12
 """Relative to 1 + its size, what rounding may change a value by."""
 ROUNDING = 1e-14
 """Differences below this are rounding."""
-NO_NEWS = 1e-12
-"""Nats below which an answer tells nothing."""
 WORD = 62
 """Questions whose bits one integer holds."""
 DONE, WORKING, FULL = 0, 1, 2
@@ -79,43 +78,23 @@ NEWS = 0.01
 
 
 class Tables(NamedTuple):
-    """A process as the search reads it: m steps, S states, messages in the order of their prices.
-    (v, s) is in cell s + v · width.
+    """What a search reads: m steps, S states, messages in the order of their prices.
 
     Attributes:
+        model: the process, of these messages; (v, s) is in cell s + v · width.
         width: S where messages land; 0 where they may be missed.
-        answered, cost: [m, cells] P(answer 1), and the expected cost of *explain*.
-        known: [m + 1, cells] V of known states, and explain: [m, cells] Q of *explain*.
         plans: [U, m + 1, cells] values of plans that ignore all answers, which bound every belief
             from below; the last is silence.
         floor: [m + 1] every policy earns at least this in every state.
         price, factor: [2^n] discounted price of a set, and what discounts the *explain* after it.
-        jump, accept, forget: [n, S], [S], [N]; empty where messages land.
-        discount: γ.
-        asked: [Q, question cells] P(answer 1), and likelier: whether the label is likelier 1;
-            question_stride: [n, S] of these.
-        question_cost, most, first: κ, questions asked at most, and whether only at the start.
     """
 
+    model: SearchModel
     width: int
-    answered: NDArray[np.float64]
-    cost: NDArray[np.float64]
-    known: NDArray[np.float64]
-    explain: NDArray[np.float64]
     plans: NDArray[np.float64]
     floor: NDArray[np.float64]
     price: NDArray[np.float64]
     factor: NDArray[np.float64]
-    jump: NDArray[np.int64]
-    accept: NDArray[np.float64]
-    forget: NDArray[np.float64]
-    discount: float
-    asked: NDArray[np.float64]
-    likelier: NDArray[np.bool_]
-    question_stride: NDArray[np.int64]
-    question_cost: float
-    most: int
-    first: bool
 
 
 class Store(NamedTuple):
@@ -165,7 +144,7 @@ class Scratch(NamedTuple):
     Attributes:
         like, more: [answers, S] likelihoods of answers, and of one kind of label more.
         belief, after, tail: [S]; asked: [words]; ways: [m + 1, S] likelihoods of a number of 1s.
-        under: [2^n, S] as of the store, for all sets; news: [Q].
+        under: [2^n, S] as of the store, for all sets; news: [Q]; cells: [S].
         path: [levels] nodes of a trial, actions, and gaps before it.
     """
 
@@ -178,6 +157,7 @@ class Scratch(NamedTuple):
     ways: NDArray[np.float64]
     under: NDArray[np.float64]
     news: NDArray[np.float64]
+    cells: NDArray[np.int64]
     path: NDArray[np.int64]
     taken: NDArray[np.int64]
     gaps: NDArray[np.float64]
@@ -230,7 +210,7 @@ def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[n
     """Fills in the optimal plan of each type, where messages land: its value for every type.
 
     Args:
-        known, explain, cost: as of :class:`Tables`.
+        known, explain, cost: V, and Q and cost of *explain*, as of the model.
         price: [n] of each message.
         discounts: γ of *explain* and γ' of a message.
         plans: [U, m + 1, cells] with N plans before the last.
@@ -323,7 +303,8 @@ def _settle(tables, store, scratch, missed, index, allowed, tail_gap):  # type: 
             if store.actions[best].first_answer >= 0:
                 chosen = best
                 break
-            if node.step == len(tables.cost) - 1 and store.actions[best].messages >= 0:
+            last = node.step == len(tables.model.explain_cost) - 1
+            if last and store.actions[best].messages >= 0:
                 break  # nothing comes after it
             if not _expand(tables, store, scratch, missed, index, best, tail_gap):
                 chosen = np.int64(NO_ROOM)
@@ -366,7 +347,7 @@ def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
             if begin < 0 or _credit(store, begin, begin + node.n_actions, messages, value):
                 node.lower, node.earned_by = value, messages
                 _copy(store.vector[row, i], store.alpha[index])
-    known = tables.known[node.step]
+    known = tables.model.value[node.step]
     first = node.given * tables.width
     for i in range(min(store.published[row, 1], KEPT) if row >= 0 else 0):
         if not _asked_alike(store, index, store.source[row, i, 1]):
@@ -435,19 +416,19 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
     """A node's alpha vector: the value by state of taking an expanded action, and then what the
     alpha vectors of the answers' nodes stand for."""
     node, action, alpha = store.nodes[index], store.actions[a], store.alpha[index]
-    belief, step, discount = scratch.belief, node.step, tables.discount
+    belief, step, discount = scratch.belief, node.step, tables.model.discount
     _copy(store.belief[index], belief)
     shown = node.given
     if action.messages < 0:
         for s in range(len(alpha)):
-            alpha[s] = -tables.question_cost
+            alpha[s] = -tables.model.question_cost
         discount = 1.0
     else:
         shown |= action.messages if missed is None else 0
         if missed is not None:
-            _give(tables, action.messages, belief)
+            _give_all(tables, action.messages, belief)
         for s in range(len(alpha)):
-            alpha[s] = -tables.cost[step, shown * tables.width + s]
+            alpha[s] = -tables.model.explain_cost[step, shown * tables.width + s]
     for o in range(action.first_answer, action.first_answer + action.n_answers):
         after = store.answers[o].node
         if after >= 0:
@@ -481,7 +462,7 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
     if place.row < 0 and not _list_sets(tables, store, scratch, missed, node.step, node.given):
         return False
     begin = store.used[ACTIONS]
-    if begin + place.n_sets + len(tables.asked) > len(store.actions):
+    if begin + place.n_sets + len(tables.model.asked_answered) > len(store.actions):
         return False
     best, end, lower = -np.inf, begin, node.lower
     for c in range(place.first_set, place.first_set + place.n_sets):
@@ -490,7 +471,7 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
         if upper > best or not _below(upper, lower):
             action = store.actions[end]
             action.messages, action.upper = store.sets[c], upper
-            action.base, action.later = _dot(belief, store.base[c]), tables.discount
+            action.base, action.later = _dot(belief, store.base[c]), tables.model.discount
             action.later *= tables.factor[store.sets[c]]
             action.lower = _dot(belief, store.under[c])
             if missed is None:  # then no answer changes what a plan expects of this belief
@@ -504,19 +485,20 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
             lower = max(lower, action.lower)
         best = max(best, upper)
     said = best
-    if len(tables.asked) > 0:
-        most = _dot_cells(tables, belief, tables.known[node.step], node.given)
+    if len(tables.model.asked_answered) > 0:
+        most = _dot_cells(tables, belief, tables.model.value[node.step], node.given)
         plan = _best_plan(tables, belief, node.step, node.given)
         least = _dot_cells(tables, belief, tables.plans[plan, node.step], node.given)
-        most -= tables.question_cost
+        most -= tables.model.question_cost
         most += HAIR * (1.0 - most)  # bounds from elsewhere may be above it by rounding
         if not _below(most, lower):
             _rank_questions(tables, store, scratch, index)
-            for q in range(len(tables.asked)):
+            for q in range(len(tables.model.asked_answered)):
                 if scratch.news[q] > NO_NEWS or ~q == node.earned_by:
                     action = store.actions[end]
-                    action.messages, action.base, action.later = ~q, -tables.question_cost, 1.0
-                    action.upper, action.lower = most, min(least - tables.question_cost, most)
+                    action.messages, action.later = ~q, 1.0
+                    action.base = -tables.model.question_cost
+                    action.upper, action.lower = most, min(least - tables.model.question_cost, most)
                     end += 1
                     best = max(best, most)
     _credit(store, begin, end, node.earned_by, node.lower)
@@ -555,8 +537,8 @@ def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-
         shown = (given | chosen if missed is None else 0) * tables.width
         base, over, under = store.base[end], store.over[end], scratch.under[chosen]
         for s in range(states):
-            base[s] = -tables.cost[step, shown + s]
-            over[s] = tables.explain[step, shown + s]
+            base[s] = -tables.model.explain_cost[step, shown + s]
+            over[s] = tables.model.explain[step, shown + s]
             under[s] = tables.plans[-1, step, shown + s]
         if missed is not None:
             for vector in (base, over, under):
@@ -607,11 +589,12 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
         scratch.asked[~messages // WORD] |= 1 << (~messages % WORD)
         for s in range(len(belief)):
             scratch.tail[s] = 0.0
-            like[1, s] = _question(tables, ~messages, given, s)
+            cell = find_cell(tables.model.question_stride, given, s)
+            like[1, s] = tables.model.asked_answered[~messages, cell]
             like[0, s] = 1.0 - like[1, s]
     else:
         if missed is not None:
-            _give(tables, messages, belief)
+            _give_all(tables, messages, belief)
             given = np.int64(0)
         else:
             given |= messages
@@ -623,8 +606,8 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
             for s in range(len(belief)):
                 scratch.after[s] = scratch.tail[s] * belief[s]
             if missed is not None:
-                _forget(tables, scratch.after)
-            upper = _dot_cells(tables, scratch.after, tables.known[step + 1], given)
+                forget(tables.model.forget, scratch.after)
+            upper = _dot_cells(tables, scratch.after, tables.model.value[step + 1], given)
             lower = _dot_cells(tables, scratch.after, tables.plans[-1, step + 1], given)
             action.tail_upper, action.tail_lower = action.later * upper, action.later * lower
             if action.tail_upper - action.tail_lower <= gap or negligible == 0.0:
@@ -648,7 +631,7 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
                 for s in range(len(belief)):
                     scratch.after[s] /= total
                 if missed is not None and messages >= 0:
-                    _forget(tables, scratch.after)
+                    forget(tables.model.forget, scratch.after)
                 after = _node_of(tables, store, step, given, scratch.after, scratch.asked)
                 store.answers[end].node = after
             end += 1
@@ -674,9 +657,9 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
         if size == 0 or count < 0:
             continue
         for s in range(states):
-            yes = tables.answered[i, first + s]
+            yes = tables.model.answered[i, first + s]
             for ones in range(size + 1):
-                scratch.ways[ones, s] = _power(yes, ones) * _power(1.0 - yes, size - ones)
+                scratch.ways[ones, s] = yes**ones * (1.0 - yes) ** (size - ones)
         found = 0
         for row in range(count):
             choose = 1.0
@@ -698,14 +681,6 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
 
 
 @part
-def _power(x, exponent):  # type: ignore[no-untyped-def]
-    value = 1.0
-    for _ in range(exponent):
-        value *= x
-    return value
-
-
-@part
 def _kind_size(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
     """How many of the labels of a step have the column of label i, where this is the first of them
     and not the same in all possible states; else 0."""
@@ -714,12 +689,12 @@ def _kind_size(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
         if belief[s] > 0.0:
             if one < 0:
                 one = s
-            news |= tables.answered[i, first + s] != tables.answered[i, first + one]
+            news |= tables.model.answered[i, first + s] != tables.model.answered[i, first + one]
     for j in range(step + 1 if news else 0):
         same = True
         for s in range(len(belief)):
             if belief[s] > 0.0:
-                same &= tables.answered[i, first + s] == tables.answered[j, first + s]
+                same &= tables.model.answered[i, first + s] == tables.model.answered[j, first + s]
         if same and j < i:
             size = 0
             break
@@ -727,59 +702,21 @@ def _kind_size(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
     return size
 
 
-@part
-def _question(tables, q, given, s):  # type: ignore[no-untyped-def]
-    """P(answer 1) to a question."""
-    return tables.asked[q, _question_cell(tables, given, s)]
-
-
-@part
-def _question_cell(tables, given, s):  # type: ignore[no-untyped-def]
-    at, left = s, given
-    while left:
-        at += tables.question_stride[first_bit(left), s]
-        left &= left - 1
-    return at
-
-
 @njit(nogil=True)
 def _rank_questions(tables, store, scratch, index):  # type: ignore[no-untyped-def]
-    """Fills ``scratch.news`` [Q] with what the questions tell that may be asked at a node (mutual
-    information), −1 for others. A question counts as the most telling of its kind that was not
-    asked, as that may be asked after it alone."""
-    node, belief = store.nodes[index], store.belief[index]
-    left = tables.most
-    for q in range(len(tables.asked)):
-        left -= store.asked[index, q // WORD] >> (q % WORD) & 1
-    late = tables.first and (node.step > 0 or node.given > 0)
-    for q in range(len(tables.asked)):
-        mean, certain, alike = 0.0, 0.0, True
-        for s in range(len(belief)):
-            p = _question(tables, q, node.given, s)
-            alike &= p == _question(tables, q, node.given, 0)
-            mean += belief[s] * p
-            certain += belief[s] * _entropy(p)
-        known = store.asked[index, q // WORD] >> (q % WORD) & 1 == 1
-        closed = alike or known or left <= 0 or late
-        scratch.news[q] = -1.0 if closed else max(_entropy(mean) - certain, 0.0)
-        for other in range(q):
-            if scratch.news[q] >= 0.0 and scratch.news[other] >= 0.0:
-                same = True
-                for s in range(len(belief)):
-                    cell = _question_cell(tables, node.given, s)
-                    same &= tables.likelier[q, cell] == tables.likelier[other, cell]
-                if same:
-                    scratch.news[other] = max(scratch.news[other], scratch.news[q])
-                    scratch.news[q] = -1.0
-
-
-@part
-def _entropy(p):  # type: ignore[no-untyped-def]
-    """Of a bit, in nats."""
-    value = 0.0
-    if 0.0 < p < 1.0:
-        value = -p * np.log(p) - (1.0 - p) * np.log1p(-p)
-    return value
+    """Fills ``scratch.news`` [Q] with what the questions tell that may be asked at a node."""
+    node, asked = store.nodes[index], store.asked[index]
+    left = tables.model.most
+    for q in range(len(tables.model.asked_answered)):
+        left -= asked[q // WORD] >> (q % WORD) & 1
+    closed = left <= 0 or (tables.model.first and (node.step > 0 or node.given > 0))
+    for q in range(len(tables.model.asked_answered)):
+        known = asked[q // WORD] >> (q % WORD) & 1 == 1
+        scratch.news[q] = -1.0 if closed or known else 0.0
+    for s in range(len(scratch.cells)):
+        scratch.cells[s] = find_cell(tables.model.question_stride, node.given, s)
+    belief, model = store.belief[index], tables.model
+    rank_questions(model.asked_answered, model.likelier, scratch.cells, belief, scratch.news)
 
 
 @njit(nogil=True)
@@ -800,7 +737,7 @@ def _node_of(tables, store, step, given, belief, asked):  # type: ignore[no-unty
         plan = _best_plan(tables, belief, step, given)
         for s in range(len(belief)):
             store.alpha[index, s] = tables.plans[plan, step, given * tables.width + s]
-        node.upper = _dot_cells(tables, belief, tables.known[step], given)
+        node.upper = _dot_cells(tables, belief, tables.model.value[step], given)
         node.lower = min(_dot(belief, store.alpha[index]), node.upper)
         _tighten(tables, store, index)
     return index
@@ -856,17 +793,12 @@ def _rehash(store):  # type: ignore[no-untyped-def]
 
 
 @part
-def _give(tables, messages, belief):  # type: ignore[no-untyped-def]
-    """The belief after these messages were said: of each a part α has it right then."""
+def _give_all(tables, messages, belief):  # type: ignore[no-untyped-def]
+    """The belief after these messages were said."""
     left = messages
     while left:
-        jump = tables.jump[first_bit(left)]
+        give(tables.model.jump[first_bit(left)], tables.model.accept, belief)
         left &= left - 1
-        for s in range(len(belief)):
-            if jump[s] > 0 and belief[s] > 0.0:
-                landed = tables.accept[s] * belief[s]
-                belief[s] -= landed
-                belief[s + jump[s]] += landed
 
 
 @part
@@ -874,36 +806,22 @@ def _expect_giving(tables, messages, values):  # type: ignore[no-untyped-def]
     """E[v(s') | s], s' after these messages were said."""
     left = messages
     while left:
-        jump = tables.jump[first_bit(left)]
+        jump = tables.model.jump[first_bit(left)]
         left &= left - 1
         for s in range(len(values)):
             if jump[s] > 0:
-                values[s] += tables.accept[s] * (values[s + jump[s]] - values[s])
-
-
-@part
-def _forget(tables, belief):  # type: ignore[no-untyped-def]
-    """The belief after each fact known was lost with φ."""
-    types = len(tables.forget)
-    bit = types
-    while bit < len(belief):
-        for s in range(len(belief)):
-            if s // bit % 2 == 0:
-                lost = tables.forget[s % types] * belief[s + bit]
-                belief[s + bit] -= lost
-                belief[s] += lost
-        bit *= 2
+                values[s] += tables.model.accept[s] * (values[s + jump[s]] - values[s])
 
 
 @part
 def _expect_forgetting(tables, values):  # type: ignore[no-untyped-def]
     """E[v(s') | s], s' what is left of s after a step."""
-    types = len(tables.forget)
+    types = len(tables.model.forget)
     bit = types
     while bit < len(values):
         for s in range(len(values)):
             if s // bit % 2 == 1:
-                values[s] += tables.forget[s % types] * (values[s - bit] - values[s])
+                values[s] += tables.model.forget[s % types] * (values[s - bit] - values[s])
         bit *= 2
 
 

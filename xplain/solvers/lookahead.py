@@ -17,10 +17,10 @@ from xplain.errors import Count, Positive, checks
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.message_sets import indices, subsets
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import TIE, Knowledge, Policy, best_of, check_memory
+from xplain.solvers.base import TIE, Knowledge, Policy, best_action, check_memory
 from xplain.solvers.greedy import greedy_policy
-from xplain.solvers.known_type import KnownValues
 from xplain.solvers.process import (
+    KnownValues,
     Process,
     all_given,
     before_step,
@@ -28,8 +28,8 @@ from xplain.solvers.process import (
     matters,
     outcomes,
     set_prices,
+    weighable,
 )
-from xplain.solvers.simple import weighable
 from xplain.solvers.voi import with_questions
 
 NEGLIGIBLE = 1e-9
@@ -59,7 +59,7 @@ class Lookahead:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         greedy = greedy_policy(problem, "lookahead", self.memory_gib)
         process, known = greedy.process, greedy.known
-        messages = weighable(process, "lookahead")
+        messages = sum(1 << j for j in weighable(problem, "lookahead"))
         size = 24 * process.n_states << messages.bit_count()
         check_memory("lookahead", size, self.memory_gib, "qmdp needs less")
         policy = Expectimax(process, known, messages, self.candidates, self.answers)
@@ -86,16 +86,11 @@ class Expectimax:
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         """As :class:`xplain.solvers.base.Policy` says."""
-        values = self._values(visible, belief)
-        return give(best_of(np.array(list(values)), np.array(list(values.values()))))
+        return best_action(self.values(visible, belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Of the sets looked into."""
-        return {give(new): value for new, value in self._values(visible, belief).items()}
-
-    def _values(self, visible: VisibleState, belief: NDArray[np.float64]) -> dict[int, float]:
-        """Of sets of messages, the best by QMDP's score first: a set whose score is below a value
-        found cannot be worth more."""
+        """Of the sets looked into, the best by QMDP's score first: a set whose score is below a
+        value found cannot be worth more."""
         process, step = self.process, visible.step
         said = before_step(process, visible.given)
         messages = self.messages & matters(process, belief) & ~said
@@ -106,7 +101,7 @@ class Expectimax:
         else:
             heard = all_given(process, belief, indices(messages))
             scores = discounts * (explained * heard).sum(axis=1) - prices
-        found: dict[int, float] = {}
+        found: dict[Action, float] = {}
         best = -np.inf
         for i in np.argsort(-scores, kind="stable")[: self.candidates].tolist():
             value = float(scores[i])
@@ -116,19 +111,20 @@ class Expectimax:
                 after = belief if process.jump is None else heard[i]
                 later = self._later(step, said | int(sets[i]), after)
                 value = min(value, float(discounts[i]) * later - float(prices[i]))
-            found[int(sets[i])] = value
+            found[give(int(sets[i]))] = value
             best = max(best, value)
         return found
 
     def _sets(self, messages: int) -> Sets:
         """The subsets of these messages."""
-        if messages not in self.kept:
+        found = self.kept.get(messages)
+        if found is None:
             if len(self.kept) == KEPT:
                 self.kept.clear()
             sets = subsets(indices(messages))
             added = self.process.cells.of_sets(sets) - self.process.cells.base
-            self.kept[messages] = sets, added, *set_prices(self.process, sets)
-        return self.kept[messages]
+            found = self.kept[messages] = sets, added, *set_prices(self.process, sets)
+        return found
 
     def _later(self, step: int, said: int, belief: NDArray[np.float64]) -> float:
         """The value of *explain* where QMDP decides after the answers; inf where these are too

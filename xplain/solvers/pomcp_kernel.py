@@ -29,6 +29,7 @@ from xplain.numba_kernels import (
     part,
     splitmix64,
 )
+from xplain.solvers.parts import NO_NEWS, find_cell, forget, give, rank_questions
 
 NODE = np.dtype(
     [
@@ -74,49 +75,6 @@ CERTAIN = 1 - 1e-6
 """A belief from here on counts as certainty in rollouts."""
 ROUNDING = 1e-12
 """Messages worth the same but for this are equal, the first is taken."""
-NO_NEWS = 1e-12
-"""Nats below which an answer tells nothing."""
-
-
-class SearchModel(NamedTuple):
-    """A :class:`~xplain.solvers.process.Process` and its known values, as simulations read them.
-    The cell of a table for (v, s) is s + Σ_{j ∈ v} stride[j, s].
-
-    Attributes:
-        answered, explain_cost, explain: [m, cells] P(answer 1), and the expected cost and Q of
-            *explain*; stride: [n, S] of these.
-        value: [m + 1, value cells] V, and value_stride: [n, S] of it.
-        wanted: [m, value cells] bitmask of the messages that s should be given next rather than
-            *explain*, or SETTLED; empty where messages may be missed.
-        relevant: [S] bitmask of the messages that matter to s.
-        jump, accept, forget: [n, S], [S] and [N], of the process; empty where messages land.
-        price: [n] λ C_e.
-        asked_answered, likelier: [Q, question cells] P(answer 1), and whether the label is likelier
-            1; question_stride: [n, S] of these.
-        discount, message_discount: γ and γ'.
-        question_cost, most, first: κ, questions asked at most, and whether only at the start.
-    """
-
-    answered: NDArray[np.float64]
-    explain_cost: NDArray[np.float64]
-    explain: NDArray[np.float64]
-    stride: NDArray[np.int64]
-    value: NDArray[np.float64]
-    value_stride: NDArray[np.int64]
-    wanted: NDArray[np.int64]
-    relevant: NDArray[np.int64]
-    jump: NDArray[np.int64]
-    accept: NDArray[np.float64]
-    forget: NDArray[np.float64]
-    price: NDArray[np.float64]
-    asked_answered: NDArray[np.float64]
-    likelier: NDArray[np.bool_]
-    question_stride: NDArray[np.int64]
-    discount: float
-    message_discount: float
-    question_cost: float
-    most: int
-    first: bool
 
 
 class Options(NamedTuple):
@@ -198,7 +156,7 @@ def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_
         while depth < options.depth and not is_new and node != END:
             if tree.nodes[node].edges == UNOPENED:
                 _open(model, tree, missed, asks, node)
-            edge, action = _select(tree, options, node, log_root, inverse_root)
+            edge, action = _select(model, tree, options, missed, node, log_root, inverse_root)
             move = tree.path[length]
             move.node = node
             move.edge = edge
@@ -209,7 +167,7 @@ def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_
             if action <= n:  # a question costs no depth
                 depth += 1 if action == n else options.message_depth
             node, is_new, state = _expand(model, tree, missed, asks, node, edge, action, state)
-        value = _evaluate(model, tree, missed, node, is_new, state)
+        value = _evaluate(model, tree, options, missed, node, is_new, state)
         _back_up(model, tree, options, node, length, value)
 
 
@@ -225,13 +183,19 @@ def _draw_state(tree, last):  # type: ignore[no-untyped-def]
 
 
 @part
-def _select(tree, options, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
-    """The action to try at an open node, and its edge: those not yet tried come first, in random
-    order, then UCB1 decides (Auer et al. 2002)."""
+def _select(model, tree, options, missed, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
+    """The action to try at an open node, and its edge: QMDP's comes first, the others not yet tried
+    next, in random order, then UCB1 decides (Auer et al. 2002)."""
     record = tree.nodes[node]
     first, actions, untried = np.int64(record.edges), record.actions, record.untried
     if untried != 0:
-        action = nth_bit(untried, next_below(tree.counter, count_bits(untried)))
+        if untried == actions:
+            belief = tree.beliefs[record.base if missed is None else node]
+            _find_cells(model.value_stride, tree, record.given)
+            messages = actions & ((1 << len(model.price)) - 1)
+            _, action, _ = _qmdp(model, tree, missed, record.step, messages, belief, 0.0)
+        else:
+            action = nth_bit(untried, next_below(tree.counter, count_bits(untried)))
         record.untried = untried & ~(1 << action)
         return first + count_bits(actions & ((1 << action) - 1)), action
     bonus, best, chosen = options.exploration * log_root[record.visits], -np.inf, uint64(first)
@@ -266,7 +230,7 @@ def _expand(model, tree, missed, asks, node, edge, action, state):  # type: igno
         parent, code = node, uint64(0)
         if asks is not None:
             question = np.int64(tree.tried[node, action - n - 1])
-            yes = model.asked_answered[question, _cell(model.question_stride, said, state)]
+            yes = model.asked_answered[question, find_cell(model.question_stride, said, state)]
             answer = next_uniform(tree.counter) < yes
             code = splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
     child = np.int64(tree.edges[edge].child)
@@ -290,10 +254,10 @@ def _expand(model, tree, missed, asks, node, edge, action, state):  # type: igno
             _update_belief(model, tree, missed, step, said, before, code, belief)
         if missed is not None:
             if action < n:
-                _say(model, belief, action)
+                give(model.jump[action], model.accept, belief)
             elif action == n:
                 record.given = 0
-                _forget(model, belief)
+                forget(model.forget, belief)
         if asks is not None and action >= n:
             tree.tried[child, tree.tried.shape[1] - 1] = question
             if action > n:
@@ -303,7 +267,7 @@ def _expand(model, tree, missed, asks, node, edge, action, state):  # type: igno
 
 
 @part
-def _evaluate(model, tree, missed, node, is_new, state):  # type: ignore[no-untyped-def]
+def _evaluate(model, tree, options, missed, node, is_new, state):  # type: ignore[no-untyped-def]
     """The return from where a simulation ended: 0 after the last *explain*, a rollout's from a new
     node, QMDP's value from a node at the depth limit. Where messages may be missed QMDP's value in
     both places: a rollout over so many states takes longer than all the rest."""
@@ -312,15 +276,16 @@ def _evaluate(model, tree, missed, node, is_new, state):  # type: ignore[no-unty
     record = tree.nodes[node]
     step, said = np.int64(record.step), record.given
     belief = tree.beliefs[record.base if missed is None else node]
-    if missed is None and is_new:
-        return _roll_qmdp(model, tree, missed, step, said, state, belief)
+    if missed is None and (is_new or options.backup == MAX):
+        value = _roll_qmdp(model, tree, missed, step, said, state, belief)
+        return record.value + (value - record.value) / (record.visits + 1)
     if np.isnan(record.leaf):
         _find_cells(model.value_stride, tree, said)
         if missed is None:
             messages = max(_wanted(model, tree, step, said), 0)
         else:
             messages = _matters(model, belief) & ~said
-        record.leaf = _qmdp(model, tree, missed, step, messages, belief)[0]
+        record.leaf = _qmdp(model, tree, missed, step, messages, belief, 0.0)[0]
     return record.leaf
 
 
@@ -445,7 +410,7 @@ def _open(model, tree, missed, asks, node):  # type: ignore[no-untyped-def]
     reward = 0.0
     for s in range(len(belief)):
         if belief[s] > 0.0:
-            cell = _cell(model.stride, record.given, s)
+            cell = find_cell(model.stride, record.given, s)
             reward -= belief[s] * model.explain_cost[record.step, cell]
     record.reward = reward
 
@@ -461,20 +426,10 @@ def _matters(model, belief):  # type: ignore[no-untyped-def]
 
 
 @part
-def _cell(stride, said, s):  # type: ignore[no-untyped-def]
-    """Where a table with these strides has (v, s)."""
-    at = s
-    while said:
-        at += stride[first_bit(said), s]
-        said &= said - 1
-    return at
-
-
-@part
 def _find_cells(stride, tree, said):  # type: ignore[no-untyped-def]
     """Fills in where tables with these strides have (v, s), for each s."""
     for s in range(len(tree.cells)):
-        tree.cells[s] = _cell(stride, said, s)
+        tree.cells[s] = find_cell(stride, said, s)
 
 
 @part
@@ -490,11 +445,12 @@ def _wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
 
 
 @part
-def _qmdp(model, tree, missed, step, messages, belief):  # type: ignore[no-untyped-def]
-    """max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages, and the action (n is
-    *explain*), at the cells found. A message changes what it is worth to give only for the states
-    that it matters to: ``tree.gain`` sums that up."""
-    best, base, action = 0.0, 0.0, len(model.price)
+def _qmdp(model, tree, missed, step, messages, belief, patience):  # type: ignore[no-untyped-def]
+    """max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages, the action (n is
+    *explain*), and Σ_s b(s) V(k, v, s), at the cells found. A message changes what it is worth to
+    give only for the states that it matters to: ``tree.gain`` sums that up. ``patience`` is as
+    :class:`~xplain.solvers.parts.SearchModel` has it, or 0."""
+    best, base, action, likeliest = 0.0, 0.0, len(model.price), 0.0
     for s in range(len(belief)):
         if belief[s] <= 0.0:
             continue
@@ -502,6 +458,7 @@ def _qmdp(model, tree, missed, step, messages, belief):  # type: ignore[no-untyp
         now = model.value[step, at]
         base += belief[s] * now
         best += belief[s] * model.explain[step, at if missed is None else s]
+        likeliest = max(likeliest, belief[s])
         left = messages & model.relevant[s]
         while left:
             j = first_bit(left)
@@ -512,46 +469,80 @@ def _qmdp(model, tree, missed, step, messages, belief):  # type: ignore[no-untyp
                 landed = model.value[step, more + model.jump[j, s]]
                 later += model.accept[s] * (landed - later)
             tree.gain[j] += belief[s] * (later - now)
+    extra = 0.0
     while messages:
         j = first_bit(messages)
         messages &= messages - 1
+        waits = patience * (1.0 - likeliest) * model.price[j]
         value = model.message_discount * (base + tree.gain[j]) - model.price[j]
         tree.gain[j] = 0.0
-        if value > best + ROUNDING:
-            best, action = value, j
-    return best, action
+        if value - waits > best - extra + ROUNDING:
+            best, action, extra = value, j, waits
+    return best, action, base
+
+
+@kernel
+def roll(model, tree, missed, step, said, belief, states, weights, seeds):  # type: ignore[no-untyped-def]
+    """What QMDP's decisions earn from a belief at (k, v), by simulation.
+
+    Args:
+        model, tree, missed: as of :func:`simulate`; the tree is room to work in.
+        step, said, belief: k, v, and [S].
+        states, weights, seeds: [R] the state that each simulation begins in, its weight, and the
+            seed of its random stream.
+    """
+    model, tree = borrow((model, tree))
+    total = 0.0
+    for i in range(len(states)):
+        tree.counter[0] = seeds[i]
+        total += weights[i] * _roll_qmdp(model, tree, missed, step, said, states[i], belief)
+    return total
 
 
 @part
 def _roll_qmdp(model, tree, missed, step, said, state, belief):  # type: ignore[no-untyped-def]
-    """The return of following QMDP with exact beliefs, for a user in this state. Once the state is
-    certain QMDP acts as if it were known, and where nothing is worth saying to anybody any more it
-    says nothing: V is the rest of the return."""
+    """The return of following QMDP with exact beliefs, for a user in this state: what known states
+    are worth, less what each decision is expected to lose against being told the state (a control
+    variate: the same mean with less noise). Once the state is certain QMDP acts as if it were
+    known, and where nothing is worth saying to anybody any more it says nothing: nothing is lost
+    from then on, unless messages may be missed."""
     n, steps, value, scale = len(model.price), len(model.explain_cost), 0.0, 1.0
+    _find_cells(model.value_stride, tree, said)
     for s in range(len(belief)):
         tree.belief[s] = belief[s]
-    _find_cells(model.value_stride, tree, said)
+        value += belief[s] * model.value[step, tree.cells[s]]
     while step < steps:
-        wanted = _wanted(model, tree, step, said)
-        if tree.belief[state] > CERTAIN or wanted == SETTLED:
-            value += scale * model.value[step, tree.cells[state]]
-            break
+        if missed is None:
+            wanted = _wanted(model, tree, step, said)
+            if tree.belief[state] > CERTAIN or wanted == SETTLED:
+                break
+        else:
+            wanted = _matters(model, tree.belief) & ~said
         action = n
         if wanted != 0:
-            _, action = _qmdp(model, tree, missed, step, wanted, tree.belief)
+            best, action, sure = _qmdp(
+                model, tree, missed, step, wanted, tree.belief, model.patience
+            )
+            value -= scale * (sure - best)
         if action < n:
-            value -= scale * model.price[action]
             scale *= model.message_discount
             said |= 1 << action
             for s in range(len(belief)):
                 tree.cells[s] += model.value_stride[action, s]
+            if missed is not None:
+                give(model.jump[action], model.accept, tree.belief)
+                state = _told(model, tree, state, action)
         else:
-            value -= scale * model.explain_cost[step, tree.cells[state]]
             scale *= model.discount
-            if step + 1 < steps:
-                code = _draw_labels(model, tree, missed, step, said, state)
-                _update_belief(model, tree, missed, step, said, state, code, tree.belief)
             step += 1
+            if step < steps:
+                code = _draw_labels(model, tree, missed, step - 1, said, state)
+                _update_belief(model, tree, missed, step - 1, said, state, code, tree.belief)
+                if missed is not None:
+                    forget(model.forget, tree.belief)
+                    state = _forgetful(model, tree, state)
+                    said = 0
+                    _find_cells(model.value_stride, tree, said)
     return value
 
 
@@ -634,7 +625,7 @@ def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
     labels, columns, found = tree.labels[slot], tree.columns[slot], 0
     cells = np.arange(states)
     for s in range(states):
-        cells[s] = _cell(model.stride, said, s)
+        cells[s] = find_cell(model.stride, said, s)
     for i in range(steps):
         differs, code = False, GOLDEN
         first = model.answered[i, cells[0]]
@@ -678,36 +669,11 @@ def _forgetful(model, tree, state):  # type: ignore[no-untyped-def]
 
 
 @part
-def _say(model, belief, message):  # type: ignore[no-untyped-def]
-    """The belief after a message was said: a part α has it right now."""
-    for s in range(len(belief)):
-        jump = model.jump[message, s]
-        if jump > 0:
-            landed = model.accept[s] * belief[s]
-            belief[s] -= landed
-            belief[s + jump] += landed
-
-
-@part
-def _forget(model, belief):  # type: ignore[no-untyped-def]
-    """The belief after each fact known was lost with φ."""
-    types = len(model.forget)
-    bit = types
-    while bit < len(belief):
-        for s in range(len(belief)):
-            if s // bit % 2 == 0:
-                lost = model.forget[s % types] * belief[s + bit]
-                belief[s + bit] -= lost
-                belief[s] += lost
-        bit *= 2
-
-
-@part
 def _hear_answer(model, question, said, answer, belief):  # type: ignore[no-untyped-def]
     """belief ∝ itself × likelihood of an answer."""
     total = 0.0
     for s in range(len(belief)):
-        yes = model.asked_answered[question, _cell(model.question_stride, said, s)]
+        yes = model.asked_answered[question, find_cell(model.question_stride, said, s)]
         belief[s] *= yes if answer else 1.0 - yes
         total += belief[s]
     for s in range(len(belief)):
@@ -716,9 +682,8 @@ def _hear_answer(model, question, said, answer, belief):  # type: ignore[no-unty
 
 @njit(nogil=True)
 def _find_questions(model, tree, node, step, said, belief):  # type: ignore[no-untyped-def]
-    """Looks up the questions to try at a node where a step begins: those that tell most (mutual
-    information) of the nearest of each kind. Returns how many. A question that tells nothing counts
-    as what another of its kind tells, which may be asked after it alone."""
+    """Looks up the questions to try at a node where a step begins, which tell the most. Returns
+    how many."""
     count, slots, asked = 0, tree.tried.shape[1] - 2, tree.asked.copy()
     if tree.tried[ROOT, slots] < 0 and node == ROOT:  # between a step's messages
         return 0
@@ -731,16 +696,8 @@ def _find_questions(model, tree, node, step, said, belief):  # type: ignore[no-u
         return 0
     _find_cells(model.question_stride, tree, said)
     for q in range(len(asked)):
-        tree.news[q] = -1.0 if asked[q] else _news(model.asked_answered[q], tree.cells, belief)
-        for other in range(q):
-            if tree.news[q] >= 0.0 and tree.news[other] >= 0.0:
-                alike = True
-                for s in range(len(belief)):
-                    cell = tree.cells[s]
-                    alike &= model.likelier[q, cell] == model.likelier[other, cell]
-                if alike:
-                    tree.news[other] = max(tree.news[other], tree.news[q])
-                    tree.news[q] = -1.0
+        tree.news[q] = -1.0 if asked[q] else 0.0
+    rank_questions(model.asked_answered, model.likelier, tree.cells, belief, tree.news)
     while count < slots:
         best = np.argmax(tree.news)
         if tree.news[best] <= NO_NEWS:
@@ -749,24 +706,3 @@ def _find_questions(model, tree, node, step, said, belief):  # type: ignore[no-u
         tree.news[best] = -1.0
         count += 1
     return count
-
-
-@part
-def _news(answered, cells, belief):  # type: ignore[no-untyped-def]
-    """The mutual information of an answer and what is hidden, in nats; −1 where all states answer
-    alike, which is no question."""
-    mean, certain, alike = 0.0, 0.0, True
-    for s in range(len(belief)):
-        p = answered[cells[s]]
-        alike &= p == answered[cells[0]]
-        mean += belief[s] * p
-        certain += belief[s] * _entropy(p)
-    return -1.0 if alike else max(_entropy(mean) - certain, 0.0)
-
-
-@part
-def _entropy(p):  # type: ignore[no-untyped-def]
-    """Of a bit, in nats."""
-    if p <= 0.0 or p >= 1.0:
-        return 0.0
-    return -p * np.log(p) - (1.0 - p) * np.log1p(-p)

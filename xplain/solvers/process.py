@@ -23,6 +23,17 @@ discount (γ' = γ, the paper): where a message may be given again, delay would 
 message that is in ``relevant[s]`` of no s with belief is no action.
 
 *Explain* leads to k + 1 with v as it is where messages land, else with v = 0 (:func:`before_step`).
+
+With s known labels tell nothing, and the process is an MDP on (k, v), solved backwards in k
+(Bellman 1957):
+
+    Q(k, v, s, explain) = γ E_F V(k + 1, v⁺, s') − explain_cost[k, x(v, s)],   V(m, ·) = 0
+    Q(k, v, s, give j) = γ' [α V(k, v + j, s + jump[j, s]) + (1 − α) V(k, v + j, s)] − price[j]
+    V(k, v, s) = max { Q(k, v, s, explain), max_{j ∉ v} Q(k, v, s, give j) }
+
+Where messages land, the maximum over all sets of messages is one sweep a message, the most
+expensive first: of a best set the cheapest is given first. Where they may be missed, what comes
+next depends on what was taken in, and v is the messages of this step.
 """
 
 from __future__ import annotations
@@ -35,8 +46,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.errors import TooLargeError
 from xplain.explanation.belief import after_forgetting
-from xplain.explanation.label_table import NONE, LabelTable
+from xplain.explanation.label_table import MAX_RELEVANT, NONE, LabelTable
 from xplain.explanation.message_sets import bits_of, indices
 from xplain.explanation.problem import Problem
 
@@ -44,6 +56,15 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 KEPT = 1 << 12
 """Bitmasks whose cells are kept: a walk meets the same ones again and again."""
+MAX_MISSED = 10
+"""Messages whose sets are weighed together where they may be missed, at most: a set then leads to
+a belief of its own."""
+KEPT_ANSWERS, JOINED = 1 << 9, 1 << 6
+"""Likelihoods that are kept, and how many answers are listed together in one of them."""
+PATIENCE = 0.1
+"""A message that may be missed must gain this share of its price on top, times the probability that
+the state is not the likeliest one: saying it tells nothing about the user, and hides the answer
+that would. Chosen among 0.05, 0.1, 0.15 and 0.2 on seeds 9700 to 9745."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,19 +75,22 @@ class Cells:
         base: [S] the cell of s before anything was said.
         stride: [n, S] what saying message j adds.
         kept: the cells of bitmasks that were asked for, at most KEPT.
+        answers: what :func:`answer_likelihoods` found, at most KEPT_ANSWERS.
     """
 
     base: IntArray
     stride: IntArray
     kept: dict[int, IntArray] = field(default_factory=dict)
+    answers: dict[tuple[int, int, bytes], list[FloatArray]] = field(default_factory=dict)
 
     def at(self, said: int) -> IntArray:
         """[S] the cells for a bitmask of messages."""
-        if said not in self.kept:
+        cells = self.kept.get(said)  # a policy may be asked by several threads
+        if cells is None:
             if len(self.kept) == KEPT:
                 self.kept.clear()
-            self.kept[said] = self.base + self.stride[indices(said)].sum(axis=0)
-        return self.kept[said]
+            self.kept[said] = cells = self.base + self.stride[indices(said)].sum(axis=0)
+        return cells
 
     def of_sets(self, sets: IntArray) -> IntArray:
         """[B, S] the cells for B bitmasks."""
@@ -214,6 +238,22 @@ def row_messages(problem: Problem, dense: bool = False) -> list[tuple[int, ...]]
     return [together] * len(own) if len(together) <= max(map(len, own)) else own
 
 
+def weighable(problem: Problem, what: str) -> tuple[int, ...]:
+    """The messages with an effect, ascending, for solvers that weigh sets of them together.
+
+    Raises:
+        TooLargeError: they are too many.
+    """
+    messages = problem.messages_with_effect
+    most = MAX_RELEVANT if problem.messages_land else MAX_MISSED
+    if len(messages) > most:
+        raise TooLargeError(
+            f"{what} weighs sets of messages together: {len(messages)} matter on this trace, at "
+            f"most {most}; solver=qmdp or pomcp gives one after the other"
+        )
+    return messages
+
+
 def _by_price(table: LabelTable, price: FloatArray) -> LabelTable:
     """The table with the bits of each type ascending in price."""
     rows = [sorted(row, key=lambda j: float(price[j])) for row in table.rows]
@@ -291,6 +331,31 @@ def expected_after_forgetting(process: Process, values: FloatArray) -> FloatArra
     return after
 
 
+def answer_likelihoods(
+    process: Process, step: int, said: int, possible: IntArray
+) -> list[FloatArray]:
+    """What distinguishable answers to *explain* at (k, v) tell, as factors: [B, P] P(answer | s) of
+    B answers in each, for P possible states. The same are asked for at many beliefs."""
+    kept, key = process.cells.answers, (step, said, possible.tobytes())
+    factors = kept.get(key)  # a policy may be asked by several threads
+    if factors is None:
+        if len(kept) == KEPT_ANSWERS:
+            kept.clear()
+        columns = process.answered[: step + 1, process.cells.at(said)[possible]]
+        news = columns[(columns != columns[:, :1]).any(axis=1)]
+        factors = []
+        for column, size in Counter(row.tobytes() for row in news).items():
+            yes = np.frombuffer(column)
+            ones = np.arange(size + 1)[:, None]
+            ways = np.array([[comb(size, c)] for c in range(size + 1)], float)
+            likelihood = ways * yes**ones * (1 - yes) ** (size - ones)
+            if factors and len(factors[-1]) * len(likelihood) <= JOINED:
+                likelihood = (factors.pop()[:, None] * likelihood).reshape(-1, len(possible))
+            factors.append(likelihood)
+        kept[key] = factors
+    return factors
+
+
 def outcomes(
     process: Process,
     step: int,
@@ -316,14 +381,8 @@ def outcomes(
         answers that are not listed; None where they are more than ``most``.
     """
     possible = np.flatnonzero(belief > 0)
-    columns = process.answered[: step + 1, process.cells.at(said)[possible]]
-    news = columns[(columns != columns[:, :1]).any(axis=1)]
     weights, tail = belief[None, possible], np.zeros(len(belief))
-    for column, size in Counter(row.tobytes() for row in news).items():
-        yes = np.frombuffer(column)
-        ones = np.arange(size + 1)[:, None]
-        ways = np.array([[comb(size, c)] for c in range(size + 1)], float)
-        likelihood = ways * yes**ones * (1 - yes) ** (size - ones)
+    for likelihood in answer_likelihoods(process, step, said, possible):
         weights = (weights[:, None] * likelihood).reshape(-1, len(possible))
         likely = weights.sum(axis=1) > negligible
         tail[possible] += weights[~likely].sum(axis=0)
@@ -371,3 +430,99 @@ def hear_answer(
     """[S] joint probabilities of the state and the answer 0 or 1 to a question, with v said."""
     yes = process.questions.answered[question, process.questions.cells.at(said)]
     return belief * (yes if answer else 1 - yes)
+
+
+class KnownValues(NamedTuple):
+    """V and Q in two layouts behind one lookup.
+
+    Attributes:
+        value: [m + 1, cells] V, read by ``value_cells``.
+        explain: [m, cells] Q of *explain*, read by ``explain_cells``.
+        value_cells, explain_cells: where they are read.
+    """
+
+    value: FloatArray
+    explain: FloatArray
+    value_cells: Cells
+    explain_cells: Cells
+
+    def now(self, step: int, said: int) -> FloatArray:
+        """[S] V(k, v, s)."""
+        return self.value[step, self.value_cells.at(said)]
+
+    def explained(self, step: int, said: int) -> FloatArray:
+        """[S] Q(k, v, s, explain)."""
+        return self.explain[step, self.explain_cells.at(said)]
+
+
+def known_values(process: Process, idle: bool = False) -> KnownValues:
+    """Solves the MDP of known states.
+
+    Args:
+        process: the model.
+        idle: whether a known type may be given messages of its row that change nothing for it.
+            Given for the sake of others they put off its costs: where giving discounts, Σ b V
+            bounds the optimum from above only so.
+    """
+    prices = _bit_prices(process, idle)
+    solve = _where_messages_land if process.jump is None else _where_messages_are_missed
+    return solve(process, prices)
+
+
+def known_bytes(problem: Problem) -> int:
+    """What :func:`~xplain.solvers.process.make_process` and :func:`known_values` take, in bytes."""
+    steps, rows, types = problem.table.p.shape
+    if problem.messages_land:
+        return 8 * 4 * (steps + 1) * types << max(map(len, row_messages(problem)))
+    return 8 * (steps + 1) * rows * types * (rows + 3)
+
+
+def _bit_prices(process: Process, idle: bool) -> FloatArray:
+    """[r, N] price of the message of each bit; inf where there is none, or it changes nothing."""
+    own, types = process.own.T, np.arange(process.n_types)
+    exists = own != NONE
+    if not idle:
+        exists &= (process.relevant[types] >> np.maximum(own, 0) & 1).astype(bool)
+    prices = process.price[own] if process.n_messages else np.zeros(own.shape)
+    return np.where(exists, prices, np.inf)
+
+
+def _where_messages_land(process: Process, prices: FloatArray) -> KnownValues:
+    value = np.zeros((process.n_steps + 1, process.p.shape[1]))
+    explain = np.empty(process.p.shape)
+    for k in reversed(range(process.n_steps)):
+        np.multiply(value[k + 1], process.discount, out=explain[k])
+        explain[k] -= process.explain_cost[k]
+        value[k] = explain[k]
+        for bit in reversed(range(len(prices))):
+            pairs = value[k].reshape(-1, 2, 1 << bit, process.n_types)
+            given = process.message_discount * pairs[:, 1] - prices[bit]
+            np.maximum(pairs[:, 0], given, out=pairs[:, 0])
+    return KnownValues(value, explain, process.cells, process.cells)
+
+
+def _where_messages_are_missed(process: Process, prices: FloatArray) -> KnownValues:
+    """[m + 1, sets of the step, S] where messages may be missed."""
+    states, types, bits = process.n_states, process.n_types, len(prices)
+    assert process.accept is not None
+    accept = process.accept[:types]
+    sets = np.arange(1 << bits)
+    value = np.zeros((process.n_steps + 1, len(sets), states))
+    explain = np.empty((process.n_steps, states))
+    for k in reversed(range(process.n_steps)):
+        later = expected_after_forgetting(process, value[k + 1, 0])
+        explain[k] = process.discount * later - process.explain_cost[k]
+        value[k] = explain[k]
+        for size in reversed(range(bits)):  # one message more is known already
+            for bit in range(bits):
+                without = sets[(np.bitwise_count(sets) == size) & (sets >> bit & 1 == 0)]
+                more = value[k, without | 1 << bit]
+                pairs = more.reshape(-1, 2, 1 << bit, types)
+                pairs[:, 0] += accept * (pairs[:, 1] - pairs[:, 0])
+                gained = more.reshape(-1, types) - prices[bit]
+                value[k, without] = np.maximum(value[k, without], gained.reshape(more.shape))
+    stride = np.zeros((process.n_messages, states // types, types), np.int64)
+    whose, digit = np.nonzero(process.own != NONE)
+    stride[process.own[whose, digit], :, whose] = (states << digit)[:, None]
+    cells = Cells(np.arange(states), stride.reshape(process.n_messages, states))
+    return KnownValues(value.reshape(len(value), -1), explain, cells, process.cells)

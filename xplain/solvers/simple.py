@@ -18,42 +18,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import Positive, TooLargeError, checks
+from xplain.errors import Positive, checks
 from xplain.explanation.actions import Action, AskQuestion, VisibleState, give
-from xplain.explanation.label_table import MAX_RELEVANT
-from xplain.explanation.message_sets import indices, subsets
+from xplain.explanation.label_table import DENSE
+from xplain.explanation.message_sets import bits_of, indices, subsets
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Knowledge, Policy, best_of
+from xplain.solvers.base import Knowledge, Policy, best_of, messages_of
 from xplain.solvers.greedy import greedy_policy
-from xplain.solvers.known_type import known_values
 from xplain.solvers.process import (
     Process,
     all_given,
     before_step,
     expected_after_forgetting,
+    known_values,
     make_process,
+    weighable,
 )
 from xplain.solvers.voi import telling_questions, with_questions
-
-MAX_MISSED = 10
-"""Messages whose sets are weighed together where they may be missed, at most: a set then leads to
-a belief of its own."""
-
-
-def weighable(process: Process, what: str) -> int:
-    """Bitmask of the messages with an effect, for solvers that weigh sets of them together.
-
-    Raises:
-        TooLargeError: they are too many.
-    """
-    messages = int(np.bitwise_or.reduce(process.relevant))
-    most = MAX_RELEVANT if process.jump is None else MAX_MISSED
-    if messages.bit_count() > most:
-        raise TooLargeError(
-            f"{what} weighs sets of messages together: {messages.bit_count()} matter on this "
-            f"trace, at most {most}; solver=qmdp or pomcp says one after the other"
-        )
-    return messages
 
 
 @dataclass(frozen=True)
@@ -66,19 +47,28 @@ class QHR:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says.
 
         Raises:
-            TooLargeError: too many messages have an effect.
+            TooLargeError: messages may be missed, and too many have an effect.
         """
         process = make_process(problem)
-        messages = weighable(process, "qhr")
+        if process.jump is not None:
+            weighable(problem, "qhr")
         shown = np.empty(process.p.shape)
         later = np.zeros(process.p.shape[1])
         for k in reversed(range(process.n_steps)):
             later = process.explain_cost[k] + expected_after_forgetting(process, later)
             shown[k] = later
-        policy = QHRPolicy(process, messages, shown)
+        policy = QHRPolicy(process, _candidates(process), shown)
         if not problem.questions:
             return policy
         return with_questions(policy, process, known_values(process), seed)
+
+
+def _candidates(process: Process) -> NDArray[np.int64]:
+    """The sets of messages to weigh, ascending: all, or where more than DENSE messages have an
+    effect those that one state looks at."""
+    together = int(np.bitwise_or.reduce(process.relevant))
+    own = [together] if together.bit_count() <= DENSE else np.unique(process.relevant).tolist()
+    return np.unique(np.concatenate([subsets(indices(mask)) for mask in own]))
 
 
 @dataclass(frozen=True)
@@ -87,38 +77,47 @@ class QHRPolicy:
 
     Attributes:
         process: the model.
-        messages: bitmask of those with an effect.
+        sets: those weighed, ascending. Where these are not all, the best one is added to what was
+            chosen until nothing is worth adding.
         shown: [m, cells] what the prefixes from k on cost, where nothing more is said.
     """
 
     process: Process
-    messages: int
+    sets: NDArray[np.int64]
     shown: NDArray[np.float64]
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         """As :class:`xplain.solvers.base.Policy` says."""
-        return give(best_of(*self._all(visible, belief)))
+        chosen, best = -1, 0
+        while best != chosen:
+            chosen = best
+            best = best_of(*self._weigh(visible, belief, chosen))
+        return give(chosen)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """Of *explain*, of each message alone, and of the set chosen."""
-        sets, values = self._all(visible, belief)
-        listed = np.flatnonzero((np.bitwise_count(sets) <= 1) | (values == values.max()))
-        return {give(int(sets[i])): float(values[i]) for i in listed}
+        chosen = messages_of(self.decide(visible, belief))
+        weighed: dict[int, float] = {}
+        for first in (0, chosen):
+            sets, values = self._weigh(visible, belief, first)
+            weighed |= zip(sets.tolist(), values.tolist(), strict=True)
+        return {give(s): v for s, v in weighed.items() if s.bit_count() <= 1 or s == chosen}
 
-    def _all(
-        self, visible: VisibleState, belief: NDArray[np.float64]
+    def _weigh(
+        self, visible: VisibleState, belief: NDArray[np.float64], chosen: int
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Every set of messages that may be given, ascending, and its value."""
+        """Sets of messages that may be given and have those chosen, ascending, and their values."""
         process = self.process
         said = before_step(process, visible.given)
-        free = indices(self.messages & ~said)
-        sets, heard = subsets(free), belief[None]
-        if process.jump is not None:
-            heard = all_given(process, belief, free)
+        heard = belief[None]
+        if process.jump is None:
+            sets = np.unique(self.sets & ~said | chosen)
+        else:
+            sets = self.sets[self.sets & chosen == chosen]
+            every = all_given(process, belief, indices(int(self.sets[-1])))
+            heard = every[self.sets & chosen == chosen]
         costs = self.shown[visible.step, process.cells.of_sets(sets | said)]
-        price = np.zeros(len(sets))
-        for j in free:
-            price += process.price[j] * (sets >> j & 1)
+        price = bits_of(sets, process.n_messages) @ process.price
         return sets, -(price + (costs * heard).sum(axis=1))
 
 

@@ -68,10 +68,27 @@ class LiteralPOMDP:
             used = state.pending
         free = [EXPLAIN, *(j for j in messages if j not in used)]
         if not state.pending:
-            given = None if not self.problem.messages_land else bitmask(state.given)
-            may = self.problem.questions.open(state.step, given, bitmask(state.asked))
-            free += [EXPLAIN - 1 - q for q in may]
+            free += [EXPLAIN - 1 - q for q in self._open_questions(state)]
         return free
+
+    def _open_questions(self, state: LiteralState) -> list[int]:
+        """Of the questions that are alike the nearest not asked yet; where nobody can tell what a
+        user knows, those are alike that are so whatever is known."""
+        questions, table = self.problem.questions, self.problem.questions.table
+        labels, answers, given = table.p, table.answered, 0
+        if self.problem.messages_land:
+            count, given = len(questions), bitmask(state.given)
+            labels = table.label_probabilities(count, given).T
+            answers = table.answer_probabilities(count, given).T
+        late = questions.limits.when == "first" and (state.step > 0 or given > 0)
+        if late or len(state.asked) >= questions.limits.most:
+            return []
+        tells = np.ptp(answers, axis=tuple(range(1, answers.ndim))) > 0
+        found: dict[bytes, int] = {}
+        for q, column in enumerate(labels >= 0.5):
+            if tells[q] and q not in state.asked:
+                found.setdefault(column.tobytes(), q)
+        return list(found.values())
 
     def outcomes(
         self, state: LiteralState, action: int

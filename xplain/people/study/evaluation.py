@@ -150,13 +150,14 @@ class Explaining(Flow[StudyPlan, StudyState]):
             if one.told == len(state.heard) and (one.step == state.step or not forgets)
         ]
         asked = bitmask(one.question for one in state.asked)
-        stands = DialogueState(
+        talk = Dialogue(problem, self.policies[condition], self.belief)
+        talk.state = DialogueState(
             VisibleState(state.step, state.given, asked),
             np.array(state.belief),
             repeats=state.previous is not None and not state.new and not forgets,
             clips=bitmask(same),
         )
-        return Dialogue(problem, self.policies[condition], self.belief, stands=stands)
+        return talk
 
     def next_step(self, state: StudyState) -> StudyState:
         """A question, if the policy asks one before the state's step; else the step with the

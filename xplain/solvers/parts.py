@@ -1,0 +1,141 @@
+"""What the compiled searches have in common: the process of one problem, inside a kernel.
+
+numba takes a kernel's machine code from its cache while the kernel's own file is as it was. Who
+edits this file, or :mod:`xplain.numba_kernels`, removes the cache (``tests/test_numba_kernels.py``
+tells).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.numba_kernels import first_bit, kernel, part
+
+NO_NEWS = 1e-12
+"""Nats below which an answer tells nothing."""
+
+
+class SearchModel(NamedTuple):
+    """A :class:`~xplain.solvers.process.Process` and its known values, as simulations read them.
+    The cell of a table for (v, s) is s + Σ_{j ∈ v} stride[j, s].
+
+    Attributes:
+        answered, explain_cost, explain: [m, cells] P(answer 1), and the expected cost and Q of
+            *explain*; stride: [n, S] of these.
+        value: [m + 1, value cells] V, and value_stride: [n, S] of it.
+        wanted: [m, value cells] bitmask of the messages that s should be given next rather than
+            *explain*, or SETTLED; empty where messages may be missed, and for HSVI.
+        relevant: [S] bitmask of the messages that matter to s.
+        jump, accept, forget: [n, S], [S] and [N], of the process; empty where messages land.
+        price: [n] λ C_e.
+        asked_answered, likelier: [Q, question cells] P(answer 1), and whether the label is likelier
+            1; question_stride: [n, S] of these.
+        discount, message_discount: γ and γ'.
+        question_cost, most, first: κ, questions asked at most, and whether only at the start.
+        patience: as :data:`~xplain.solvers.process.PATIENCE`; 0 where messages land.
+    """
+
+    answered: NDArray[np.float64]
+    explain_cost: NDArray[np.float64]
+    explain: NDArray[np.float64]
+    stride: NDArray[np.int64]
+    value: NDArray[np.float64]
+    value_stride: NDArray[np.int64]
+    wanted: NDArray[np.int64]
+    relevant: NDArray[np.int64]
+    jump: NDArray[np.int64]
+    accept: NDArray[np.float64]
+    forget: NDArray[np.float64]
+    price: NDArray[np.float64]
+    asked_answered: NDArray[np.float64]
+    likelier: NDArray[np.bool_]
+    question_stride: NDArray[np.int64]
+    discount: float
+    message_discount: float
+    question_cost: float
+    most: int
+    first: bool
+    patience: float
+
+
+@part
+def find_cell(stride, said, s):  # type: ignore[no-untyped-def]
+    """Where a table with these strides [n, S] has (v, s)."""
+    at = s
+    while said:
+        at += stride[first_bit(said), s]
+        said &= said - 1
+    return at
+
+
+@part
+def give(jump, accept, belief):  # type: ignore[no-untyped-def]
+    """The belief [S] after a message was said once, with its jumps [S]: a part α has it."""
+    for s in range(len(belief)):
+        if jump[s] > 0:
+            landed = accept[s] * belief[s]
+            belief[s] -= landed
+            belief[s + jump[s]] += landed
+
+
+@part
+def forget(lose, belief):  # type: ignore[no-untyped-def]
+    """The belief [S] after each fact known was lost with φ, ``lose`` [N]."""
+    types = len(lose)
+    bit = types
+    while bit < len(belief):
+        for s in range(len(belief)):
+            if s // bit % 2 == 0:
+                lost = lose[s % types] * belief[s + bit]
+                belief[s + bit] -= lost
+                belief[s] += lost
+        bit *= 2
+
+
+@part
+def _entropy(p):  # type: ignore[no-untyped-def]
+    """Of a bit, in nats."""
+    value = 0.0
+    if 0.0 < p < 1.0:
+        value = -p * np.log(p) - (1.0 - p) * np.log1p(-p)
+    return value
+
+
+@kernel
+def rank_questions(answered, likelier, cells, belief, news):  # type: ignore[no-untyped-def]
+    """Fills ``news`` [Q] with the nats that an answer tells (mutual information), −1 for what is no
+    question now.
+
+    Questions are alike whose labels are likelier 1 for the same states. Of these the first counts
+    as the most telling one, which may be asked after it alone; what all states answer alike is no
+    question.
+
+    Args:
+        answered, likelier: [Q, cells] P(answer 1), and whether the label is likelier 1.
+        cells: [S] where these tables are read.
+        belief: [S].
+        news: [Q] −1 where a question may not be asked, else 0.
+    """
+    for q in range(len(news)):
+        mean, certain, alike = 0.0, 0.0, True
+        for s in range(len(belief)):
+            p = answered[q, cells[s]]
+            alike &= p == answered[q, cells[0]]
+            mean += belief[s] * p
+            certain += belief[s] * _entropy(p)
+        if alike or news[q] < 0.0:
+            news[q] = -1.0
+            continue
+        news[q] = max(_entropy(mean) - certain, 0.0)
+        for other in range(q):
+            if news[other] >= 0.0:
+                same = True
+                for s in range(len(belief)):
+                    same &= likelier[q, cells[s]] == likelier[other, cells[s]]
+                if same:
+                    news[other] = max(news[other], news[q])
+                    news[q] = -1.0
+                    break
