@@ -89,3 +89,15 @@ def test_numba_is_bounded_by_the_version_that_is_tested() -> None:
     major, minor = (int(part) for part in numba.__version__.split(".")[:2])
     assert bound.specifier.contains(numba.__version__)
     assert not bound.specifier.contains(f"{major}.{minor + 1}.0")
+
+
+def test_no_kernel_in_the_cache_is_older_than_the_parts_that_it_shares() -> None:
+    """numba notices edits of a kernel's own file alone."""
+    cache = Path(os.environ.get("NUMBA_CACHE_DIR", ROOT / "xplain"))
+    shared = [ROOT / "xplain" / name for name in ("numba_kernels.py", "solvers/parts.py")]
+    edited = max(path.stat().st_mtime for path in shared)
+    kernels = [
+        path for kind in ("pomcp_kernel", "hsvi_kernel") for path in cache.rglob(f"{kind}*.nbc")
+    ]
+    old = [path.name for path in kernels if path.stat().st_mtime < edited]
+    assert not old, f"remove the cache: find {cache} -name '*_kernel*.nb[ci]' -delete"

@@ -13,7 +13,7 @@ from hypothesis.strategies import composite
 from tests.decisions import messages_given, worths
 from tests.explanation.problems import tiny_problems
 from tests.solvers.plain_values import plain_optimal_value
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import InputError
 from xplain.explanation.actions import give
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import habits_of
@@ -100,15 +100,6 @@ def test_a_message_that_changes_an_answer_alone_is_an_action() -> None:
     policy = Certified(gap=1e-9).plan(problem)
     assert (policy.lower, policy.upper) == pytest.approx((optimum, optimum))
     assert evaluate(problem, policy).value == pytest.approx(optimum)
-
-
-def test_one_message_more_than_sets_are_weighed_for_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    problem = Problem(np.random.default_rng(5).random((2, 3, 8)), np.ones(3))
-    monkeypatch.setattr("xplain.solvers.hsvi.MAX_RELEVANT", 2)
-    with pytest.raises(TooLargeError, match=r"certified.*3 matter on.*at most 2"):
-        Certified().plan(problem)
 
 
 @composite

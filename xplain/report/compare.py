@@ -237,9 +237,9 @@ def table(summary: Summary) -> Table:
 
 def _list(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
     """A row a combination with its measures; those that compete are marked, the best first."""
-    asked = ["questions"] if summary.episodes["questions"].any() else []
+    questions = ["questions"] if summary.episodes["questions"].any() else []
     measures = [summary.measure.name, "cost", *_references(summary)]
-    shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *asked])
+    shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *questions])
     frame = summary.episodes
     order = ranked(summary, frame, keys) if compete else []
     frame = shared(summary, frame, keys) if order else frame

@@ -78,8 +78,8 @@ class Words:
                 words.append(f"not {said}" if negation else said)
         if text.startswith(("(or", "(exists")):
             return (" or " if "(or" in text else " and ").join(words)
-        *asked, last = words
-        return last + (f" (if {' and '.join(asked)})" if asked else "")
+        *conditions, last = words
+        return last + (f" (if {' and '.join(conditions)})" if conditions else "")
 
     def describe(self, item: Item, robots: Any, believed: Any) -> tuple[str, str]:
         """What the robot knows of an item, and what people believe, as two sentences."""

@@ -339,8 +339,8 @@ def read_text(task: Task, signature: Signature, source: Source, effect: bool = F
     nested = source.nested()
     with source.translated(f"; known: {', '.join([*task.predicates, *dict(task.objects)])}"):
         domain, problem, action = (lisp_parser.parse_nested_list([text]) for text in texts)
-        asked = [":effect", nested] if effect else [":precondition", nested, ":effect", ["done@"]]
-        actions = parsing_functions.parse_task([*domain, [*action, *asked]], problem).actions
+        added = [":effect", nested] if effect else [":precondition", nested, ":effect", ["done@"]]
+        actions = parsing_functions.parse_task([*domain, [*action, *added]], problem).actions
     found = [x for y in actions for x in (y.effects if effect else conjuncts(y.precondition))]
     if len(found) != 1:
         raise InputError(source.key, source.value, "one literal such as (on ?x b)")

@@ -463,13 +463,13 @@ class HypothesisTrainer(LabelerTrainer):
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
         """Also knows how these people err when they answer; their types [O] are given."""
-        asked = self.known_answers(dataset)
-        if asked is None:
+        known = self.known_answers(dataset)
+        if known is None:
             return self, self.answers, self.evidence
-        made = errors_of(asked.grown, asked.of_observers, assignment)
-        where = [*asked.place, -1]
+        made = errors_of(known.grown, known.of_observers, assignment)
+        where = [*known.place, -1]
         answers = replace(made, slip=made.slip[where], guess=made.guess[where])
-        evidence = asked.evidence(assignment)
+        evidence = known.evidence(assignment)
         return (
             replace(self, answers=answers, types=assignment, evidence=evidence),
             answers,

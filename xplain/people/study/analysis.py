@@ -210,8 +210,8 @@ def _flow(own: pd.DataFrame, ends: Mapping[str, pd.Series[bool]]) -> pd.DataFram
         "still on their way": ~own["stage"].isin(["done", *ENDS]),
         **{name: who.reindex(own.index, fill_value=False) for name, who in ends.items()},
     }
-    asked = (ASKING,) if (own["condition"] == ASKING).any() else ()
-    of = {"all": everybody} | {c: own["condition"] == c for c in (*CONDITIONS, *asked)}
+    asking = (ASKING,) if (own["condition"] == ASKING).any() else ()
+    of = {"all": everybody} | {c: own["condition"] == c for c in (*CONDITIONS, *asking)}
     counted = {
         whose: {stage: int((who & theirs).sum()) for stage, who in reached.items()}
         for whose, theirs in of.items()
