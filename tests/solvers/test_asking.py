@@ -13,6 +13,7 @@ from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleStat
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import answered
 from xplain.explanation.label_table import LabelTable
+from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import CachedPolicy, best_action
 from xplain.solvers.bounds import bounds
@@ -22,7 +23,8 @@ from xplain.solvers.hsvi import Certified, Effort
 from xplain.solvers.pomcp import POMCP
 from xplain.solvers.process import make_process
 from xplain.solvers.voi import NO_NEWS, telling_questions
-from xplain.testing.literal_pomdp import literal_optimal_value
+from xplain.testing.literal_pomdp import EXPLAIN as EXPLAIN_
+from xplain.testing.literal_pomdp import LiteralPOMDP, LiteralState, literal_optimal_value
 from xplain.testing.problems import random_problem, with_questions
 
 CLOSE = Effort(gap=1e-9, nodes=100_000, memory_gib=1.0)
@@ -123,24 +125,26 @@ def test_to_be_able_to_ask_costs_nothing(solver: QMDP | POMCP) -> None:
 
 
 def test_open_questions_are_those_of_the_rule_that_tell_something() -> None:
-    """What tells nothing itself is listed where another of its kind does."""
+    """A question counts as the most telling one of its kind that may still be asked."""
     rng = np.random.default_rng(14)
     for _ in range(150):
         problem = with_questions(rng, random_problem(rng, 4, 2, 2), 7)
         questions, process = problem.questions, make_process(problem)
         asked = int(rng.integers(1 << len(questions)) & rng.integers(1 << len(questions)))
-        step, given = int(rng.integers(2)), int(rng.integers(1 << problem.n_messages))
+        step, given = int(rng.integers(problem.n_steps)), int(rng.integers(1 << problem.n_messages))
         belief = rng.dirichlet(np.ones(problem.n_types))
         found, nats = telling_questions(process, VisibleState(step, given, asked), belief)
         news, labels = {}, questions.table.label_probabilities(len(questions), given).T >= 0.5
-        open_ = questions.open(step, given, asked)
+        shown, heard = frozenset(indices(given)), frozenset(indices(asked))
+        state = LiteralState(step, (), shown, frozenset(), 0, asked=heard)
+        open_ = [EXPLAIN_ - 1 - a for a in LiteralPOMDP(problem).actions(state) if a < EXPLAIN_]
         for q in open_:
             alike = (labels == labels[q]).all(axis=1)
             for other in np.flatnonzero(alike).tolist():
                 p = questions.table.answer_probabilities(other + 1, given)[:, other]
                 told = entropy(belief @ p) - belief @ [entropy(x) for x in p]
                 if told > NO_NEWS and other >= q and not asked >> other & 1:
-                    news.setdefault(q, told)
+                    news[q] = max(news.get(q, 0.0), told)
         assert sorted(found) == sorted(news)
         np.testing.assert_allclose(nats, sorted(news.values(), reverse=True))
 

@@ -339,8 +339,9 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
     return process, tables, kept
 
 
-def _store(tables: Tables, states: int, nodes: int = 1 << 10) -> Store:
-    """An empty store, with room for so many nodes."""
+def _store(tables: Tables, states: int) -> Store:
+    """An empty store, with room for some thousand nodes."""
+    nodes = 1 << 12 if states <= 64 else 1 << 10
     sets, words = len(tables.price), -(-len(tables.model.asked_answered) // WORD)
     actions, rows = max(4 * nodes, 2 * sets), 16
     visible = sets if tables.width else 1
