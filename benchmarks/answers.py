@@ -13,6 +13,10 @@ item and shares of the 2^n profiles by expectation maximisation; `classes` are S
 classes, their number by BIC (needs `pip install 'xplain-hri[bench]'`); `mixture k` has k classes
 drawn to the question's mean with the weight of five answers.
 
+Where a table has answers before and after messages (column `messages`), all answers after them of a
+third of the people are left out, beside the question's mean, question x the person's own earlier
+answer, and a logistic regression on question, own earlier answer and earlier score.
+
 Tables of others stay out of the repository. Measured with it: fractions, K. Tatsuoka's data as in
 the R package CDM (data.fraction1); skateboard, of SUCCESS-MURI/psiturk-machine-teaching on GitHub.
 """
@@ -126,9 +130,20 @@ def discovered(answers: Table, needed: Table | None, labels: Table, folder: Path
     skills are given, people lack some, and the items that need one of these are answered 0."""
     given, left = np.nonzero(~np.isnan(answers)), np.nonzero(np.isnan(answers) & ~np.isnan(labels))
     names = {"observer": [f"p{o:05d}" for o in given[0]], "item": given[1]}
-    pd.DataFrame(names | {"label": answers[given].astype(int)}).to_csv(folder / "given.csv")
-    asked = {"observer": [f"p{o:05d}" for o in left[0]], "item": left[1]}
-    pd.DataFrame(asked).to_csv(folder / "left.csv")
+    told = pd.DataFrame(names | {"label": answers[given].astype(int)})
+    asked = pd.DataFrame({"observer": [f"p{o:05d}" for o in left[0]], "item": left[1]})
+    result = np.full(answers.shape, np.nan)
+    result[left] = predicted(told, asked, needed, folder)
+    return result
+
+
+def predicted(
+    told: pd.DataFrame, asked: pd.DataFrame, needed: Table | None, folder: Path
+) -> NDArray[np.float64]:
+    """``xplain discover``'s P(answer 1) of the rows ``asked``; skills ``needed`` [T, n] are named
+    skill_0, skill_1, …, as in the tables' messages."""
+    told.to_csv(folder / "given.csv", index=False)
+    asked.to_csv(folder / "left.csv", index=False)
     command = [sys.executable, "-m", "xplain", "discover", "data=given.csv", "predict=left.csv"]
     options = ["features=[item]", "held_out=false"]
     if needed is not None:
@@ -141,10 +156,9 @@ def discovered(answers: Table, needed: Table | None, labels: Table, folder: Path
             feature_names=("item",),
         ).save(folder / "skills.npz")
         options += ["labeler=hypotheses", "hypotheses=skills.npz"]
-    subprocess.run([*command, *options], cwd=folder, check=True, capture_output=True)
-    result = np.full(answers.shape, np.nan)
-    result[left] = pd.read_csv(folder / "outputs/discover/predictions.csv")["p"]
-    return result
+    done = subprocess.run([*command, *options], cwd=folder, check=True, capture_output=True)
+    print("\n".join(line for line in done.stdout.decode().splitlines() if " lands with " in line))
+    return pd.read_csv(folder / "outputs/discover/predictions.csv")["p"].to_numpy()
 
 
 def nats(one: Table, labels: Table, left: NDArray[np.bool_]) -> float:
@@ -160,9 +174,16 @@ def table_of(path: Path) -> tuple[Table, Table | None]:
     if not items.exists():
         return wide.to_numpy(float), None
     said = pd.read_csv(items).set_index("item")["inexplicable_if"].loc[wide.columns]
-    skills = sorted({one for own in said for one in own.split(";")})
+    skills = skills_of(path)
     needed = [[float(one in own.split(";")) for one in skills] for own in said]
     return wide.to_numpy(float), np.array(needed)
+
+
+def skills_of(path: Path) -> list[str]:
+    """The skills in the file beside a table; none where there is no such file."""
+    items = path.with_name(f"{path.stem}_items.csv")
+    said = pd.read_csv(items)["inexplicable_if"] if items.exists() else []
+    return sorted({one for own in said for one in own.split(";")})
 
 
 def simulated() -> tuple[Table, Table]:
@@ -228,6 +249,61 @@ def compare(name: str, labels: Table, needed: Table | None, splits: int) -> None
         )
 
 
+def own_earlier(before: Table, after: Table) -> Table:
+    """The mean of people who gave the same earlier answer to the question."""
+    taught, result = ~np.isnan(after[:, 0]), np.empty(before.shape)
+    for answer in (0, 1):
+        same = (before == answer) & taught[:, None]
+        mean = (np.nansum(after * same, axis=0) + 1) / (same.sum(axis=0) + 2)
+        result = np.where(before == answer, mean, result)
+    return result
+
+
+def by_score(before: Table, after: Table) -> Table:
+    """A logistic regression on the question, the earlier answer to it and the earlier score."""
+    o, t = np.indices(before.shape).reshape(2, -1)
+    known = ~np.isnan(after[o, t])
+    inputs = np.column_stack([np.eye(before.shape[1])[t], before[o, t], before.mean(axis=1)[o]])
+    model = LogisticRegression(max_iter=2000).fit(inputs[known], after[o, t][known])
+    return model.predict_proba(inputs)[:, 1].reshape(before.shape)
+
+
+def after_teaching(path: Path, splits: int) -> None:
+    """Prints how well answers after messages are predicted, where a table has both: those of a
+    third of the people who were told something are left out."""
+    every, needed = pd.read_csv(path).fillna({"messages": ""}), table_of(path)[1]
+    names = {"": "", **{skill: f"skill_{j}" for j, skill in enumerate(skills_of(path))}}
+    joined = [";".join(names[m] for m in own.split(";")) for own in every["messages"]]
+    told = every["messages"] != ""
+    if needed is not None:
+        every["messages"] = joined
+    before = every[~told].pivot_table("label", "observer", "item")
+    after = every[told].pivot_table("label", "observer", "item").reindex(before.index)
+    taught, rows = after.dropna().index, dict[str, list[float]]()
+    methods = {"question's mean": lambda _, answers: mean(answers, None)}
+    methods |= {"question x own earlier answer": own_earlier, "logistic, score": by_score}
+    for split in range(splits):
+        chosen = np.random.default_rng((split, 2)).permutation(taught)[: len(taught) // 3]
+        left = before.index.isin(chosen)
+        answers = after.to_numpy(float, copy=True)
+        answers[left] = np.nan
+        labels = after.to_numpy()[left]
+        for method, expected in methods.items():
+            one = expected(before.to_numpy(), answers)[left]
+            rows.setdefault(method, []).append(nats(one, labels, ~np.isnan(labels)))
+        test = every[told & every["observer"].isin(chosen)]
+        for way, known in {"discover": None, "discover, hypotheses": needed}.items():
+            if way == "discover" or known is not None:
+                with tempfile.TemporaryDirectory() as folder:
+                    asked = test[["observer", "item", "messages"]]
+                    p = predicted(every.drop(test.index), asked, known, Path(folder))
+                given = np.ones(len(test), bool)
+                rows.setdefault(way, []).append(nats(p, test["label"].to_numpy(), given))
+    print(f"\n## {path.stem}, after messages: {len(taught)} people, a third left out\n")
+    for way, values in rows.items():
+        print(f"{way} | " + " | ".join(f"{v:.3f}" for v in (*values, np.mean(values))))
+
+
 def worst(tenths: tuple[Tenth, ...]) -> float:
     """The largest difference in a tenth."""
     return max(abs(one.said - one.ones) for one in tenths)
@@ -279,7 +355,11 @@ def main() -> None:
         compare("simulated pupils", *simulated(), 1 if given.quick else 3)
         return
     for path in sorted(given.data.glob("*.csv")):
-        if not path.stem.endswith("_items"):
+        if path.stem.endswith("_items"):
+            continue
+        if "messages" in pd.read_csv(path, nrows=0) and pd.read_csv(path)["messages"].notna().any():
+            after_teaching(path, 3)
+        else:
             compare(path.stem, *table_of(path), 3)
 
 

@@ -52,9 +52,11 @@ from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.simple import SayAll
 
 MAPS = ("random rescue", "random rooms")
-SEEDS = range(9500, 9505)
+SEEDS = range(9760, 9765)
 TRACES = 3
 TRADE_OFFS = (0.5, 1.0, 2.0)
+FITS, CERTAIN = 0.95, 0.997
+"""A fit and a belief that should be right in 95 of 100 cases."""
 KINDS: dict[str, Explainee] = {
     "exact": Exact(),
     "expert": Expert(),
@@ -84,7 +86,11 @@ POLICIES: dict[str, tuple[BeliefUpdate, Solver]] = {
 
 
 class Told(NamedTuple):
-    """One episode: of which world, λ, kind, policy, trace and user it is."""
+    """One episode: of which world, λ, kind, policy, trace and user it is.
+
+    Attributes:
+        right: [N] whether each type found is the user's, who thinks as it does on this trace.
+    """
 
     seed: int
     trade_off: float
@@ -92,6 +98,7 @@ class Told(NamedTuple):
     policy: str
     trace: int
     user: int
+    right: NDArray[np.bool_]
     episode: Episode
 
 
@@ -127,9 +134,13 @@ def episodes(name: str, seeds: Iterable[int], trade_offs: Iterable[float], *over
                         truth, same = what_is_thought(prepared.cases[index])
                         for user in range(len(prepared.types)):
                             seed = derived_seed(world.seed, "explainee", index, user)
-                            person = people[kind].meet(truth.of_types([user]), same, seed)
+                            own = truth.of_types([user])
+                            person = people[kind].meet(own, same, seed)
+                            alike = np.array_equal(people[kind].thoughts(own, same, seed).p, own.p)
+                            right = prepared.matched_true_type == prepared.distinct[user]
+                            about = world.seed, trade_off, kind, policy, index, user
                             talk = explain(problem, planned, person, update)
-                            yield Told(world.seed, trade_off, kind, policy, index, user, talk)
+                            yield Told(*about, right & alike, talk)
 
 
 def ratio(over: NDArray[np.float64], under: NDArray[np.float64]) -> tuple[float, float]:
@@ -147,8 +158,11 @@ def table(
         costs: dict[tuple[str, float, str], dict[int, list[float]]] = defaultdict(
             lambda: defaultdict(list)
         )
+        opened = defaultdict(list)
         for told in episodes(name, seeds, trade_offs, *overrides, traces=traces):
             costs[told.kind, told.trade_off, told.policy][told.seed].append(told.episode.cost)
+            if told.policy == "open":
+                opened[told.kind].append(told)
         print(f"| {name} | " + " | ".join(f"λ = {one:g}" for one in trade_offs) + " | best |")
         print("|---" * (len(trade_offs) + 2) + "|")
         logs: dict[float, list[float]] = defaultdict(list)
@@ -168,6 +182,31 @@ def table(
             print(f"| {kind} | " + " | ".join([*cells, ", ".join(best)]) + " |")
         means = [f"{np.exp(np.mean(logs[one])):.2f}" for one in trade_offs]
         print(f"| geometric mean, without backlash | {' | '.join(means)} | |\n", flush=True)
+        calibration(opened)
+
+
+def calibration(opened: dict[str, list[Told]]) -> None:
+    """Prints how often a high fit and a high belief are right, where half of the people are as
+    assumed and half of another kind."""
+    print("| half as assumed, half | mean fit | fit ≥ 0.95 | of a found type | belief ≥ 0.997 "
+          "| right |\n|---|---|---|---|---|---|")  # fmt: skip
+    found = {}
+    for kind, told in opened.items():
+        fit = np.array([one.episode.fit for one in told])
+        belief = np.array([one.episode.beliefs[-1][: len(one.right)].max() for one in told])
+        chosen = [one.episode.beliefs[-1][: len(one.right)].argmax() for one in told]
+        right = np.array([one.right[t] for one, t in zip(told, chosen, strict=True)])
+        known = np.array([one.right.any() for one in told])
+        sure, certain = fit >= FITS, belief >= CERTAIN
+        found[kind] = [
+            float(one.mean()) for one in (fit, sure, sure & known, certain, certain & right)
+        ]
+    for kind, own in found.items():
+        fit, sure, known, certain, right = np.mean([own, found["exact"]], axis=0)
+        shares = [known / sure if sure else np.nan, right / certain if certain else np.nan]
+        cells = f"{own[0]:.2f} | {sure:.3f} | {shares[0]:.3f} | {certain:.3f} | {shares[1]:.3f}"
+        print(f"| {kind} | {cells} |")
+    print(flush=True)
 
 
 def main() -> None:

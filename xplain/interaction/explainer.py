@@ -162,7 +162,8 @@ class Explainer:
         belief_update: which labels are evidence, and how users err. None: people may be of no type
             (:class:`~xplain.explanation.anybody.Open`) where the facts of the types are known and
             at most DENSE; else they repeat themselves and err as observers did
-            (``Persistent("learned")``) where the types tell how these erred; else the paper's
+            (``Persistent("learned")``) where the types tell how these erred; messages land as
+            often as they tell, where some do not; else the paper's
             :class:`~xplain.explanation.belief.Independent`.
         seed: of solvers that search at random.
         ask: what questions cost and how many are asked; None for none.
@@ -207,10 +208,12 @@ class Explainer:
         """How labels change the belief."""
         if self.belief_update is not None:
             return self.belief_update
-        error: Assumed = 0.0 if self.types.habits is None else "learned"
+        habits = self.types.habits
+        error: Assumed = 0.0 if habits is None else "learned"
+        accept: Assumed = "learned" if habits is not None and (habits.accept < 1).any() else 1.0
         if self.types.wrong is not None and len(self.types.messages) <= DENSE:
-            return Open(error)
-        return Independent() if self.types.habits is None else Persistent(error)
+            return Open(error, accept)
+        return Independent() if habits is None else Persistent(error, accept)
 
     def session(
         self,

@@ -232,6 +232,11 @@ class LabelerTrainer:
         unknown, or too many."""
         return None
 
+    def thoughts(self, dataset: Dataset) -> NDArray[np.float64] | None:
+        """P(label = 1) of a dataset's T transitions by the facts believed incorrectly: [2^n, T];
+        None where facts are unknown, or too many."""
+        return None
+
     def with_errors(
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:

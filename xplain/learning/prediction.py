@@ -26,10 +26,11 @@ SURE = 1.96
 def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[np.float64]:
     """P(answer 1) of each row of ``questions``: [P].
 
-    Where the method predicts answers itself, that is taken, or, where labelers tell what people
-    think, its mean with theirs; else the types' labelers, weighed for each observer by the shares
-    of the types and the observer's own labels. Of an observer without labels nothing is known but
-    the shares.
+    Answers after messages are predicted by what people answered before, where the dataset has such
+    answers (:mod:`xplain.learning.landing`). Else, where the method predicts answers itself, that
+    is taken, or, where labelers tell what people think, its mean with theirs; else the types'
+    labelers, weighed for each observer by the shares of the types and the observer's own labels. Of
+    an observer without labels nothing is known but the shares.
 
     Args:
         dataset: the labels that the types were found in.
@@ -52,6 +53,10 @@ def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray
         if all(one.means_truth for one in types.labelers):
             own = (own + result) / 2
         result = np.where(plain, own, result)
+    if types.landing is not None:
+        told = np.flatnonzero(questions.message_set)
+        about = who[told], transition[told], questions.message_set[told]
+        result[told] = types.landing.predicted(*about)
     return np.asarray(result)
 
 
@@ -178,7 +183,7 @@ def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[
     method predicts answers itself, by that; else by the labeler of its observer's type. Where
     labelers say what people think, as :func:`predicted`."""
     found, rows = types.clustering, np.arange(len(test))
-    if all(one.means_truth for one in types.labelers):
+    if types.landing is not None or all(one.means_truth for one in types.labelers):
         one = predicted(train, types, test)
     elif found.expected is not None:
         one = found.expected[test.observer, test.transition]

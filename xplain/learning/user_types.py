@@ -26,13 +26,14 @@ from numpy.typing import NDArray
 from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import user_type
 from xplain.errors import DomainError, InputError, XplainError
-from xplain.explanation.habits import Habits
+from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import DENSE, LabelTable, stacked
 from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence
 from xplain.learning.labelers import Labeler, LabelerTrainer, fresh_accuracy
+from xplain.learning.landing import Landing, learned_landing
 from xplain.learning.types import Clustering, KnownTypes, TraceTables, unless_too_large
 
 log = logging.getLogger(__name__)
@@ -75,6 +76,8 @@ class Clusterer(ABC):
         trainer = self.labeler.given(observed)  # once: what it works out of its task is kept
         clustering = replace(self, labeler=trainer).cluster(observed, seed)
         types = learn_types(observed.dataset, clustering, trainer, seed)
+        landing = learned_landing(observed.dataset, trainer.thoughts(observed.dataset))
+        types = replace(types, landing=landing)
         if types.evidence is not None and types.evidence.lost:
             log.warning("%s", types.evidence)
         return types
@@ -115,6 +118,7 @@ class UserTypes:
         evidence: how well hypotheses predicted the answers; None where there are none.
         everything: the labeler of somebody who believes every fact incorrectly; None where facts
             are unknown.
+        landing: how often messages land; None where no answers tell it.
     """
 
     labelers: tuple[Labeler, ...]
@@ -124,11 +128,16 @@ class UserTypes:
     answers: AnswerModel | None = None
     evidence: Evidence | None = None
     everything: Labeler | None = None
+    landing: Landing | None = None
 
     @property
     def habits(self) -> Habits | None:
-        """How people err, as far as their answers tell."""
-        return None if self.answers is None else self.answers.habits
+        """How people err and take messages in, as far as their answers tell."""
+        own = None if self.answers is None else self.answers.habits
+        if self.landing is None or not self.landing.missed:
+            return own
+        own = own or PAPER
+        return replace(own, accept=np.full(len(own), self.landing.mean))
 
     @property
     def by_observers(self) -> dict[tuple[int, ...], Labeler]:

@@ -72,12 +72,21 @@ class Discovery:
         return {
             "n_types": clustering.n_types,
             "assignment": {observer: names[t] for observer, t in pairs},
+            "accept": self.accept,
             "method": clustering.method,
             "rule": clustering.rule,
             "held_out_log_likelihood": None if unseen is None else unseen.types,
             "held_out": told,
             "seconds": self.seconds,
         }
+
+    @property
+    def accept(self) -> dict[str, list[float]] | None:
+        """How often each message lands, and its 95 % interval; None where no answers tell it."""
+        landing = self.types.landing
+        if landing is None or not len(landing.accept):
+            return None
+        return dict(zip(self.dataset.messages, landing.accept.round(3).tolist(), strict=True))
 
     def frame(self) -> pd.DataFrame:
         """A row a type: how many observers and labels, and what its people need to be told."""
@@ -148,6 +157,8 @@ class Discovery:
         found = f"{row['n_types']} user types ({row['method']}, {row['rule']})"
         console.print(f"{found}; files in {folder}")
         console.print(table)
+        for message, (rate, low, high) in (self.accept or {}).items():
+            console.print(f"{message} lands with probability {rate:.2f} ({low:.2f} to {high:.2f})")
         if self.held_out is not None:
             figures = {key: row["held_out"][key] for key in ("types", "one_type", "question_mean")}
             said = ", ".join(f"{key.replace('_', ' ')} {-own:.3f}" for key, own in figures.items())

@@ -481,6 +481,14 @@ class HypothesisTrainer(LabelerTrainer):
         n, sets = self.known.hypotheses.n_messages, len(self.known.hypotheses.facts)
         return EverythingWrong(self.known) if n <= DENSE and sets == 1 << n else None
 
+    def thoughts(self, dataset: Dataset) -> NDArray[np.float64] | None:
+        """As :meth:`LabelerTrainer.thoughts`; 1 where hypotheses do not know a transition."""
+        asked = self.known_answers(dataset)
+        if asked is None or self.everything() is None:
+            return None
+        rows = self.known.hypotheses.row(np.arange(1 << dataset.n_messages))
+        return np.where(asked.place >= 0, self.known.share[0][rows][:, asked.place], 1.0)
+
     def known_answers(self, dataset: Dataset) -> KnownAnswers | None:
         """The answers that hypotheses know about; None where they know nothing of the dataset."""
         if not self._is_about(dataset):

@@ -1,0 +1,242 @@
+"""Messages that may not land, learned from people who answered before and after they were told.
+
+A message corrects the fact that it is about with probability α, or the person believes it
+incorrectly for good. What people still believe incorrectly decides f, as in
+:mod:`xplain.learning.answers`. Queries have slips and guesses, and people differ in how often they
+slip: the odds of all slips of a person are multiplied by one of LEVELS, an ability as in the model
+of Rasch. Everything is learned from everybody's answers by expectation maximisation. Without
+hypotheses nobody knows which facts matter where; people then differ in their slips alone.
+
+Whoever answered otherwise than expected before a message does so again: the log odds of an answer
+move with the difference between the earlier answer about this transition and what was expected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, logit, softmax
+
+from xplain.explanation.message_sets import bits_of
+from xplain.learning.data.dataset import Dataset, query_index
+
+LEVELS = np.array([0.03, 0.1, 0.3, 1, 3, 10, 30])
+PEOPLE = 20
+"""So many must have answered both before and after they were told, at least."""
+FACTS = 6
+"""Facts that are told apart, at most: there are 3 to their number hidden states."""
+NUMBERS = 1 << 23
+"""Of answers times hidden states, at most."""
+WEIGHT = 16.0
+"""The mean of all slips, or guesses, weighs as much as so many answers to each query."""
+SMOOTHING = 4.0
+"""As if each level had so many people more, who believe incorrectly what all people do."""
+STEPS, STILL = 60, 1e-3
+"""Steps at most; they end when no slip, guess or α moves by more than STILL."""
+LANDS = 0.95
+"""All messages land unless the interval of an α ends below this."""
+GRID = np.linspace(0.005, 0.995, 199)
+
+
+@dataclass(frozen=True)
+class Landing:
+    """How often messages land, and what people answer before and after: S hidden states of O
+    people, Q queries.
+
+    Attributes:
+        accept: [n, 3] α of each message, and the ends of its 95 % interval; [0, 3] without
+            hypotheses.
+        mean: α of all messages, each weighed by the people whom it could correct.
+        table: [2^n, T] P(f = 1) by the facts believed incorrectly.
+        wrong, kept: [S] facts believed incorrectly before any message, and those of them that
+            messages do not correct, as bitmasks.
+        slip, guess: [Q + 1] the last are of a query that nobody answered.
+        number: of each query (transition, message set).
+        people: [O + 1, levels · S] posterior of each person; the last is of somebody new.
+        surprise: [O + 1, T + 1] the answer before any message about each transition, less its
+            expectation by the person's other answers; 0 where there is none.
+        repeats: what a surprise adds to the log odds of an answer after messages.
+    """
+
+    accept: NDArray[np.float64]
+    mean: float
+    table: NDArray[np.float64]
+    wrong: NDArray[np.int64]
+    kept: NDArray[np.int64]
+    slip: NDArray[np.float64]
+    guess: NDArray[np.float64]
+    number: dict[tuple[int, int], int]
+    people: NDArray[np.float64]
+    surprise: NDArray[np.float64]
+    repeats: float
+
+    @property
+    def missed(self) -> bool:
+        """Whether some messages do not land."""
+        return bool((self.accept[:, 2] < LANDS).any())
+
+    def predicted(
+        self, who: NDArray[np.int64], transition: NDArray[np.int64], told: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(answer 1) of people (−1: somebody new) about transitions (−1: unknown): [P]."""
+        result, both = np.empty(len(who)), np.stack([transition, told], axis=1)
+        for query in np.unique(both, axis=0):
+            rows = np.flatnonzero((both == query).all(axis=1))
+            f = _thought(self.table, self.wrong, self.kept, *query[:, None])
+            at = [self.number.get((int(query[0]), int(query[1])), -1)]
+            one = _answered(f, self.slip[at], self.guess[at]).ravel()
+            result[rows] = self.people[who[rows]] @ one
+        return np.asarray(expit(logit(result) + self.repeats * self.surprise[who, transition]))
+
+
+def learned_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landing | None:
+    """Learns how often messages land.
+
+    Args:
+        dataset: the answers.
+        table: [2^n, T] P(f = 1) of its transitions by the facts believed incorrectly; None where
+            nobody knows that.
+
+    Returns:
+        None where fewer than PEOPLE observers were told something for good between their answers,
+        or hidden states are too many. Without a table also where not all were told the same: types
+        may then say more than abilities.
+    """
+    given = [
+        np.unique(dataset.message_set[dataset.observer == o]) for o in range(len(dataset.observers))
+    ]
+    taught = sum(len(sets) > 1 and _is_chain(sets) for sets in given)
+    if taught < PEOPLE or taught < sum(map(np.any, given)):
+        return None
+    if table is None:
+        if not _is_chain(np.unique(dataset.message_set)):
+            return None
+        table = np.ones((1, len(dataset.features)))
+    n = len(table).bit_length() - 1
+    pairs = np.array([(w, k) for w in range(1 << n) for k in range(1 << n) if not k & ~w])
+    wrong, kept = pairs.T
+    query = query_index(dataset)
+    first = np.unique(query, return_index=True)[1]
+    states, observers = len(LEVELS) * len(pairs), len(given)
+    if n > FACTS or len(dataset) * states > NUMBERS:
+        return None
+    transition, told = dataset.transition[first], dataset.message_set[first]
+    counts = np.zeros((2, observers, len(first)))
+    np.add.at(counts, (dataset.label, dataset.observer, query), 1)
+    f = _thought(table, wrong, kept, transition, told)
+    had, stays = bits_of(wrong, n), bits_of(kept, n)
+    after = bits_of(np.array([int(np.bitwise_or.reduce(own)) for own in given]), n) == 1  # [O, n]
+    slip, guess = np.full(len(first), 0.08), np.full(len(first), 0.2)
+    accept, prior = np.full(n, 0.5), np.full((len(LEVELS), 1 << n), 1 / (len(LEVELS) << n))
+    for _ in range(STEPS):
+        before = np.concatenate([slip, guess, accept])
+        one = _answered(f, slip, guess).reshape(states, len(first))
+        land = (had - stays) @ np.log(accept) + stays @ np.log1p(-accept)
+        joint = (np.log(prior)[:, wrong] + land).ravel()
+        joint = joint + counts[1] @ np.log(one).T + counts[0] @ np.log1p(-one).T
+        people = softmax(joint, axis=1).reshape(observers, len(LEVELS), len(pairs))
+        by_facts = people.sum(axis=0) @ (wrong[:, None] == np.arange(1 << n))
+        prior = by_facts + SMOOTHING * by_facts.sum(axis=0) / observers + 0.05
+        prior /= prior.sum()
+        corrected, held = (
+            np.einsum("ols,sj,oj->j", people, own, after) for own in (had - stays, had)
+        )
+        accept = (corrected + 1) / (held + 2)
+        weight = people.reshape(observers, states)
+        zero, all_ = (
+            (own.T @ weight).reshape(len(first), len(LEVELS), len(pairs))
+            for own in (counts[0], counts.sum(axis=0))
+        )
+        more = expit(logit(slip) + np.log(LEVELS)[:, None]) / slip  # [levels, Q]
+        slip = _drawn(np.einsum("qls,sq->q", zero, f), np.einsum("qls,sq,lq->q", all_, f, more))
+        guess = _drawn(*(np.einsum("qls,sq->q", own, 1 - f) for own in (all_ - zero, all_)))
+        if np.abs(np.concatenate([slip, guess, accept]) - before).max() < STILL:
+            break
+    ends = [
+        _interval(people[after[:, j]].sum(axis=1), had[:, j] == 1, stays[:, j] == 1, accept[j])
+        for j in range(n)
+    ]
+    new = (np.log(prior)[:, wrong] + land).ravel()
+    surprise, repeats = _surprises(dataset, query, one, new)
+    return Landing(
+        accept=np.column_stack([accept, np.array(ends).reshape(n, 2)]),
+        mean=float((corrected.sum() + 1) / (held.sum() + 2)),
+        table=table,
+        wrong=wrong,
+        kept=kept,
+        slip=np.append(slip, slip.mean()),
+        guess=np.append(guess, guess.mean()),
+        number={
+            key: q for q, key in enumerate(zip(transition.tolist(), told.tolist(), strict=True))
+        },
+        people=np.concatenate([weight, softmax(new)[None]]),
+        surprise=surprise,
+        repeats=repeats,
+    )
+
+
+def _surprises(
+    dataset: Dataset, query: NDArray[np.int64], one: NDArray[np.float64], new: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """As of :class:`Landing`, of P(answer 1) ``one`` [states, Q] and log P(state) ``new``. What a
+    surprise adds is one step of Newton's from 0."""
+    log = np.log([1 - one, one])[dataset.label, :, query]  # [P, states]
+    plain, observer = dataset.message_set == 0, dataset.observer
+    about = np.zeros((len(dataset.observers), len(new)))
+    np.add.at(about, observer[plain], log[plain])
+    others = softmax(new + about[observer] - log * plain[:, None], axis=1)
+    expected = (others * one.T[query]).sum(axis=1)
+    surprise = np.zeros((len(dataset.observers) + 1, len(dataset.features) + 1))
+    surprise[observer[plain], dataset.transition[plain]] = (dataset.label - expected)[plain]
+    own, off = surprise[observer, dataset.transition][~plain], expected[~plain]
+    slope = (own * (dataset.label[~plain] - off)).sum()
+    return surprise, float(slope / ((own**2 * off * (1 - off)).sum() + 1))
+
+
+def _is_chain(sets: NDArray[np.int64]) -> bool:
+    """Whether each of these message sets is part of the next larger one: what is told stays
+    told."""
+    ordered = sets[np.argsort(np.bitwise_count(sets))]
+    return bool((ordered[:-1] & ~ordered[1:] == 0).all())
+
+
+def _thought(
+    table: NDArray[np.float64],
+    wrong: NDArray[np.int64],
+    kept: NDArray[np.int64],
+    transition: NDArray[np.int64],
+    told: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """P(f = 1) of queries [Q] by hidden state: [S, Q]; 1 about unknown transitions."""
+    held = (wrong[:, None] & ~told | kept[:, None] & told) & len(table) - 1
+    return np.where(transition >= 0, table[held, transition], 1.0)
+
+
+def _answered(
+    f: NDArray[np.float64], slip: NDArray[np.float64], guess: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """P(answer 1) of queries by level and hidden state, where P(f = 1) is ``f`` [S, Q]: [levels,
+    S, Q]."""
+    slips = expit(logit(slip) + np.log(LEVELS)[:, None])
+    return np.asarray(f * (1 - slips[:, None]) + (1 - f) * guess)
+
+
+def _drawn(times: NDArray[np.float64], of: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rates [Q], drawn to the mean of all."""
+    mean = (times.sum() + 1) / (of.sum() + 20)
+    return np.asarray(((times + WEIGHT * mean) / (of + WEIGHT)).clip(0.001, 0.6))
+
+
+def _interval(
+    people: NDArray[np.float64], had: NDArray[np.bool_], stays: NDArray[np.bool_], accept: float
+) -> tuple[float, float]:
+    """The 95 % interval of α of a message, all else being as it was learned: the likelihood of
+    each person's answers is linear in α. ``people`` [O, S] is the posterior at ``accept``."""
+    landed = people[:, had & ~stays].sum(axis=1) / accept
+    missed = people[:, stays].sum(axis=1) / (1 - accept)
+    rest = people[:, ~had].sum(axis=1)
+    log = np.log(rest + landed * GRID[:, None] + missed * (1 - GRID[:, None])).sum(axis=1)
+    below = softmax(log).cumsum()
+    return tuple(float(GRID[np.searchsorted(below, end)]) for end in (0.025, 0.975))  # type: ignore[return-value]
