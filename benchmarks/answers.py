@@ -182,8 +182,9 @@ def table_of(path: Path) -> tuple[Table, Table | None]:
 def skills_of(path: Path) -> list[str]:
     """The skills in the file beside a table; none where there is no such file."""
     items = path.with_name(f"{path.stem}_items.csv")
-    said = pd.read_csv(items)["inexplicable_if"] if items.exists() else []
-    return sorted({one for own in said for one in own.split(";")})
+    if not items.exists():
+        return []
+    return sorted({one for own in pd.read_csv(items)["inexplicable_if"] for one in own.split(";")})
 
 
 def simulated() -> tuple[Table, Table]:
@@ -280,8 +281,11 @@ def after_teaching(path: Path, splits: int) -> None:
     before = every[~told].pivot_table("label", "observer", "item")
     after = every[told].pivot_table("label", "observer", "item").reindex(before.index)
     taught, rows = after.dropna().index, dict[str, list[float]]()
-    methods = {"question's mean": lambda _, answers: mean(answers, None)}
-    methods |= {"question x own earlier answer": own_earlier, "logistic, score": by_score}
+    methods: dict[str, Callable[[Table, Table], Table]] = {
+        "question's mean": lambda _, answers: mean(answers, None),
+        "question x own earlier answer": own_earlier,
+        "logistic, score": by_score,
+    }
     for split in range(splits):
         chosen = np.random.default_rng((split, 2)).permutation(taught)[: len(taught) // 3]
         left = before.index.isin(chosen)

@@ -39,7 +39,8 @@ def discover(words: list[str]) -> dict[str, Any]:
     The last line on standard output is one JSON object: ``n_types``, ``assignment`` {observer:
     type}, ``method``, ``rule``, ``held_out`` (how well held-out labels are predicted, in nats a
     label, with and without types; null where ``held_out=false``), ``held_out_log_likelihood``
-    (that with types), ``seconds``.
+    (that with types), ``seconds``; where answers tell it, ``accept`` {message: [probability that it
+    lands, lower and upper end of its 95 % interval]}.
     """
     from xplain.experiment.config import composed
     from xplain.runs.discovery import discovery, require_writable

@@ -69,10 +69,10 @@ class Discovery:
         told = None if unseen is None else asdict(unseen) | {"verdict": unseen.verdict}
         if told is not None:
             del told["calibration"]
-        return {
+        about = {} if self.accept is None else {"accept": self.accept}
+        return about | {
             "n_types": clustering.n_types,
             "assignment": {observer: names[t] for observer, t in pairs},
-            "accept": self.accept,
             "method": clustering.method,
             "rule": clustering.rule,
             "held_out_log_likelihood": None if unseen is None else unseen.types,
