@@ -66,7 +66,7 @@ def read_cells(path: Path, key: str) -> pd.DataFrame:
     if not path.is_file():
         raise InputError(key, str(path), "no such file")
     try:
-        table = pd.read_parquet(path) if kind == "parquet" else _read_csv(path, key)
+        table = _read_csv(path, key) if kind == "csv" else _as_texts(pd.read_parquet(path))
     except UnicodeDecodeError:
         raise InputError(key, str(path), 'not in UTF-8; save it as "CSV UTF-8"') from None
     except (OSError, EOFError, zlib.error, ValueError, csv.Error, pd.errors.ParserError) as error:
@@ -76,9 +76,13 @@ def read_cells(path: Path, key: str) -> pd.DataFrame:
         raise InputError(key, str(path), f"not a readable table ({reason})") from None
     if not len(table):
         raise InputError(key, str(path), "has no rows")
-    table.columns = table.columns.map(str)
-    cells = table.astype(object)
-    return cells.where(table.notna(), "").astype(str).astype(object)
+    return table
+
+
+def _as_texts(table: pd.DataFrame) -> pd.DataFrame:
+    """All cells and names of columns as texts; "" where a cell is missing."""
+    cells = table.astype(object).where(table.notna(), "").astype(str).astype(object)
+    return cells.set_axis(table.columns.map(str), axis=1)
 
 
 def _read_csv(path: Path, key: str) -> pd.DataFrame:
@@ -120,6 +124,11 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
         log.warning("%s: the second and third row of the header (Qualtrics) are left out", key)
         del rows[:2]
     return pd.DataFrame(rows, columns=header, dtype=object)
+
+
+def stripped(column: pd.Series[Any]) -> pd.Series[Any]:
+    """The texts of a column without spaces around them; each different text is looked at once."""
+    return column.map({cell: cell.strip() for cell in column.unique()})
 
 
 def as_numbers(words: pd.Series[Any]) -> NDArray[np.float64] | None:

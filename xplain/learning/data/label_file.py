@@ -33,6 +33,7 @@ from xplain.learning.data.cells import (
     one_hot,
     option,
     read_cells,
+    stripped,
 )
 from xplain.learning.data.dataset import Dataset, align, columns_of, query_index
 
@@ -215,7 +216,7 @@ def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, .
 
 def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]:
     """Who was asked, and what they were told before: these attributes of a dataset."""
-    who = table["observer"].str.strip()
+    who = stripped(table["observer"])
     _refuse_missing("observer", who == "")
     observer, observers = _factorized(who)
     seen: dict[str, str] = {}
@@ -243,7 +244,7 @@ def _refuse_missing(name: str, missing: Any, mend: str = "", key: str = "data") 
 def _message_sets(
     column: pd.Series[Any], messages: Sequence[str] | None
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    code, cells = _factorized(column.str.strip())
+    code, cells = _factorized(stripped(column))
     absent = {*MISSING} - {*(messages or ())}
     given = [[" ".join(name.split()) for name in cell.split(";") if name.strip()] for cell in cells]
     given = [[] if len(names) == 1 and names[0] in absent else names for names in given]
@@ -284,7 +285,7 @@ def _ask_about_names(names: Sequence[str]) -> None:
 def _labels(column: pd.Series[Any]) -> NDArray[np.uint8]:
     import pandas as pd
 
-    words = column.str.strip()
+    words = stripped(column)
     _refuse_missing("label", words.isin(MISSING))
     truth = words.str.lower().replace({"true": "1", "false": "0"})
     numbers = pd.to_numeric(truth, errors="coerce")
@@ -314,7 +315,7 @@ def read_features(
     columns: list[NDArray[np.float64]] = []
     names: list[str] = []
     for name in table.columns:
-        words = table[name].str.strip()
+        words = stripped(table[name])
         numbers = as_numbers(words)
         if name in like and numbers is None:
             numbers = pd.to_numeric(words, errors="coerce").to_numpy(dtype=float)
