@@ -334,9 +334,10 @@ def _caption(summary: Summary, is_marked: bool) -> str:
             "difference on the same traces and users holds 0."
         )
     if measure.name == "regret":
-        means = frame.groupby([*dict.fromkeys((*summary.shown, "solver"))])["regret"].mean()
-        learning = {"fresh_accuracy": frame["fresh_accuracy"].fillna(1.0).min()}
-        text.append(warning_about_oracle(learning, means.min()))
+        rows = frame.fillna({"fresh_accuracy": 1.0})
+        rows = rows.groupby([*dict.fromkeys((*summary.shown, "solver"))], dropna=False)
+        least = rows[["fresh_accuracy", "regret"]].mean().min()
+        text.append(warning_about_oracle(least.to_dict(), least["regret"]))
     if summary.pool:
         text.append(f"Means over {', '.join(summary.pool)}, as the sweep's file asks.")
     if summary.missing:

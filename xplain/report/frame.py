@@ -17,7 +17,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from xplain.errors import one_of
@@ -105,13 +104,14 @@ def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> 
     """Sentences about an oracle that is no reference, and about a regret below 0; "" for neither.
 
     Args:
-        learning: figures of the learning stage.
+        learning: figures of the learning stage; the least of those shown.
         regret: the mean, or the least of those shown.
     """
     share = learning.get("fresh_accuracy", 1.0)
     no_reference = (
-        f"{NO_REFERENCE} The oracle is no reference: the labelers are right on {share:.1%} of "
-        f"fresh labels, less than {RIGHT:.0%}. Compare costs with the clairvoyant's instead."
+        f"{NO_REFERENCE} The oracle is no reference: its labelers are right on less than "
+        f"{RIGHT:.0%} of fresh labels, on {share:.1%} at worst. Compare costs with the "
+        "clairvoyant's instead."
     )
     said = {NEGATIVE: regret < 0, no_reference: share < RIGHT}
     return " ".join(text for text, is_true in said.items() if is_true)
@@ -348,5 +348,5 @@ def rank(solver: str) -> int:
 
 
 def is_unreliable(frame: pd.DataFrame) -> bool:
-    """Whether the oracle of some of these episodes is no reference."""
-    return bool(np.nanmin([1.0, frame["fresh_accuracy"].min()]) < RIGHT)
+    """Whether the oracle of these episodes is no reference: by the mean share of right labels."""
+    return bool(frame["fresh_accuracy"].fillna(1.0).mean() < RIGHT)
