@@ -4,7 +4,7 @@
     python benchmarks/job.py --quick     of 2 jobs
 
 The jobs differ in λ, so data, types and labelers come from the cache. Planning is done once for the
-sweep. A worker begins a batch by composing Hydra's configuration; in a sweep of 100 jobs or more a
+sweep. A worker begins a batch by composing Hydra's configuration; in a sweep of 32 jobs or more a
 batch has several, so a job's share is smaller.
 """
 

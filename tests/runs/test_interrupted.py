@@ -43,6 +43,7 @@ def test_a_job_that_raises_lets_the_others_go_on(folder):
     code, output = sweeps.run(folder, *arguments)
     assert code == 1
     assert "2 of 4 jobs finished" in output
+    assert re.search(r"^first failure: .*fails=true.*: InputError: fails=True", output, re.M)
     summary = output[output.index("2 of 4 jobs finished") :]
     assert "InputError: fails=True: false" in summary
     states = {name: status for name, status, _ in sweeps.runs(folder)}

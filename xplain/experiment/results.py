@@ -223,12 +223,13 @@ def episode_lines(prepared: Prepared, records: list[Record]) -> str:
     lines = []
     for record in records:
         episode, case = record.episode, prepared.cases[record.trace]
+        beliefs = episode.beliefs.round(12).tolist()
         steps = [
             {
                 **_asked(episode, case, k),
                 "messages": names_of(int(episode.messages[k]), prepared.messages),
                 "labels": episode.labels[k, : k + 1].tolist(),
-                "belief": [round(float(b), 12) for b in episode.beliefs[k + 1]],
+                "belief": beliefs[k + 1],
             }
             for k in range(len(episode.messages))
         ]
@@ -264,8 +265,8 @@ def told(question: Question, answer: int) -> dict[str, Any]:
 
 def save_results(folder: Path, results: Results) -> None:
     """Writes ``results.json``, last of all files of a run: where it is, the run is whole."""
-    text = json.dumps(encode(results), indent=1, allow_nan=False)
-    write_text(folder / RESULTS, text + "\n")
+    # On one line: Python indents in Python, which takes longer than all else here.
+    write_text(folder / RESULTS, json.dumps(encode(results), allow_nan=False) + "\n")
 
 
 def load_results(folder: Path) -> Results:

@@ -30,9 +30,9 @@ from xplain.runs.job import Job
 
 log = logging.getLogger(__name__)
 
-MANY = 100
-"""A sweep of so many jobs runs several in one batch, since a worker takes 0.2 s to begin one. No
-sweep has many more batches: all cores stay busy to the end."""
+MANY = 32
+"""A sweep of so many jobs runs several in one batch, since a worker takes 0.2 s to begin one. At
+least so many batches keep all cores busy to the end."""
 
 LAST = ("solver", "lambda", "seed")
 """Keys that end a job's label, so that labels sort by setting."""
