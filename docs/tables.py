@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("README.md", "docs/*.md", "benchmarks/README.md")
 ENTRIES, STAMPS, FIXED = "docs/tables.toml", "docs/stamps.json", "tests/fixed"
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
-OLDER = "*Older than the present code and defaults: `python docs/tables.py` says what has changed.*"
+OLDER = "*Older than the code: `python docs/tables.py` says why.*"
 TABLE = re.compile(
     r"(?:<!-- table: (?P<name>[^\n]+) -->\n)?(?P<older>\*Older than [^\n]*\n\n)?"
     r"(?P<table>^\|.*\n\|[-:| ]+\|\n(?P<body>(?:\|.*\n?)+))",
