@@ -262,16 +262,6 @@ def test_importing_the_package_imports_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
-def test_more_than_62_messages_are_refused():
-    names = tuple(f"m{j}" for j in range(63))
-    with pytest.raises(InputError, match=r"types\.messages"):
-        Explainer(
-            GivenTypes(
-                LabelTable.by_type(np.empty((1, 0), int), np.ones((1, 1, 1))), names, ("one",)
-            )
-        )
-
-
 def test_a_message_that_was_not_taken_in_is_said_again():
     """One who still finds odd what a message explains is told once more; ``again`` says so."""
     table = np.zeros((1, 6, 2))

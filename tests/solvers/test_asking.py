@@ -207,17 +207,6 @@ class AsksWhere:
         return {}
 
 
-def test_beliefs_between_questions_count_against_the_limit_of_a_walk() -> None:
-    """Six equal questions: 28 beliefs on the way, 7 after them."""
-    table = LabelTable.dense(np.full((2, 1, 2), 0.5))
-    answers = np.tile(np.array([0.2, 0.8])[:, None, None], (1, 6, 2))
-    questions = Questions(LabelTable.dense(answers), Limits(0.1, 6, "anytime"))
-    problem = Problem(table, np.ones(1), questions=questions)
-    policy = AsksWhere(6, lambda step, belief: True)
-    assert evaluate(problem, policy, beliefs=20, episodes=2).value_is == "simulated"
-    assert evaluate(problem, policy, beliefs=1000).value_is == "exact"
-
-
 def test_a_question_is_part_of_what_an_unlikely_belief_may_cost() -> None:
     """One user in 2,000 is asked, at a high price."""
     table = np.repeat(np.array([[1.0, 1.0], [0.0, 1.0]])[:, :, None], 2, axis=2)

@@ -8,13 +8,11 @@ import signal
 import threading
 import time
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from tests.decisions import worths
-from xplain.errors import TooLargeError
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import expand
@@ -115,32 +113,6 @@ def test_unlikely_answers_left_untold_are_bounded_from_both_sides() -> None:
     assert coarse.lower <= optimum - 0.3  # what that user is worth was not looked into
     assert coarse.upper >= optimum - 1e-9
     assert (fine.lower, fine.upper) == pytest.approx((optimum, optimum), abs=1e-6)
-
-
-def medium_problem() -> Problem:
-    """Types that lack two of eight facts each; far too large for brute force."""
-    rng = np.random.default_rng(4)
-    p = np.empty((5, 12, 256))
-    for t in range(5):
-        facts = set(rng.choice(8, 2, replace=False))
-        confidence = rng.uniform(0.9, 0.98)
-        for i in range(12):
-            needed = sum(1 << int(j) for j in facts & set(rng.choice(8, 3, replace=False)))
-            p[t, i] = np.where(np.arange(256) & needed == needed, confidence, 1 - confidence)
-    return Problem(p, np.ones(8))
-
-
-def test_more_effort_only_tightens() -> None:
-    problem = medium_problem()
-    runs = [planned(problem, gap=1e-6, nodes=nodes) for nodes in (1, 30, 300, 1000)]
-    assert all(a.lower <= b.lower + 1e-12 for a, b in pairwise(runs))
-    assert all(a.upper >= b.upper - 1e-12 for a, b in pairwise(runs))
-    assert runs[-1].upper - runs[-1].lower < runs[0].upper - runs[0].lower
-
-
-def test_refuses_tables_that_do_not_fit() -> None:
-    with pytest.raises(TooLargeError, match=r"GiB.*memory_gib.*qhr"):
-        Certified(memory_gib=1e-5).plan(medium_problem())
 
 
 def test_ctrl_c_ends_a_search() -> None:

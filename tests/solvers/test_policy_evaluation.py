@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +12,9 @@ from numpy.typing import NDArray
 from tests.decisions import messages_given, worth_by_enumeration
 from tests.explanation.problems import tiny_problems
 from xplain.explanation.actions import Action, VisibleState, give
-from xplain.explanation.belief import rounded
 from xplain.explanation.problem import Problem
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP, Conformant
-from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR
 from xplain.testing.literal_pomdp import reduced_optimal_value
 
@@ -33,41 +30,6 @@ def test_exact_worth_is_the_enumerated_one(problem: Problem) -> None:
         assert worth.value == pytest.approx(value, abs=1e-8)
         assert worth.cost == pytest.approx(cost, abs=1e-8)
         assert worth.value <= reduced_optimal_value(problem) + 1e-8
-
-
-class Bytes:
-    """Decides by the bytes of the belief, as a policy does that draws from a stream of its
-    question, and notes what it was asked."""
-
-    def __init__(self, messages: int) -> None:
-        self.messages_there_are = messages
-        self.beliefs: list[NDArray[np.float64]] = []
-
-    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        self.beliefs.append(belief)
-        digest = zlib.crc32(rounded(belief).tobytes(), visible.step)
-        return give(digest % (1 << self.messages_there_are) & ~visible.given)
-
-    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> dict[Action, float]:
-        return {}
-
-
-def test_a_value_called_exact_is_of_this_policy_where_answers_rule_types_out() -> None:
-    """Answers of probability 0: the walk must ask the policy about the same beliefs, to the bit of
-    a zero's sign, as whoever meets them one label at a time."""
-    rng, signs = np.random.default_rng(11), 0
-    for number in range(30):
-        p = rng.choice([0.0, 0.1, 0.8, 1.0], size=(3, 3, 4))
-        problem = Problem(p, np.array([0.3, 0.2]), discount=0.9)
-        search = POMCP(simulations=12).plan(problem, number)
-        asked = Bytes(2)
-        for policy in (search, asked):
-            worth = evaluate(problem, policy)
-            value, cost = worth_by_enumeration(problem, policy)
-            assert worth.value_is == "exact"
-            assert (worth.value, worth.cost) == pytest.approx((value, cost), abs=1e-8)
-        signs += sum(int(np.signbit(belief).sum()) for belief in asked.beliefs)
-    assert signs == 0
 
 
 def confident_problem() -> Problem:
@@ -108,13 +70,6 @@ def test_simulation_has_no_noise_where_the_type_is_known() -> None:
         worth, exact = simulate(alone, policy, 5, seed=2), evaluate(alone, policy)
         assert (worth.value, worth.cost) == (pytest.approx(exact.value), pytest.approx(exact.cost))
         assert max(worth.value_se, worth.cost_se) < 1e-12
-
-
-def test_says_simulated_where_too_many_beliefs_are_reachable() -> None:
-    problem = confident_problem()
-    worth = evaluate(problem, QMDP().plan(problem), beliefs=5, episodes=50)
-    assert worth.value_is == "simulated"
-    assert worth.value_se > 0
 
 
 @dataclass
