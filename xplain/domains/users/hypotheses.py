@@ -172,7 +172,7 @@ class Hypotheses:
             domain: the robot's task.
             most: parameters believed incorrectly together; None: as many as MAX_MODELS models
             allow.
-            scales: of the variants (:func:`~xplain.domains.users.inaccurate_values.variants_of`).
+            scales: of the variants (:meth:`FactLabels.variants`).
 
         Raises:
             DomainError: some model's ties are ambiguous, values being as assumed.
