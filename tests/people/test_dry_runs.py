@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import time
 import zipfile
-from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from sklearn.metrics import adjusted_rand_score
@@ -19,15 +15,12 @@ from tests.people.collect.stand_in import street_collection
 from tests.people.killing import RATE, survive
 from tests.people.kinds import KINDS, bot_of, flow_of
 from tests.people.server_process import ServerProcess
-from tests.people.study.stand_in import street_study
 from xplain.cli.main import main
 from xplain.explanation.message_sets import names_of
 from xplain.learning.saved import LearnedTypes
-from xplain.people.bots import Browser, Refusal, Researcher, visit
+from xplain.people.bots import Researcher
 from xplain.people.store import Store
-from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.study.tables import export
 
 
 @pytest.fixture
@@ -128,50 +121,6 @@ def test_from_bots_to_types(
     wrong = {names_of(role.held, messages) for role in collection.plan.roles}
     likeliest = {tuple(sorted(one.split(";"))) for one in observers["likeliest"]}
     assert wrong <= likeliest
-
-
-def fill_every_place(study: Study, path: Path, habits: Habits) -> Counter[str]:
-    """People's places, filled over HTTP by simulated people some of whom drop out for good."""
-    Store(path, study).close()
-    places = len(study.plan.cells) * study.plan.rules.per_cell
-    stages: Counter[str] = Counter()
-    with ServerProcess(path, *RATE) as server:
-        invitations = Researcher(server.url, server.key).invite(400, "person")
-
-        def one(number: int) -> str:
-            person = StudyBot(study.plan, habits, np.random.default_rng(number))
-            try:
-                return visit(Browser(server.url), person, invitations.pop())
-            except Refusal as refusal:
-                if refusal.args[0] != 503:
-                    raise
-                time.sleep(0.5)  # every place is taken for now
-                return "full"
-
-        with ThreadPoolExecutor(4) as pool:
-            while stages["done"] < places:
-                begun = sum(stages.values())
-                stages.update(pool.map(one, range(begun, begun + 4)))
-    return stages
-
-
-def every_cell_is_full(study: Study, path: Path, out: Path) -> None:
-    export(path, out)
-    people = pd.read_csv(out / "participants.csv")
-    done = people[people["stage"] == "done"]
-    assert set(done.groupby(["type", "condition"]).size()) == {study.plan.rules.per_cell}
-    assert len(done) == len(study.plan.cells) * study.plan.rules.per_cell
-
-
-RULES = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 0.04, "recall": True}
-
-
-def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study, path = street_study(rules=RULES), tmp_path / "study.sqlite"
-    stages = fill_every_place(study, path, Habits(leaving=0.04, mistake=0.03))
-    assert stages["left"] > 0
-    every_cell_is_full(study, path, tmp_path / "out")
-    everything_replays("study", path, capsys)
 
 
 def test_one_process_a_database(database: Path, command: Command) -> None:

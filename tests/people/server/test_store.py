@@ -21,10 +21,8 @@ from tests.people.study.stand_in import FAULTLESS, street_plan, street_study
 from tests.people.visitors import GENEROUS, Visitor, consent, differences, query
 from xplain.errors import InputError, Refused, XplainError
 from xplain.people.bots import visit
-from xplain.people.flow import Conflict, Full, Participant
+from xplain.people.flow import Conflict, Full
 from xplain.people.log import read_plan
-from xplain.people.server import Server
-from xplain.people.site import Site
 from xplain.people.store import MAX_TAB_EVENTS, Clock, Gone, Store, Unknown
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study, StudyState
@@ -335,27 +333,6 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     store.close()
     content = b"".join(file.read_bytes() for file in tmp_path.glob("s.sqlite*"))
     assert b"whatnobodyelsesaid" not in content
-
-
-def ended(one: Participant[StudyState], stage: str) -> Participant[StudyState]:
-    return replace(one, text=replace(one.state, stage=stage).text)
-
-
-def test_codes_are_letters_and_no_ending_has_that_of_another(store: Store) -> None:
-    own = Site(store, Server())
-    found = [store.participant(store.enter_as_pilot()) for _ in range(20)]
-    stages = ("done", "declined", "screened_out", "ineligible", "withdrawn", "timed_out")
-    codes = [own.code(ended(one, stage)) for one in found for stage in stages]
-    assert len(set(codes)) == len(codes)
-    assert all(code.isalpha() and len(code) == 8 for code in codes)
-    set_ = Site(store, Server(completion_code="ALL", codes={"screened_out": "OUT"}))
-    assert set_.code(ended(found[0], "done")) == "ALL"
-    out = ended(found[0], "screened_out")
-    assert set_.code(out) == "OUT"
-    left = ended(found[0], "withdrawn")
-    assert set_.code(left) not in ("ALL", "OUT")
-    both = Site(store, Server(completion_code="ALL", codes={"done": "DONE"}))
-    assert both.code(ended(found[0], "done")) == "DONE"
 
 
 def test_events_of_a_page_are_kept_once_and_not_without_end(store: Store) -> None:

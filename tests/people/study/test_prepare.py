@@ -12,10 +12,9 @@ from omegaconf import OmegaConf
 
 from tests.domains.configs import setting_of
 from tests.people.client import Client
-from tests.people.study.stand_in import FAULTLESS, TYPES, Street
+from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.domains.base import cell_name
-from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.explanation.belief import Persistent
@@ -86,10 +85,6 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
     store.close()
 
 
-def street() -> Setting:
-    return Setting.build(Street(), TYPES)
-
-
 def trace_rules(**changes: object) -> dict[str, object]:
     return {"start": None, "rows": [], "candidates": 3, "min_steps": 1} | changes
 
@@ -106,20 +101,6 @@ def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
     assert all(own == sorted(own) for own in lengths)
     assert any(own[0] < own[-1] for own in lengths)  # there is something to order
     assert len({one.tobytes() for one in ranked}) == len(ranked)
-
-
-def test_a_trace_starts_where_it_is_told_to() -> None:
-    setting = street()
-    domain = setting.domain
-    here = domain.position(int(domain.starts[0]))
-    assert here is not None
-    anywhere = traces_of(Material.of(setting), trace_rules(), 20, 0)
-    told = traces_of(Material.of(setting), trace_rules(start=list(here)), 20, 0)
-    assert [one.tolist() for one in told] == [one.tolist() for one in anywhere]  # one start
-    (elsewhere,) = {domain.position(int(s)) for s in setting.reachable[told[0]][-1:, 2]} - {here}
-    assert elsewhere is not None
-    with pytest.raises(InputError, match=r"trace\.start"):
-        traces_of(Material.of(setting), trace_rules(start=list(elsewhere)), 20, 0)
 
 
 def test_a_study_whose_conditions_are_alike_is_refused() -> None:

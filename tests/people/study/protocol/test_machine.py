@@ -156,32 +156,6 @@ def test_quiz_scores_every_statement_judged_rightly(study: Study) -> None:
         assert study.advance(state, "quiz", {"chosen": chosen}).score == score
 
 
-def test_pages_show_the_trace_so_far_the_messages_apart_and_questions_in_their_order(
-    study: Study,
-) -> None:
-    plan = study.plan
-    asked = StudyState(stage="eligibility", user_type=1, condition="conformant", orders=ORDERS)
-    shown = study.view(asked)["questions"]
-    assert shown == [(i, plan.roles[1].eligibility[i]) for i in (2, 0, 1, 3)]
-    quiz = StudyState(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
-    statements = study.view(quiz)["statements"]
-    assert statements == [(i, plan.roles[1].quiz[i].text) for i in (3, 2, 1, 0)]
-    state = StudyState(
-        stage="evaluation",
-        user_type=1,
-        step=2,
-        given=0b0111,
-        new=0b0100,
-        labels=(1, 0),
-        heard=(1, 0, 2),
-    )
-    view = study.view(state)
-    assert view["trace"] == plan.trace[:3]
-    assert view["labels"] == (1, 0)
-    assert view["old"] == [plan.facts[1].message, plan.facts[0].message]  # as they came
-    assert view["new"] == [plan.facts[2].message]
-
-
 def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) -> None:
     for user_type, condition in study.plan.cells:
         state = at_evaluation(study, user_type, condition)
