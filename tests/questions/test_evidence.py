@@ -73,6 +73,22 @@ def test_of_people_as_assumed_hypotheses_are_believed(seed, caplog):
     assert evidence.nats[0] < min(evidence.nats[1], COIN)
     DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
     assert "do not fit" not in caplog.text
+    assert "not what people think" not in caplog.text
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_people_who_answer_otherwise_than_they_think_a_line_says_so(seed, caplog):
+    """Half of the noes become yes, or two answers in five repeat the last."""
+    known, data = crowd(seed, each=40)
+    rng = np.random.default_rng(seed)
+    polite, sticky = data.label | (rng.random(len(data)) < 0.5), data.label.copy()
+    for i in np.flatnonzero(rng.random(len(data)) < 0.4)[1:]:
+        sticky[i] = sticky[i - 1]
+    for label in (polite, sticky):
+        caplog.clear()
+        told = Observed(replace(data, label=label.astype(np.uint8)))
+        DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(told, 0)
+        assert "of the answers are not what people think" in caplog.text
 
 
 @pytest.mark.parametrize("seed", range(3))
