@@ -334,10 +334,11 @@ def _caption(summary: Summary, is_marked: bool) -> str:
             "difference on the same traces and users holds 0."
         )
     if measure.name == "regret":
-        rows = frame.fillna({"fresh_accuracy": 1.0})
-        rows = rows.groupby([*dict.fromkeys((*summary.shown, "solver"))], dropna=False)
+        keys = [*dict.fromkeys((*summary.shown, "solver"))]
+        rows = frame.fillna({"fresh_accuracy": 1.0}).groupby(keys, dropna=False)
         least = rows[["fresh_accuracy", "regret"]].mean().min()
-        text.append(warning_about_oracle(least.to_dict(), least["regret"]))
+        shares = {"fresh_accuracy": float(least["fresh_accuracy"])}
+        text.append(warning_about_oracle(shares, least["regret"]))
     if summary.pool:
         text.append(f"Means over {', '.join(summary.pool)}, as the sweep's file asks.")
     if summary.missing:
