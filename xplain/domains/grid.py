@@ -161,8 +161,8 @@ def parameters_of(
     """Parameters as written in YAML, ``{name: {accurate, inaccurate, message, belief}}``.
 
     Raises:
-        InputError: none, an unknown one, a missing or unknown field, an empty message, or an
-            inaccurate value that is the accurate one.
+        InputError: there is no parameter, an unknown one, a missing or unknown field, an empty
+            message, or an inaccurate value equal to the accurate one.
     """
     if not isinstance(given, Mapping) or not given:
         raise InputError("domain.parameters", given, f"at least one of {', '.join(known)}")

@@ -92,7 +92,7 @@ class Clips:
 
     @classmethod
     def of(cls, setting: Setting, tables: TablesOf, pool: Pool) -> Clips:
-        """Asks the labelers about each transition once."""
+        """Makes the clips, and asks the labelers about each transition once."""
         transitions, none = setting.reachable, np.full(len(setting.reachable), -1)
         features = transition_features(setting.domain, transitions)
         asked = tables(features, transitions)
@@ -119,8 +119,10 @@ class Clips:
 def belief_questions(
     setting: Setting, wrong: NDArray[np.float64] | None, seed: int
 ) -> CaseQuestions:
-    """Which of the two sentences of a fact somebody thinks is true, of all facts that have two; 1
-    is the right one. They are about no trace: ``shows`` is [Q, 0].
+    """Questions about each fact that has two sentences: which of the two does the user think is
+    true?
+
+    Answer 1 is the right sentence. The questions are about no trace: ``shows`` is [Q, 0].
 
     Args:
         setting: of the true types.
@@ -128,8 +130,7 @@ def belief_questions(
         seed: of the run; it decides which sentence is shown first.
 
     Raises:
-        InputError: nothing is known of what types believe incorrectly, or no fact has two
-        sentences.
+        InputError: it is unknown what types believe incorrectly, or no fact has two sentences.
     """
     if wrong is None:
         wanted = "clips; or types with fact sets, as labeler=truth and labeler=hypotheses give"

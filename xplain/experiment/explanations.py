@@ -222,8 +222,9 @@ def evaluate(
 
 
 def with_true_labels(prepared: Prepared) -> Prepared:
-    """The same traces and users, to a solver that knows the true types and their labels: what
-    better labelers and clusters could win. Types are equally likely, as the users are."""
+    """The same traces and users, for a solver that knows the true types and their labels. The
+    results show how much better labelers and clusters could gain. Types are equally likely, as the
+    users are."""
     count, wrong = len(prepared.types), np.zeros((len(prepared.types), len(prepared.messages)))
     for case in prepared.cases:
         for own, facts in zip(wrong, case.labels.effective(), strict=True):

@@ -64,7 +64,7 @@ class Pool:
     clips: Count = 150
 
     def __post_init__(self) -> None:
-        """Raises InputError for another kind, or none."""
+        """Raises InputError for an unknown kind, or for no kinds."""
         object.__setattr__(self, "kinds", tuple(self.kinds))
         for kind in self.kinds or ("none",):
             one_of("ask.kinds", kind, ("clips", "beliefs"), "kind")

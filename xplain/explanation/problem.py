@@ -275,8 +275,8 @@ class Problem:
         )
 
     def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:
-        """The same trace and costs with one type, whose labels are as likely as those of a user
-        drawn from the types by ``weights`` [N], anew for every label.
+        """The same trace and costs with one type. Each of its labels has the probability that it
+        has for a user drawn from the types by ``weights`` [N]; labels are independent.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.

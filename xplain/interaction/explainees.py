@@ -1,9 +1,9 @@
 """Simulated users of an explanation: as the paper assumes them, and as people are.
 
 An *explainee* is one kind of user. It makes a *person* for each trace and true type; the person
-hears messages, thinks of each transition shown that it makes sense or not, and answers. Costs are
-by what they think. What they do by chance comes from a stream of their own, by transition, message
-and step, so that every solver meets the same person.
+receives messages, judges whether each shown transition makes sense, and answers. Costs count what
+they think. Their random choices come from a stream of their own, by transition, message and step,
+so that every solver meets the same person.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class SimulatedUser(Person):
 
     @classmethod
     def of(cls, labels: ArrayLike) -> SimulatedUser:
-        """Who labels as [m, 2^n] says."""
+        """A user whose labels are given as an array [m, 2^n]."""
         return cls(LabelTable.dense(np.asarray(labels)[None]))
 
     def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
@@ -250,7 +250,7 @@ class Expert(Explainee):
     """Users who believe nothing incorrectly."""
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         return replace(labels, p=np.ones_like(labels.p))
 
 
@@ -258,7 +258,7 @@ class Between(Explainee):
     """Users who believe one fact of their type incorrectly at half of the transitions only."""
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         rng, p = stream(seed, "between"), labels.p.copy()
         effective = labels.effective()[0]
         if effective:
@@ -346,7 +346,7 @@ class Heedless(Explainee):
 
     @property
     def habits(self) -> Habits:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         return habits_of(0.0, self.accept, self.forget)
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:

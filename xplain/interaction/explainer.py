@@ -315,7 +315,8 @@ class Explainer:
         return Dialogue(problem, policy, beliefs, list(events))
 
     def _questions(self, clips: Sequence[Candidate], trace: Sequence[Any], steps: int) -> Questions:
-        """The questions that these candidates are, of a trace that is to have so many steps."""
+        """Turns these candidates into questions about a trace that will have ``steps``
+        transitions."""
         if not clips or self.ask is None:
             return Questions()
         shows = np.zeros((len(clips), steps), np.bool_)

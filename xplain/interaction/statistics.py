@@ -89,15 +89,15 @@ def clustered_share(right: ArrayLike, clusters: ArrayLike) -> Estimate:
     """A share with Wilson's 95 % score interval (1927), which never leaves [0, 1], for cases that
     come in clusters.
 
-    Cases of one cluster may be alike. So the interval is that of as many independent cases as would
-    leave the share as uncertain as the clusters do (Kish's effective sample size, at most the cases
-    there are), with Student's quantile for so few clusters. Where the cases of each cluster agree,
-    a cluster is one case, and the interval Wilson's own.
+    Cases of one cluster may be alike. So the interval is computed for Kish's effective sample size
+    (at most the number of cases): so many independent cases would leave the share as uncertain as
+    the clusters do. Student's quantile corrects for few clusters. Where all cases of each cluster
+    agree, each cluster counts as one case.
 
     Args:
         right: [E] of bool.
-        clusters: [E] the same number for cases of one cluster; one cluster leaves the interval
-            unknown.
+        clusters: [E] the same number for cases of one cluster; with one cluster only, the interval
+            is unknown.
     """
     from scipy.special import ndtri, stdtrit
 

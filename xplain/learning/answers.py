@@ -113,8 +113,9 @@ def answered(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[n
 def truth(
     one: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """P(f = 1) where answers are 1 with probability ``one``, and with probabilities ``low`` and
-    ``high`` where f is 0 and 1: what an accuracy that was measured on answers says of f."""
+    """P(f = 1) of cases whose answers are 1 with probability ``one``. Answers are 1 with
+    probability ``low`` where f is 0, and ``high`` where f is 1. So an accuracy measured on answers
+    becomes one about f."""
     return np.asarray(((one - low) / (high - low)).clip(0.0, 1.0))
 
 
@@ -204,8 +205,9 @@ def _slips(
     weight: NDArray[np.float64],
     answers: CellAnswers,
 ) -> NDArray[np.float64]:
-    """[2, T + 1] slips and guesses, of answers whose f and error rate have the probabilities
-    ``weight`` [P, 2, E]; those before say what of it was the person's error."""
+    """Slips and guesses [2, T + 1] of answers whose f and error rate have the probabilities
+    ``weight`` [P, 2, E]. A person's earlier answers tell how much of them is that person's own
+    error."""
     question, counts = answers.question, np.zeros((2, 2, len(slip) - 1))
     for f, before in ((1, slip), (0, guess)):
         unlike = (answers.label != f)[:, None]

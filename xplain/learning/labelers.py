@@ -240,8 +240,9 @@ class LabelerTrainer:
     def with_errors(
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
-        """The trainer for a dataset whose observers' types [O] are given; how its people err when
-        they answer; and how well hypotheses predicted it: None where the trainer learns neither."""
+        """For a dataset whose observers' types [O] are given: the trainer, the error model of its
+        people's answers, and how well the hypotheses predicted the dataset. The last two are None
+        where the trainer does not learn them."""
         return self, None, None
 
     def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> MeasuredLabeler:

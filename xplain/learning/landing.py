@@ -224,7 +224,7 @@ def _answered(
 
 
 def _drawn(times: NDArray[np.float64], of: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rates [Q], drawn to the mean of all."""
+    """Rates [Q], shrunk towards the mean of all."""
     mean = (times.sum() + 1) / (of.sum() + 20)
     return np.asarray(((times + WEIGHT * mean) / (of + WEIGHT)).clip(0.001, 0.6))
 

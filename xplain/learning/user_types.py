@@ -185,11 +185,11 @@ def label_table(
 
 @dataclass(frozen=True)
 class AskedOnce:
-    """:func:`label_table`, but each labeler is asked of each transition once, however many traces
-    hold it: asking may take longer than all that follows.
+    """Makes label tables like :func:`label_table`, but asks each labeler about each transition only
+    once, however many traces contain it. Asking may take longer than all later steps.
 
     Attributes:
-        tables: [2^n] by labeler and transition; no more than the traces' own.
+        tables: [2^n] by labeler and transition, for transitions of the traces only.
     """
 
     tables: dict[tuple[int, bytes], NDArray[np.float64]] = field(default_factory=dict)
@@ -421,11 +421,11 @@ class TrueLabels(LabelerTrainer):
         super().__init__()
 
     def types_of(self, observed: Observed) -> KnownTypes:
-        """The true types with their true labels. One labeler for everybody is the share of
-        observers whose type would label so.
+        """The true types with their true labels. The one labeler for everybody predicts the share
+        of observers whose type gives the label.
 
         Raises:
-            InputError: nobody knows the observers' types, as of real people.
+            InputError: the observers' types are unknown, as with real people.
         """
         setting, truth = observed.setting, observed.truth
         everything = _everything(setting) if setting else None

@@ -253,11 +253,11 @@ P = TypeVar("P")
 
 
 class Bot(Generic[P, H]):
-    """One simulated participant, who only uses what the pages tell.
+    """One simulated participant, who knows only what the pages say.
 
-    A stage's page is answered by the method of that name, which gives its fields and the seconds
-    that they took; pages without one need no answer but the button. Each stage draws from a stream
-    of its own, so that a page more changes nothing on the others.
+    The method ``at_<stage>`` answers a stage's page: it returns the fields and the seconds that
+    they took. Pages without such a method need no answer except the button. Each stage draws from
+    its own random stream, so an additional page does not change the others.
 
     Args:
         plan: for the sentences and the true labels.
@@ -287,7 +287,8 @@ class Bot(Generic[P, H]):
         return [("label", str(right ^ errs))]
 
     def asked(self, questions: tuple[LabQuestion, ...]) -> Fields:
-        """What is right, else the first that is allowed, of questions that need an answer."""
+        """Answers each question that needs an answer: with the right answer, or with the first
+        allowed one if none is right."""
         return [
             (q.name, q.right or (q.options or (str(q.low) if q.kind == "number" else "–",))[0])
             for q in questions

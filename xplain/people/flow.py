@@ -233,8 +233,9 @@ class Stage(Generic[F, S]):
 
 @dataclass(frozen=True)
 class Flow(ABC, Generic[P, S]):
-    """Stages in their order, with a plan; and what a server needs of it: places, what is drawn,
-    what the researcher's page says. All of it follows from the plan and from people's states.
+    """Stages in their order, with a plan, and what a server needs to run them: places, drawings,
+    and the texts of the researcher's page. All of it follows from the plan and the participants'
+    states.
 
     Attributes:
         PLAN: class of its plans.
@@ -242,7 +243,7 @@ class Flow(ABC, Generic[P, S]):
         DATA: what an export holds, in words.
         STATE: the class of its states.
         STAGES: from the consent on.
-        plan: the value everything follows from, with ``texts``.
+        plan: the stored plan, with ``texts``.
     """
 
     PLAN: ClassVar[type[StoredPlan]]
@@ -467,7 +468,7 @@ class Practice(OneLabel[F, S]):
     """One step twice: without the message that explains it (label 0), and with it (label 1)."""
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """On to the other half, or to the next stage; not before the label is right."""
+        """Moves on to the other half, or to the next stage; stays until the label is right."""
         right = self.label(flow, payload) == state.part
         if right and state.part:
             return flow.after(state, wrong=False)
@@ -475,15 +476,15 @@ class Practice(OneLabel[F, S]):
 
 
 class LookingAhead(OneLabel[F, S]):
-    """A step that looks odd and is right because of later steps; these are shown after any other
-    answer than 1."""
+    """A step that looks odd and is right because of later steps. The later steps are shown after
+    any answer except 1."""
 
     def wanted(self, plan: Any) -> bool:
         """Where the task has such a step."""
         return plan.ahead is not None
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
-        """The step; the later steps after a wrong answer."""
+        """Shows the step, and after a wrong answer the later steps too."""
         steps = flow.plan.ahead.steps
         return {"action": steps[0], "later": steps[1:] if state.wrong else ()}
 

@@ -1,7 +1,7 @@
 """Parts of any plan, and its stored form.
 
-A plan is a value: it is stored in the database at the first start and read from there ever after,
-so that neither a restart nor a change of code or configuration changes what is running.
+A plan is a value. It is stored in the database at the first start and always read from there later.
+So neither a restart nor a change of code or configuration changes a running study.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class LabQuestion:
         return str(int(whole[1])) if whole else text
 
     def problem(self, value: object, words: Mapping[str, str]) -> str:
-        """What is wrong with an answer, as participants read it; "" for nothing."""
+        """The error message that participants read about their answer; "" for a valid answer."""
         label = self.label
         units = len(value.encode("utf-16-le")) // 2 if isinstance(value, str) else math.inf
         if not isinstance(value, str) or units > self.max_length:

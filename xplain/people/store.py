@@ -87,7 +87,7 @@ class Store(Log[Any]):
         return self.keyed("reference", who)[:16]
 
     def keyed(self, *parts: str) -> str:
-        """A hash of texts that are only ever looked up (invitations, outside ids): nobody without
+        """A hash of texts that are only compared (invitations, ids given by others). Nobody without
         the server's secret can make or reverse it."""
         message = "\x1f".join(parts).encode(errors="replace")
         return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
@@ -331,7 +331,8 @@ class Store(Log[Any]):
         return len(stale)
 
     def _current(self) -> People:
-        """Everybody, after those who are silent for too long gave their places back."""
+        """All participants present, after those who were silent for too long are timed out and lose
+        their places."""
         self.time_out_stale()
         return self.present()
 

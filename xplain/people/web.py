@@ -219,7 +219,7 @@ def events(visit: Visiting) -> Response:
 
 @pages.get("/alive")
 def alive(request: Request) -> Response:
-    """Whether answers can be taken: the server runs, and its disk has room."""
+    """Whether answers can be stored: the server runs, and its disk has space."""
     free = shutil.disk_usage(request.app.state.site.store.path.parent).free
     well = free >= LEAST_FREE
     said = "alive" if well else f"disk full: {free} bytes left"

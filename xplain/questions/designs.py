@@ -251,7 +251,8 @@ class Adaptive:
         ]
 
     def _questions(self, before: Questionnaire, others: list[Posterior]) -> Questionnaire:
-        """A person's questionnaire, with what is thought of all others by now."""
+        """A person's questionnaire, whose prior follows from the posteriors of all other people so
+        far."""
         listed = before.hypotheses
         if others:
             listed = listed.with_sets(np.concatenate([facts for facts, _ in others]))

@@ -80,11 +80,13 @@ def with_features(known: Hypotheses) -> Hypotheses:
 
 
 def read_transitions(path: str | Path) -> OwnTransitions:
-    """Reads a table, one row a transition: ``text``, what the robot does; optionally ``image``, and
-    ``alt``, what it shows in words; ``inexplicable_if``, the facts joined by ``;`` of which each
-    makes the transition inexplicable to who believes it incorrectly (not needed where one asks
-    without hypotheses). All other columns are features: numbers, or text, which becomes one column
-    a value, as in tables of labels.
+    """Reads a table with one row a transition.
+
+    Columns: ``text``, what the robot does; optionally ``image``, and ``alt``, a description of the
+    image; ``inexplicable_if``, the facts joined by ``;``. A transition is inexplicable to a person
+    who believes any of these facts incorrectly. ``inexplicable_if`` is not needed to ask without
+    hypotheses. All other columns are features: numbers, or text, which becomes one column a value,
+    as in tables of labels.
 
     Raises:
         InputError: no such table, a row without text, or a feature missing.

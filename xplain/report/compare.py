@@ -314,7 +314,7 @@ def label(values: Mapping[str, Value]) -> str:
 
 
 def _common(summary: Summary) -> str:
-    """The values that were not swept, as far as a reader wants to know them."""
+    """Lists the values that all compared runs share, where a reader needs them."""
     keys = [key for key in ("domain", "solver", "lambda") if key not in summary.shown]
     parts = [label({key: own[0]}) for key in keys if len(own := summary.values(key)) == 1]
     traces = int(summary.episodes.groupby("seed")["trace"].nunique().max())
@@ -421,7 +421,7 @@ Undecided = tuple[dict[str, str], Estimate, str]
 
 
 def undecided(summary: Summary) -> Iterator[Undecided]:
-    """The differences to the best way that are not decided."""
+    """The differences to the best solver or setting whose sign is not decided."""
     for values, (best, *others) in verdicts(summary):
         heads = {heading(key): value_title(key, own) for key, own in values.items()}
         for other in others:

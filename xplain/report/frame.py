@@ -294,7 +294,7 @@ class Summary:
 
     @property
     def ways(self) -> list[str]:
-        """The dimensions that choose how it is solved."""
+        """The shown dimensions that choose a method (such as the solver), not a task."""
         return [key for key in self.shown if self.competes(key)]
 
     @cached_property

@@ -90,8 +90,8 @@ def _console(width: int = WIDTH, **look: bool) -> Console:
 
 
 def _of_no_type(results: Results) -> str:
-    """What the explanations cost whose users fit no found type, and would cost otherwise; empty
-    where the belief knows the types that were found alone."""
+    """Compares costs for the users whom no found type fits: of the solver's explanations, and of
+    simpler ones. Empty where the belief only knows the found types."""
     cost: dict[str, dict[tuple[int, str], float]] = {}
     for one in results.episodes:
         cost.setdefault(one.solver, {})[one.trace, one.type] = one.cost

@@ -155,8 +155,8 @@ def listed(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
 
 
 def values_of(keys: Sequence[str], job: Job) -> dict[str, str]:
-    """``{key: value}`` that a job's configuration has, as text, of those keys that decide a
-    number."""
+    """The values, as text, that a job's configuration has for those of these keys that decide a
+    number: ``{key: value}``."""
     names = dict.fromkeys(key.lstrip("+~").partition("@")[0] for key in keys)
     return {
         key: job.choices[key] if key in job.choices else _text(_inside(job.config, key))

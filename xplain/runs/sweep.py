@@ -1,6 +1,6 @@
-"""A sweep runs: its batches go to a launcher, and at its end stand its report and MLflow.
+"""Runs a sweep: gives its batches to a launcher, then writes the report and logs to MLflow.
 
-What runs its batches is a launcher of Hydra on the command line, and joblib in Python.
+The launcher is one of Hydra's on the command line, and joblib in Python.
 """
 
 from __future__ import annotations

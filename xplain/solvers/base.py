@@ -179,13 +179,13 @@ class LazyPolicy:
 
 
 def check_memory(what: str, size: int, limit_gib: float, instead: str) -> None:
-    """Refuses tables before they are taken, and tells of large ones.
+    """Refuses tables that are too large before they are allocated, and logs large ones.
 
     Args:
         what: the solver.
         size: bytes.
         limit_gib: the solver's ``memory_gib``.
-        instead: what could be done.
+        instead: advice: what the user could do.
 
     Raises:
         TooLargeError: more than the limit.

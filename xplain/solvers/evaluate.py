@@ -65,9 +65,12 @@ def evaluate(
 def _walk(
     process: Process, policy: CachedPolicy, limit: int, precision: float
 ) -> PolicyValue | None:
-    """None where more than ``limit`` beliefs are reachable, or will be: a layer is seldom smaller
-    than the one before, so there must be room for as many of its size as there are steps to come.
-    Decisions of a policy that searches take long: none is asked for in vain."""
+    """Lists the reachable beliefs by layer; None where there are, or will be, more than ``limit``.
+
+    A layer is seldom smaller than the one before, so the limit must leave room for one layer of
+    this size for each step to come. A policy that searches takes long to decide, so it is only
+    asked where the result will be used.
+    """
     steps, worst = process.n_steps, _worst(process)
     budget = precision / (2 * steps * max(worst, 1))
     value, cost, left_out, beliefs = 0.0, 0.0, 0.0, 0

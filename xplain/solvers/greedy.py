@@ -147,8 +147,8 @@ class Baseline:
 @checks("solver")
 @dataclass(frozen=True)
 class Conformant:
-    """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all user types, neither weighed
-    by a belief nor divided by M (the paper's user study; docs/choices.md, slip 3).
+    """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all user types, neither weighted
+    by a belief nor divided by their number M (the paper's user study; docs/choices.md, slip 3).
 
     Args:
         memory_gib: most that its tables may take.

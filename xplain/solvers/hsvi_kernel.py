@@ -242,8 +242,9 @@ def make_root(tables, store, step, given, belief, asked):  # type: ignore[no-unt
 
 @part
 def _walk_down(tables, store, scratch, missed, gap, tail_gap):  # type: ignore[no-untyped-def]
-    """A trial: at each node the action with the best upper bound, then the answer whose gap is the
-    most too wide, by probability. Returns the last level visited."""
+    """Runs one trial. At each node it takes the action with the best upper bound, then the answer
+    whose gap exceeds the allowed gap most, weighted by probability. Returns the last level
+    visited."""
     level, index, allowed = 0, ROOT, gap
     while True:
         node = store.nodes[index]

@@ -269,8 +269,8 @@ def _slots(process: Process) -> int:
 
 
 def make_tree(process: Process, simulations: int, seed: int) -> Tree:
-    """A tree without a root yet, with room for so many simulations. Memory that none reaches is
-    never touched."""
+    """A tree without a root yet, with memory for that many simulations. Memory that no simulation
+    reaches is never touched."""
     n, steps, states = process.n_messages, process.n_steps, process.n_states
     slots, questions = _slots(process), len(process.questions.answered)
     size, actions, entries = simulations + 1, n + 1 + slots, _entries(simulations)

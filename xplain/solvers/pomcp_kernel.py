@@ -446,9 +446,9 @@ def _wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
 
 @part
 def _qmdp(model, tree, missed, step, messages, belief, patience):  # type: ignore[no-untyped-def]
-    """max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages, the action (n is
-    *explain*), and Σ_s b(s) V(k, v, s), at the cells found. A message changes what it is worth to
-    give only for the states that it matters to: ``tree.gain`` sums that up. ``patience`` is as
+    """max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages, the action (n is *explain*),
+    and Σ_s b(s) V(k, v, s), at the cells found. A message changes the value only for the states
+    that it matters to; ``tree.gain`` holds the sum over these. ``patience`` is as
     :class:`~xplain.solvers.parts.SearchModel` has it, or 0."""
     best, base, action, likeliest = 0.0, 0.0, len(model.price), 0.0
     for s in range(len(belief)):

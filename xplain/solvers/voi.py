@@ -1,16 +1,17 @@
-"""What a question is worth to a policy that never asks for an answer's sake: value of information.
+"""Value of information: how much a question is worth to a policy that does not plan to ask.
 
     VOI(q) = Σ_y P(y | b) V(b_y) − V(b) − κ
 
-(Howard 1966; one question ahead, "myopic"). V is not QMDP's bound, in which the state becomes known
-for nothing, but what QMDP's own decisions earn from a belief, by simulation. W(b) = Σ b_s V(k, v,
-s) is linear, and its mean is not changed by what is heard; so QMDP's decisions earn W(b) less what
-each of them is expected to lose against being told the state there. W is the same on both sides,
-and the losses vary little: with the same random numbers for all beliefs few simulations are enough.
-Where labels are certain one simulation a state is exact.
+(Howard 1966; one question ahead, "myopic"). V is not QMDP's bound, which assumes that the state
+becomes known at no cost. V is the return of QMDP's own decisions from a belief, estimated by
+simulation. W(b) = Σ b_s V(k, v, s) is linear in b, and answers do not change its mean. So the
+return of QMDP's decisions is W(b) minus the expected losses: what each decision loses against
+knowing the state at that step. W is the same on both sides, and the losses vary little, so few
+simulations are enough if all beliefs share their random numbers. Where labels are certain, one
+simulation a state is exact.
 
-Looked into are the open questions whose answers tell the most (mutual information), by
-:func:`telling_questions`.
+Only the open questions with the most informative answers (mutual information) are evaluated, as
+chosen by :func:`telling_questions`.
 """
 
 from __future__ import annotations

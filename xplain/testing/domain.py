@@ -73,7 +73,7 @@ class DomainConformance(Conformance):
         assert not robot.terminal[starts].any(), "a start is terminal"
 
     def test_the_robot_is_explicable_to_those_who_know_the_task(self, component: Any) -> None:
-        """People who hold all values right find every transition of the robot explicable."""
+        """People who believe all values correctly find every transition of the robot explicable."""
         setting = _setting(component)
         labels = setting.label_by_model(setting.reachable)[0]
         assert labels.all(), "the robot's own model finds the robot inexplicable"

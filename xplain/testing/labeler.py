@@ -14,11 +14,12 @@ from xplain.testing.suite import Conformance
 
 
 class LabelerConformance(Conformance):
-    """Tests a trainer, ``fit(dataset, seed)``, and its labelers for what beliefs and planners need.
-    Test your own scikit-learn classifier as ``LabelerTrainer(classifier)``.
+    """Tests a trainer, ``fit(dataset, seed)``, and its labelers: do they provide what beliefs and
+    planners need?
 
     Attributes:
-        learns: the least accuracy on unseen points, for 300 labels that follow a simple rule.
+        learns: the lowest accuracy accepted on unseen points, after 300 labels that follow a simple
+            rule.
     """
 
     learns = 0.8

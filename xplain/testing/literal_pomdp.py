@@ -142,7 +142,7 @@ class LiteralPOMDP:
                 yield probability, after, (answer,), -questions.limits.cost
 
     def _not_forgotten(self, state: LiteralState) -> Iterator[tuple[float, frozenset[int]]]:
-        """What may be left of K after a step, and how likely it is."""
+        """The subsets of K that may remain after a step, with their probabilities."""
         forget = float(self.problem.forget[state.user_type])
         if not forget:
             yield 1.0, state.known

@@ -30,7 +30,7 @@ class QueriesConformance(Conformance):
 
     @pytest.fixture(scope="class")
     def setting(self, domain: Domain) -> Setting:
-        """One type who believes the first parameter incorrectly."""
+        """A setting with one type, who believes the first parameter incorrectly."""
         return _setting(domain, 0)
 
     def test_everybody_is_asked_no_more_than_agreed(self, component: Any, setting: Setting) -> None:

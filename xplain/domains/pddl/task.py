@@ -91,7 +91,7 @@ def sign(typed: Any) -> Signature:
 
 
 def declare(signature: Signature) -> str:
-    """As PDDL has it, such as ?x - block."""
+    """Writes the signature in PDDL, such as ?x - block."""
     kinds = ((x, f"(either {' '.join(y)})" if isinstance(y, list) else y) for x, y in signature)
     return " ".join(f"{name} - {kind}" for name, kind in kinds)
 

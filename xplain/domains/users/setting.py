@@ -66,9 +66,9 @@ class Setting:
         """Solves every distinct model.
 
         Raises:
-            InputError: no types, two of one name, a type that names an unknown parameter, or a
-                domain that reads a parameter that it does not have.
-            DomainError: a model has ambiguous ties, or no way to its goal.
+            InputError: there are no types, two types have one name, a type names an unknown
+                parameter, or the domain reads a parameter that it does not have.
+            DomainError: a model has ambiguous ties, or cannot reach its goal.
             TooLargeError: more than MAX_MODELS distinct models.
         """
         names = [parameter.name for parameter in domain.parameters]

@@ -343,7 +343,7 @@ class KnownAnswers:
         return Evidence(own, alone, assignment[data.observer[rows]], doubt, unwritten)
 
     def _learned(self, data: Dataset) -> HypothesisLabeler:
-        """A labeler of people of one type, who all err as often."""
+        """A labeler of people of one type, who all have the same error rate."""
         return self.labeler(data, partial(cheap().fit, data, 0))
 
     def labeler(

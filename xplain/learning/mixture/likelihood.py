@@ -68,12 +68,12 @@ has one fact more than another, and was never asked about."""
 def grown(
     hypotheses: Hypotheses, posterior: Callable[[Hypotheses], NDArray[np.float64]]
 ) -> Hypotheses:
-    """Adds all sets next to likely ones, until no likely set lacks any.
+    """Adds all sets next to likely sets, until every neighbour of a likely set is a candidate.
 
     Args:
-        hypotheses: the candidates so far; returned as they are where labels of further sets are
-            not known, or cannot be worked out.
-        posterior: [C] of candidates.
+        hypotheses: the candidates so far; returned unchanged where labels of further sets are
+            unknown or cannot be computed.
+        posterior: of the candidates [C].
     """
     while hypotheses.further is not None:
         likely = hypotheses.facts[posterior(hypotheses) >= LIKELY]
@@ -197,7 +197,8 @@ class KnownTransitions:
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        """[C] as of the hypotheses; what nobody wrote down is never taken to change nothing."""
+        """Essential facts [C], as in the hypotheses. Facts that no hypothesis describes always
+        count as essential."""
         return self.hypotheses.essential | self.hypotheses.facts & self.unwritten
 
     def prior_of(self, facts: NDArray[np.int64]) -> NDArray[np.float64]:

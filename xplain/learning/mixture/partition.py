@@ -179,7 +179,8 @@ class _Search:
         return np.asarray(softmax(alone[:, :, likely], axis=1))
 
     def learn(self, state: NDArray[np.int64]) -> AnswerModel:
-        """How answers err, the types being as they are; from then on they are taken to."""
+        """Learns how answers err, given the current types; the search uses this model from then
+        on."""
         cell, priors, count = np.zeros(len(self.person), dtype=np.int64), [], 0
         for r in np.unique(state).tolist():
             rows = np.flatnonzero(state[self.person] == r)

@@ -197,7 +197,7 @@ class Chain(NamedTuple):
     """One run of the sampler.
 
     Attributes:
-        best: its state of the highest score.
+        best: the chain's state of the highest score.
         score: log of that state's joint probability with the labels, f integrated out, and up to
             12 messages S and ε summed out.
         types: [sweeps / 2] int64, types that differ, after each sweep that counts (heated ones do
@@ -396,15 +396,16 @@ MAX_SUBSETS = 1 << 15
 @checks("clusterer")
 @dataclass(frozen=True)
 class DirichletMixture(Clusterer):
-    """Finds types by Gibbs sampling; the state of the highest joint probability is the answer.
+    """Finds types by Gibbs sampling. The sampled state of the highest joint probability is the
+    result.
 
     Attributes:
         concentration: α > 0 of the Chinese restaurant process; more makes new types likelier.
-        depth: facts that may matter together at one transition; None: 5, or 4 where there are
-            more than 12 messages, or so many observers that chains stop early (``updates``):
-            among more sets of facts they have not settled by then; 3 beyond 38 messages.
+        depth: facts that may matter together at one transition; None: 5; 4 for more than 12
+            messages, or for so many observers that chains stop early (``updates``) and would not
+            converge among more sets of facts; 3 for more than 38 messages.
         chains: independent runs; half start from one type, half from types at random.
-        sweeps: of each chain, the first half of them heated. Large data need few:
+        sweeps: sweeps of each chain; the first half are heated. Large data need few.
         updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
         heat: initial temperature.
     """
@@ -442,7 +443,8 @@ class DirichletMixture(Clusterer):
         return found
 
     def _sampled(self, dataset: Dataset, seed: int) -> Clustering:
-        """By fact sets, of labels for which somebody was told something."""
+        """Finds types by sampling fact sets, for data in which some answers were given under
+        messages."""
         observers, n = len(dataset.observers), dataset.n_messages
         long = observers * self.sweeps <= self.updates
         usual = 5 if n <= WIDE and long else 4 if n <= MANY else 3

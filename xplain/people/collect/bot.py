@@ -1,5 +1,5 @@
-"""Simulated observers: they read what a page says, answer as what they believe incorrectly makes
-them, err now and then, lapse, and leave.
+"""Simulated observers. They read what a page says, answer according to their incorrect beliefs,
+make errors now and then, lose attention, and leave.
 
 The same observer takes part in the bare flow, over HTTP, and in a real browser.
 """

@@ -205,7 +205,8 @@ class Collection(Flow[CollectPlan, CollectState]):
         return {key: payload[key] for key in ("number", "role", "others")}
 
     def forget(self) -> None:
-        """Questionnaires and types found too: they are made again."""
+        """Also clears the questionnaires and the types found; both are computed again when
+        needed."""
         super().forget()
         self.kept.cache_clear()
         self.found.clear()
@@ -258,7 +259,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         return kept
 
     def questionnaire(self, state: CollectState) -> Questionnaire:
-        """That of a participant, with all that they answered."""
+        """The questionnaire of a participant, with all their answers."""
         judged = [one.judged for one in state.questions()]
         answers = tuple((one.labels, one.transitions, one.told) for one in judged if one.labels)
         known: Questionnaire = self.kept(state.person, frozenset(state.others.items()), answers)

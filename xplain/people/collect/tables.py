@@ -106,8 +106,9 @@ class KnownSoFar:
 
 
 def fact_sets(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[NDArray[np.int64], float]:
-    """[N] the facts that each person's type believes incorrectly, and the share of wrong answers:
-    the Dirichlet process over fact sets that ``discover`` runs with the same hypotheses."""
+    """Clusters people with the Dirichlet process over fact sets that ``discover`` runs with the
+    same hypotheses. Returns the facts [N] that each person's type believes incorrectly, and the
+    share of wrong answers."""
     asked = _asked(plan, people)
     found, data = asked.partition(CONCENTRATION), asked.dataset
     return found.facts, found.answers.wrong(asked.place[data.transition], data.observer)
@@ -145,8 +146,8 @@ def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar
 
 
 def glance(collection: Collection, people: People) -> dict[str, Any]:
-    """Labels so far, the types that are in them, and what more people would bring, for the
-    researcher's page: of people, or of bots while there are none."""
+    """Figures for the researcher's page: labels so far, the types found in them, and what more
+    people would bring. They are about people, or about bots while there are no people."""
     plan, found = collection.plan, collection.found
     whose = "person" if any(one.stream == "person" for one in people) else "bot"
     states = {one.id: one.state for one in people if one.stream == whose}

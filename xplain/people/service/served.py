@@ -1,4 +1,5 @@
-"""What the service knows of a task: who people may be, what may be asked, what its map looks like.
+"""What the service knows about a task: the possible user types, the possible questions, and the
+map.
 
 configuration ── served ── explanations and questionnaires (talks.py)
 """

@@ -154,15 +154,15 @@ class Talks(Log[State]):
         self._open: OrderedDict[str, Talk] = OrderedDict()
 
     def begin(self, kind: str, person: str | None, request: Json) -> tuple[str, Json]:
-        """A talk with somebody, by their name among the caller's; the same one when it is asked
-        for again.
+        """Begins a talk with the person whom the caller calls by this name; a repeated request
+        returns the same talk.
 
         Returns:
-            Its id, and what to do first.
+            The talk's id, and the first thing to do.
 
         Raises:
-            Conflict: that person's talk began otherwise.
-            InputError: it cannot begin so.
+            Conflict: that person's talk began with other settings.
+            InputError: a talk cannot begin with these settings.
         """
         who = person or f"p{secrets.token_hex(8)}"
         key, which = f"{kind} {who}", f"{kind[0]}{secrets.token_hex(12)}"

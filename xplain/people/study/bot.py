@@ -51,7 +51,7 @@ class Habits(bots.BotHabits):
 
 
 class StudyBot(bots.Bot[StudyPlan, Habits]):
-    """One simulated participant; as they are, until a briefing tells them what to know."""
+    """One simulated participant. They behave as themselves until a briefing assigns them a role."""
 
     def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
         super().__init__(plan, habits, rng)

@@ -78,7 +78,7 @@ class StudyBriefing(Briefing["Study", StudyState]):
         return every[1:-1] if state.attempts else every
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
-        """With the attempts that are left."""
+        """Adds the number of attempts left."""
         left = flow.plan.rules.max_attempts - state.attempts
         return super().view(flow, state) | {"attempts_left": left}
 
@@ -291,7 +291,7 @@ class Study(Explaining):
 
     @property
     def titles(self) -> dict[str, str]:
-        """Also of questions in between."""
+        """Adds the title of questions between steps."""
         return super().titles | {"asking": self.words["asking"]}
 
     def about(self, state: StudyState, blinded: bool) -> dict[str, str]:
