@@ -10,8 +10,8 @@ rate is added. All three are learned from everybody's answers by empirical Bayes
 people share cannot be told from slips that all questions share: they are taken to be slips, as the
 likeliest error rate of the population is 0. What most of a type answer is what they think: a slip
 or a guess is less likely than ½, and never explains such a majority. Slips and guesses have one
-mean, to which those of a question are drawn: where 0 is said for 1 more often than 1 for 0 all
-over, it is rather f that is not as expected.
+mean, towards which those of a question are shrunk: if slips seem more frequent than guesses over
+all questions, more likely f differs from what was expected.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class AnswerModel:
     def log_given(
         self, question: NDArray[np.int64], person: NDArray[np.int64], label: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """log P(y | f = 0 and 1) of P answers: [P, 2]. Of questions and people −1 nothing is known
-        but what holds for all."""
+        """log P(y | f = 0 and 1) of P answers: [P, 2]. The index −1 stands for an unknown question
+        or person, for which the mean of all is taken."""
         each = self.likelihood(question, label)
         return np.asarray(np.log((each * self.person[person][:, None, :]).sum(axis=2)))
 
@@ -97,8 +97,8 @@ class AnswerModel:
         return answered(self.slip[question], self.guess[question])
 
     def wrong(self, question: NDArray[np.int64], person: NDArray[np.int64]) -> float:
-        """Share of these answers [P] that are not what the person thinks, f being 0 as often as
-        1."""
+        """Share of these answers [P] that differ from what the person thinks, if f = 0 and f = 1
+        are equally likely."""
         slip = (self.slip[question] + self.guess[question]) / 2
         rate = self.person[person] @ RATES
         return float((slip + rate * (1 - 2 * slip)).mean())
@@ -139,8 +139,8 @@ def learned(
 ) -> AnswerModel:
     """Slips, guesses and error rates by expectation maximisation.
 
-    What one answer says of its cell's f, and of its person's rate, is what all others leave open
-    (belief propagation: exact where no two people share two cells).
+    Belief propagation computes what each answer tells about its cell's f and its person's rate,
+    given all other answers. It is exact where no two people share two cells.
 
     Args:
         answers: P of them.

@@ -82,14 +82,18 @@ class Evidence:
 
     @property
     def lost(self) -> bool:
-        """The hypotheses do not fit: people of a type disagree, or hypotheses predict worse."""
+        """Whether the hypotheses do not fit: people of a type disagree, or hypotheses predict
+        worse."""
         return self.otherwise > 0 or self.against > WORSE
 
     @property
     def beaten(self) -> bool:
-        """Labels alone predict so much better that hypotheses are given up. A coin that predicts
-        better does not count: where many answers are wrong, what is learned from so few
-        is too sure either way, and labels alone are what would be left."""
+        """Whether labels alone predict so much better that the hypotheses are given up.
+
+        A coin that predicts better does not count: where many answers are wrong, both hypotheses
+        and labels alone are overconfident after so few answers, and labels alone would be the only
+        alternative.
+        """
         own, others = self.nats
         return (own - others) * len(self.of_type) > BEATEN
 

@@ -76,7 +76,7 @@ class Labeler(Protocol):
 
     @property
     def wrong(self) -> NDArray[np.float64] | None:
-        """See above."""
+        """See the attributes of the class."""
         return None
 
     def probability(
@@ -129,14 +129,14 @@ class FittedLabeler(MeasuredLabeler):
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """As :meth:`Labeler.predict`, by the classifier."""
+        """See :meth:`Labeler.predict`; the classifier predicts."""
         x = inputs(features, message_sets, self.n_messages)
         return np.asarray(self.classifier.predict(x), dtype=np.uint8)
 
     def probability(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """As :meth:`Labeler.probability`."""
+        """See :meth:`Labeler.probability`."""
         if not self.calibrated:
             return self._of_labels(self.predict(features, message_sets))
         x = inputs(features, message_sets, self.n_messages)

@@ -94,7 +94,7 @@ def _kneedle(curve: NDArray[np.int64]) -> int | None:
 
 
 def disagreements(dataset: Dataset, assignments: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Of each of K clusterings [O]: [K]."""
+    """Numbers of disagreements [K] of K clusterings [O]."""
     cell = query_index(dataset)
     ones, size = np.bincount(cell, weights=dataset.label), np.bincount(cell)
     rows = np.flatnonzero(((ones > 0) & (ones < size))[cell])  # all others agree, and never count

@@ -95,8 +95,8 @@ def _of_types(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[np.float
 
 
 class Tenth(NamedTuple):
-    """Of a tenth of the held-out labels, by how likely a 1 was said to be: the mean of what was
-    said, the share of ones, its 95 % interval (Wilson's), and how many labels."""
+    """One tenth of the held-out labels, sorted by their predicted P(1): the mean prediction, the
+    share of ones, its 95 % interval (Wilson's), and the number of labels."""
 
     said: float
     ones: float

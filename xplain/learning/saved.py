@@ -46,13 +46,13 @@ class TableLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """As :meth:`Labeler.table`."""
+        """See :meth:`Labeler.table`."""
         place = places(features.astype(np.float32), self.rows)
         known = (place >= 0)[:, None]
         return LabelTable.dense([np.where(known, self.values[place], 0.5)])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """As :meth:`Labeler.arrays`."""
+        """See :meth:`Labeler.arrays`."""
         return {"rows": self.rows, "table": self.values}
 
 

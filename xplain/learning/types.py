@@ -62,7 +62,7 @@ class Clustering:
 
     @property
     def shares(self) -> NDArray[np.float64]:
-        """[N] of the observers."""
+        """Shares [N] of the observers by type."""
         return np.bincount(self.assignment) / len(self.assignment)
 
     @property

@@ -89,7 +89,7 @@ class Clusterer(ABC):
         """Groups the observers: one cluster a type. As :meth:`TypeFinder.find`."""
 
     def find(self, observed: Observed, seed: int) -> UserTypes:
-        """As :meth:`TypeFinder.find`."""
+        """See :meth:`TypeFinder.find`."""
         trainer = self.labeler.given(observed)  # once: what it works out of its task is kept
         clustering = replace(self, labeler=trainer).cluster(observed, seed)
         types = learn_types(observed.dataset, clustering, trainer, seed)
@@ -404,20 +404,20 @@ def _everything(setting: Setting) -> Setting | None:
 
 
 class TrueLabels(LabelerTrainer):
-    """Stands where a labeler is chosen, and says that there is none.
+    """A component ``labeler`` that uses true labels instead of a learned labeler.
 
     An experiment then plans with the labels of the users' own models, and with one type for each
-    true type: what is left to find out is which of them is in front of the robot. A policy's cost
-    above the clairvoyant's is what not knowing the type costs; a learned labeler's, above that,
-    what its errors cost. True labels belong to the types of a setting, so no cluster of observers
-    can have them, and the clusterer is not asked: the observers give the types' shares alone.
+    true type: only the user's type remains unknown. A policy's cost above the clairvoyant's is what
+    not knowing the type costs; a learned labeler's, above that, what its errors cost. True labels
+    belong to the types of a setting, so no cluster of observers can have them, and the clusterer is
+    not asked: the observers give the types' shares alone.
 
     Labels of a user who is one of the types are never impossible, so beliefs need no care, but
     sharpen to certainty: a type that an answer contradicts is ruled out for good.
     """
 
     def __init__(self) -> None:
-        """There is nothing to choose."""
+        """Takes no options."""
         super().__init__()
 
     def types_of(self, observed: Observed) -> KnownTypes:

@@ -65,7 +65,7 @@ class Page:
 
     @classmethod
     def of_html(cls, html: str) -> Page:
-        """As a browser gets it."""
+        """Reads a page from its HTML, as a browser gets it."""
         tree = lxml.html.document_fromstring(html)
         fields: dict[str, list[tuple[str, str]]] = {}
         for one in tree.xpath(f"//input[@type='radio' or @type='checkbox']{_LEAVING}"):
@@ -89,7 +89,7 @@ class Page:
 
     @classmethod
     def of_view(cls, view: Mapping[str, Any]) -> Page:
-        """As a flow has it, without a server."""
+        """Makes a page from a flow's view, without a server."""
         facts, told, new = (view.get(key, ()) for key in ("briefing", "told", "new"))
         steps = view.get("transitions", ())
         return cls(view["stage"], facts, told, new, view.get("fields", {}), steps)
@@ -102,7 +102,7 @@ def _text(element: Any) -> str:
 
 
 class Visitor(Protocol):
-    """Somebody simulated."""
+    """A simulated person."""
 
     def leaves(self, page: Page) -> bool:
         """Whether this page is where they drop out."""
@@ -117,7 +117,7 @@ class Cookies(RequestsCookieJar):
     """Keeps cookies that are meant for https also from a server whose proxy speaks it."""
 
     def set_cookie(self, cookie: Any, *args: Any, **kwargs: Any) -> Any:
-        """As a cookie for any protocol."""
+        """Stores the cookie for any protocol."""
         cookie.secure = False
         return super().set_cookie(cookie, *args, **kwargs)
 
@@ -182,7 +182,7 @@ def walk(
     think: Callable[[float], None] = lambda seconds: None,
     look: Callable[[Page], None] = lambda page: None,
 ) -> str:
-    """From a page to the end.
+    """Walks from a page to the end of the flow.
 
     Args:
         page: that is open.
@@ -280,7 +280,8 @@ class Bot(Generic[P, H]):
         return self.chance(self.habits.leaving)
 
     def practises(self, page: Page, right: int) -> Fields:
-        """The label of a practice step. Who errs is told so, and errs once."""
+        """Chooses the label of a practice step. A bot that makes an error is told so, and makes
+        only one."""
         errs = self.chance(self.habits.mistake) and (page.stage, right) not in self.corrected
         if errs:
             self.corrected.add((page.stage, right))
@@ -307,7 +308,7 @@ class Bot(Generic[P, H]):
         return [("agree", "1")]
 
     def at_ahead(self, page: Page) -> Fields:
-        """Sees what the step is good for."""
+        """Sees why the step makes sense."""
         return self.practises(page, 1)
 
     def at_questions(self, page: Page) -> Fields:
@@ -322,7 +323,7 @@ def answer(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> tuple[str, dict[
 
 
 def take_part(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> S:
-    """A bot in the bare flow, from a state to the end or to where they leave."""
+    """Leads a bot through the bare flow, from a state to the end or to the page where it leaves."""
     while not state.over and not bot.leaves(Page.of_view(flow.view(state))):
         state = flow.advance(state, *answer(flow, bot, state))
     return state
@@ -370,7 +371,7 @@ def crowd(
     pace: float,
     person_of: Callable[[int], Visitor],
 ) -> Counter[str]:
-    """Lets simulated people take part; how many ended at which stage.
+    """Lets simulated people take part; returns how many ended at each stage.
 
     Args:
         researcher: makes the invitations.

@@ -64,7 +64,7 @@ class State:
 
     @property
     def text(self) -> str:
-        """As JSON, for the store."""
+        """The state as JSON, for the store."""
         return json.dumps(asdict(self), sort_keys=True)
 
     @classmethod
@@ -74,7 +74,7 @@ class State:
         return decode(cls, json.loads(text))
 
     def to(self, **changes: Any) -> Self:
-        """After one more accepted event."""
+        """The state after one more accepted event."""
         return replace(self, accepted=self.accepted + 1, **changes)
 
 
@@ -147,7 +147,7 @@ class Participant(Generic[S]):
     events: tuple[Event, ...] = ()
 
     def after(self, event: Event) -> Self:
-        """With one event more."""
+        """The participant with one more event."""
         changes: dict[str, Any] = {
             "latest": event,
             "erased": self.erased or event.kind == "erase",
@@ -166,7 +166,7 @@ class Participant(Generic[S]):
 
     @property
     def state(self) -> S:
-        """Where they are."""
+        """The participant's current state."""
         return self.kind.from_text(self.text)
 
     @property
@@ -257,13 +257,13 @@ class Flow(ABC, Generic[P, S]):
     @classmethod
     @abstractmethod
     def of(cls, plan: P) -> Self:
-        """A plan at work."""
+        """Makes the flow of a plan."""
 
     # Places --------------------------------------------------------------------------------------
 
     @abstractmethod
     def admit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """What a consent carries from elsewhere.
+        """What the consent event must contain from outside the state, such as a place.
 
         Args:
             person: who consents.
@@ -274,7 +274,7 @@ class Flow(ABC, Generic[P, S]):
         """
 
     def readmit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """The same of the return of somebody who was silent for too long."""
+        """What the return event of a participant who was silent for too long must contain."""
         return {}
 
     @abstractmethod
@@ -286,7 +286,7 @@ class Flow(ABC, Generic[P, S]):
         """
 
     def forget(self) -> None:
-        """Drops what is kept in memory to answer sooner: somebody's data was erased."""
+        """Clears the caches, because somebody's data was erased."""
         State.from_text.cache_clear()
 
     # What a server shows -------------------------------------------------------------------------
@@ -303,7 +303,7 @@ class Flow(ABC, Generic[P, S]):
 
     @property
     def titles(self) -> dict[str, str]:
-        """Of the stages' pages."""
+        """Titles of the stages' pages."""
         return {stage: self.words[stage] for stage in self.stages[:-1]}
 
     def about(self, state: S, blinded: bool) -> dict[str, str]:
@@ -328,16 +328,16 @@ class Flow(ABC, Generic[P, S]):
 
     @property
     def words(self) -> Mapping[str, str]:
-        """Of the pages."""
+        """The texts of the pages."""
         return self.plan.texts.words  # type: ignore[attr-defined]
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Names of those that the plan has, in order; done is the last."""
+        """Names of the stages that the plan has, in order; done is the last."""
         return (*(one.name for one in self.STAGES if one.wanted(self.plan)), "done")
 
     def stage(self, name: str) -> Stage[Any, S] | None:
-        """The stage of a name; None for ends."""
+        """The stage with a name; None for ends."""
         return next((one for one in self.STAGES if one.name == name), None)
 
     def part(self, name: str) -> str:
@@ -401,14 +401,14 @@ FACTS_AT_ONCE = 3
 
 
 class Consent(Stage[F, S]):
-    """The consent, to the text as it is now."""
+    """The consent, which is to the current text."""
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """Whether they agree, and the hash of the text that they read."""
         return {"agree": small(form.get("agree")), "text": form.get("text", "")[:64]}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """To the flow, or to a polite end."""
+        """Moves to the next stage, or to a polite end."""
         agreed = choice(payload.get("agree"), 2, flow.words["consent_missing"])
         if payload.get("text") != flow.plan.texts.consent_hash:
             raise Refused(flow.words["consent_changed"])
@@ -434,7 +434,7 @@ class Briefing(Stage[F, S]):
         return [("introduction", ()), *facts, ("asked_for", ())]
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
-        """The screen that is open."""
+        """Shows the open screen."""
         screens = self.screens(flow, state)
         heading, sentences = screens[state.part]
         view = {"screen": heading, "sentences": sentences, "screen_number": state.part + 1}
@@ -442,7 +442,7 @@ class Briefing(Stage[F, S]):
         return view | {"screen_count": len(screens)} | briefing
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """To the next screen, or to the next stage."""
+        """Moves to the next screen, or to the next stage."""
         if state.part + 1 < len(self.screens(flow, state)):
             return state.to(part=state.part + 1)
         return flow.after(state, part=0, wrong=False)
@@ -452,7 +452,7 @@ class OneLabel(Stage[F, S]):
     """A page with one step to label."""
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
-        """The label."""
+        """Reads the label."""
         return {"label": small(form.get("label"))}
 
     def label(self, flow: F, payload: Mapping[str, Any]) -> int:
@@ -480,7 +480,7 @@ class LookingAhead(OneLabel[F, S]):
     any answer except 1."""
 
     def wanted(self, plan: Any) -> bool:
-        """Where the task has such a step."""
+        """Whether the task has such a step."""
         return plan.ahead is not None
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
@@ -489,7 +489,7 @@ class LookingAhead(OneLabel[F, S]):
         return {"action": steps[0], "later": steps[1:] if state.wrong else ()}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """On once it makes sense to them."""
+        """Moves on once the step makes sense to the participant."""
         if self.label(flow, payload) == 1:
             return flow.after(state, wrong=False)
         return state.to(wrong=True)
@@ -501,27 +501,27 @@ class QuestionStage(Stage[F, S]):
 
     Attributes:
         of: the plan's field that has them.
-        missed: the end for who gives another answer than the right one; "" goes on.
+        missed: the end for participants who answer wrongly; "" lets them continue.
     """
 
     of: str = "asked"
     missed: str = ""
 
     def wanted(self, plan: Any) -> bool:
-        """Where there are some."""
+        """Whether the plan has such questions."""
         return bool(getattr(plan, self.of))
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
-        """The questions."""
+        """Shows the questions."""
         return {"asked": getattr(flow.plan, self.of)}
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
-        """The answers by name."""
+        """Reads the answers by name."""
         asked = getattr(flow.plan, self.of)
         return {one.name: one.read(form.get(one.name, "")) for one in asked}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """Each answer has to be one that its question allows."""
+        """Checks that each question allows its answer, and moves on."""
         asked: Sequence[LabQuestion] = getattr(flow.plan, self.of)
         for one in asked:
             if problem := one.problem(payload.get(one.name, ""), flow.words):

@@ -145,7 +145,7 @@ class Log(Generic[S]):
             self._opened = opened.pop_all()
 
     def close(self) -> None:
-        """Lets go of the file."""
+        """Closes the file."""
         with self._lock:
             self._opened.close()
 
@@ -170,7 +170,8 @@ class Log(Generic[S]):
 
     @contextmanager
     def changes(self) -> Iterator[None]:
-        """All or nothing; on the disk when it is left without an error."""
+        """A transaction: all changes are stored or none; they are on the disk when it ends without
+        an error."""
         with self._lock:
             if self._connection.in_transaction:  # a part of what is under way
                 yield

@@ -59,7 +59,7 @@ class Clip:
     picture: Picture | None = None
 
     def worded(self, in_words: Callable[[str], str]) -> Clip:
-        """With all of its texts in other words."""
+        """The clip with all of its texts in other words."""
         situation, gone, changes = (
             tuple(map(in_words, told)) for told in (self.situation, self.gone, self.changes)
         )

@@ -107,7 +107,7 @@ class Keys:
 
 
 def _bytes(text: str) -> bytes:
-    """What a browser sent may hold anything, half a surrogate pair too."""
+    """Encodes text from a browser, which may contain anything, such as half a surrogate pair."""
     return text.encode(errors="replace")
 
 
@@ -209,7 +209,7 @@ class Server:
 
     @property
     def path(self) -> str:
-        """Of the address: what every route, link and cookie begins with; "" for none."""
+        """The path of the address: every route, link and cookie begins with it; "" for none."""
         return urlsplit(self.address).path.rstrip("/")
 
     @property

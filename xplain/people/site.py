@@ -191,12 +191,12 @@ class Visit:
 
     @property
     def host(self) -> str:
-        """Of the server, as the browser typed it, without a port."""
+        """The host name of the server, as the browser typed it, without a port."""
         return re.sub(r":\d*$", "", self.request.headers.get("host", "")).strip("[]")
 
     @property
     def address(self) -> str:
-        """Of the browser, as the outermost trusted proxy saw it."""
+        """The address of the browser, as the outermost trusted proxy saw it."""
         hops = ",".join(self.request.headers.getlist("x-forwarded-for")).split(",")
         count = min(self.site.server.proxies, len(hops))
         peer = self.request.client.host if self.request.client else ""

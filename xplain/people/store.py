@@ -189,7 +189,7 @@ class Store(Log[Any]):
         return who
 
     def pause(self, on: bool) -> None:
-        """Lets nobody new in, or lets them in again. Who has begun goes on."""
+        """Lets nobody new in, or lets them in again. People who have begun continue."""
         with self.changes():
             self.append("", "server", "pause", {"paused": on})
 

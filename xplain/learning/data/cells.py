@@ -1,4 +1,4 @@
-"""Tables of people's own, CSV or Parquet: every cell is a text first, as it stands in the file.
+"""Reads people's own tables, CSV or Parquet. Every cell is first a text, exactly as in the file.
 
 A column is read as numbers once, if nothing of its texts gets lost: ``007``, ``1E2``, and ``1.1``
 beside ``1.10`` stay texts.

@@ -215,7 +215,8 @@ def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, .
 
 
 def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]:
-    """Who was asked, and what they were told before: these attributes of a dataset."""
+    """Which observers were asked, and which messages they were given before: these attributes of a
+    dataset."""
     who = stripped(table["observer"])
     _refuse_missing("observer", who == "")
     observer, observers = _factorized(who)

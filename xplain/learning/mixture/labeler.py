@@ -137,7 +137,7 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @cached_property
     def alone(self) -> Labeler:
-        """Learned from the labels alone, when it is first asked."""
+        """A labeler learned from the labels alone, when it is first needed."""
         return self.fit_alone()
 
     @property
@@ -168,7 +168,7 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @property
     def wrong(self) -> NDArray[np.float64]:
-        """As :attr:`Labeler.wrong`; as labels, never certain."""
+        """See :attr:`Labeler.wrong`; like labels, never certain."""
         return np.clip(self._share, EDGE, 1 - EDGE)
 
     def known_rows(
@@ -213,7 +213,7 @@ class HypothesisLabeler(MeasuredLabeler):
     def probability(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """As :meth:`Labeler.probability`."""
+        """See :meth:`Labeler.probability`."""
         transition = self.known.find(features)
         rows, one = transition >= 0, np.empty(len(features))
         one[rows] = self.known_rows(transition[rows], message_sets[rows])
@@ -286,7 +286,7 @@ class KnownAnswers:
 
     @classmethod
     def of(cls, known: KnownTransitions, dataset: Dataset) -> KnownAnswers:
-        """Those of a dataset with the hypotheses' features and messages."""
+        """Selects the answers of a dataset that has the hypotheses' features and messages."""
         place = known.find(dataset.features)
         return cls(known, dataset.take(np.flatnonzero(place[dataset.transition] >= 0)), place)
 
@@ -361,7 +361,7 @@ class KnownAnswers:
 
 @dataclass(frozen=True)
 class EverythingWrong(Labeler):
-    """Of somebody who believes every fact incorrectly, by the hypotheses alone.
+    """A labeler of somebody who believes every fact incorrectly, by the hypotheses alone.
 
     Attributes:
         known: hypotheses of all sets of at most DENSE facts.
@@ -371,7 +371,7 @@ class EverythingWrong(Labeler):
 
     @property
     def n_messages(self) -> int:  # type: ignore[override]
-        """As :attr:`Labeler.n_messages`."""
+        """See :attr:`Labeler.n_messages`."""
         return self.known.hypotheses.n_messages
 
     def table(
@@ -477,7 +477,7 @@ class HypothesisTrainer(LabelerTrainer):
         )
 
     def everything(self) -> Labeler | None:
-        """As :meth:`LabelerTrainer.everything`."""
+        """See :meth:`LabelerTrainer.everything`."""
         n, sets = self.known.hypotheses.n_messages, len(self.known.hypotheses.facts)
         return EverythingWrong(self.known) if n <= DENSE and sets == 1 << n else None
 

@@ -1,9 +1,9 @@
 r"""The likelihood of answers, where hypotheses may be wrong here and there, and the candidates that
 it compares.
 
-Who believes the facts R incorrectly and was told H is in the *cell* (τ, R \ H) when asked about τ.
-Its label f is that of the hypotheses but with probability δ, and an answer is not a label
-(:mod:`xplain.learning.answers`)::
+A person who believes the facts R incorrectly and was given the messages H is in the *cell* (τ, R \
+H) when asked about τ. The label f of a cell differs from the hypotheses with probability δ, and an
+answer is not a label (:mod:`xplain.learning.answers`)::
 
     P(answers in a cell) = Σ_f P(f | hypotheses, δ) Π P(answer | f)
 
@@ -125,11 +125,11 @@ class Answers(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Iterable[Answers]) -> Answers:
-        """All of some, one after the other."""
+        """Joins several sets of answers, one after the other."""
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
     def take(self, rows: NDArray[np.int64]) -> Answers:
-        """Some of them."""
+        """Selects some of the answers."""
         return Answers(*(column[rows] for column in self))
 
 
@@ -202,7 +202,7 @@ class KnownTransitions:
         return self.hypotheses.essential | self.hypotheses.facts & self.unwritten
 
     def prior_of(self, facts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """[R] of those whose essential facts these are."""
+        """The prior [R] of candidates with these essential facts."""
         every, which = np.unique(self.essential, return_inverse=True)
         prior = np.bincount(which.ravel(), self.hypotheses.prior)
         return np.asarray(prior[np.searchsorted(every, facts)], np.float64)

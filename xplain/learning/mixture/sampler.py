@@ -134,7 +134,7 @@ class Prior(NamedTuple):
 
     @classmethod
     def of(cls, n: int, depth: int) -> Prior:
-        """For n messages, of which at most ``depth`` matter at a transition."""
+        """Makes the prior for n messages, of which at most ``depth`` matter at a transition."""
         depth = min(depth, n)
         chosen = [one for size in range(depth + 1) for one in combinations(range(n), size)]
         subsets = np.full((len(chosen), max(depth, 1)), -1, dtype=np.int64)
@@ -183,7 +183,7 @@ class ChainState(NamedTuple):
     order: NDArray[np.int64]
 
     def copy(self) -> ChainState:
-        """The same state in arrays of its own."""
+        """Copies the state into new arrays."""
         return ChainState._make(array.copy() for array in self)
 
 

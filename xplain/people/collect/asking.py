@@ -2,7 +2,8 @@
 
 Questions are those of :class:`xplain.questions.questionnaire.Questionnaire`, or of one list for
 everybody. Among them are an obvious step, and some of the first questions a second time. At the end
-messages may be told that hold from then on, to see whether they are taken in and kept.
+some messages may be given that stay valid on later pages, to see whether people believe and
+remember them.
 """
 
 from __future__ import annotations
@@ -104,15 +105,14 @@ class CollectState(core.State):
 
     @property
     def left_out(self) -> str:
-        """Why their labels are not learned from; "" where they are."""
+        """The reason why this person's labels are not learned from; "" if they are."""
         if self.stage not in FINISHED:
             return self.stage if self.over else "unfinished"
         return "inattentive" if self.attentive is False else ""
 
     @property
     def attentive(self) -> bool | None:
-        """Whether nobody can say that they did not look: the obvious step was not called sensible;
-        None before it was seen."""
+        """False if the person called the obvious step sensible; None before they saw it."""
         seen = [clip.labels[0] for clip in self.answered if clip.purpose == ATTENTION]
         return None if not seen else seen[0] != 1
 
@@ -155,8 +155,8 @@ def schedule(plan: CollectPlan, number: int) -> tuple[ClipTask, ...]:
 
 
 def shared(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """What people asked before believe incorrectly, as the next one's prior takes it: the mean of
-    their posteriors, rounded, so that it does not depend on who came first."""
+    """What people asked before believe incorrectly, in the form of the next person's prior: the
+    mean of their posteriors, rounded, so that it does not depend on their order."""
     total: dict[str, float] = {}
     for belief in beliefs:
         some = 1 - belief.get("none", 0.0)
@@ -167,7 +167,8 @@ def shared(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def prior(plan: CollectPlan, others: Mapping[str, float]) -> NDArray[np.float64]:
-    """[C] of the fact sets; in part what is known of others, where there are any."""
+    """The prior [C] over fact sets; part of it comes from other people's answers, if there are
+    any."""
     known = plan.hypotheses
     if not others or not plan.design.from_others:
         return known.prior
@@ -245,13 +246,14 @@ def _varied(
 
 
 def _unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int]]:
-    """Questions that they could not answer: no evidence came, so they would be best for ever."""
+    """Questions that the person could not answer. Such an answer is no evidence, so these questions
+    would stay the best ones for ever."""
     return {(one.transitions, one.told) for one in before if CANNOT_TELL in one.labels}
 
 
 def _heeded(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:
-    """A message that holds from now on, with the step that most likely makes sense because of it
-    and made none before; or such a step once more."""
+    """Chooses a message that stays valid from now on, with the step that most likely makes sense
+    because of it and made none before; or shows such a step once more."""
     before = [clip for clip in state.answered if clip.purpose == TOLD]
     if task.purpose != TOLD:
         first = before[task.again]

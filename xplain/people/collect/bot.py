@@ -69,15 +69,16 @@ class Observer(bots.Bot[CollectPlan, Habits]):
             self.held = next(r.held for r in self.plan.roles if self._told <= {*r.briefing})
 
     def at_practice(self, page: Page) -> Fields:
-        """Makes sense under the one sentence only."""
+        """Answers that the step makes sense only under the one sentence."""
         return self.practises(page, int(list(page.messages) == [self.plan.example.speaks_for]))
 
     def at_clips(self, page: Page) -> tuple[Fields, float]:
-        """A label a step."""
+        """Gives a label for each step."""
         return self.labels(page.steps, self.heard(page.messages))
 
     def at_listening(self, page: Page) -> tuple[Fields, float]:
-        """The same; what they take in stays, until they lose it."""
+        """Gives a label for each step; messages that they believe stay known until they lose
+        them."""
         self.known |= self.heard(page.messages)
         answer = self.labels(page.steps, self.known)
         for j in indices(self.known if self.habits.losing else 0):
@@ -85,7 +86,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
         return answer
 
     def at_beliefs(self, page: Page) -> Fields:
-        """What they believe of each fact."""
+        """Says what they believe about each fact."""
         facts = [int(name.removeprefix("fact_")) for name in page.fields]
         return [(f"fact_{j}", str(self.held >> j & 1)) for j in facts]
 

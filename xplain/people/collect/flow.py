@@ -73,11 +73,11 @@ class ClipStage(Stage["Collection", CollectState]):
     LASTING: ClassVar = False
 
     def enter(self, flow: Collection, state: CollectState) -> CollectState:
-        """The first clip."""
+        """Chooses the first clip."""
         return self._next(flow, replace(state, wrong=False))
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
-        """Nothing of the hypotheses, the posterior, or what a clip is for."""
+        """Shows the clip; hides the hypotheses, the posterior, and the clip's purpose."""
         assert state.clip is not None, "a clip is on the page"
         return flow.briefing(state) | {
             **_clip(flow.plan, state.clip),
@@ -87,14 +87,14 @@ class ClipStage(Stage["Collection", CollectState]):
         }
 
     def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
-        """A label a step."""
+        """Reads a label for each step."""
         steps = range(state.clip.size if state.clip else 0)
         return {"labels": [small(form.get(f"label_{i}")) for i in steps]}
 
     def advance(
         self, flow: Collection, state: CollectState, payload: Mapping[str, Any]
     ) -> CollectState:
-        """To the next clip, or on from the last one."""
+        """Moves to the next clip, or to the next stage after the last one."""
         clip = state.clip
         assert clip is not None, "a clip is on the page"
         answers = CANNOT_TELL + 1
@@ -121,28 +121,28 @@ class Listening(ClipStage):
     LASTING: ClassVar = True
 
     def wanted(self, plan: CollectPlan) -> bool:
-        """Where such messages are told."""
+        """Whether the plan has messages that stay valid on later pages."""
         return plan.rules.listening > 0
 
 
 class BeliefStage(Stage["Collection", CollectState]):
-    """What they say they thought of each fact."""
+    """People state what they thought about each fact."""
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
-        """The facts in the participant's order."""
+        """Shows the facts in the participant's order."""
         shown = statements(flow.plan, state.person)
         fields = {f"fact_{j}": pair for j, pair in shown}
         return flow.briefing(state) | {"statements": shown, "fields": fields}
 
     def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
-        """An index into STATED a fact."""
+        """Reads an index into STATED for each fact."""
         facts = range(len(flow.plan.facts))
         return {"stated": [small(form.get(f"fact_{j}")) for j in facts]}
 
     def advance(
         self, flow: Collection, state: CollectState, payload: Mapping[str, Any]
     ) -> CollectState:
-        """All of them are needed."""
+        """Moves on when all facts are answered."""
         counts = [len(STATED)] * len(flow.plan.facts)
         return flow.after(
             state, stated=choices(payload.get("stated"), counts, flow.words["answer_all"])
@@ -174,7 +174,7 @@ class Collection(Flow[CollectPlan, CollectState]):
 
     @classmethod
     def of(cls, plan: CollectPlan) -> Collection:
-        """The plan alone decides."""
+        """Makes the collection from its plan alone."""
         return cls(plan)
 
     def admit(self, person: Participant[CollectState], people: People) -> dict[str, Any]:
@@ -201,7 +201,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         return consent | {"role": int(rng.choice(fewest))}
 
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """The number, whose briefing they get, and what others believe incorrectly."""
+        """Stores the number, the briefing's role, and what others believe incorrectly."""
         return {key: payload[key] for key in ("number", "role", "others")}
 
     def forget(self) -> None:
@@ -212,7 +212,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         self.found.clear()
 
     def drawn(self, what: tuple[int, ...]) -> tuple[Way | None, int, Sequence[str]]:
-        """A clip's transitions; without any, the robot where it covers nothing."""
+        """The transitions of a clip; without any, the robot at a place where it covers nothing."""
         shown, scene = self.plan.shown, self.plan.scene
         if scene is None:
             return None, 0, ()
@@ -223,11 +223,11 @@ class Collection(Flow[CollectPlan, CollectState]):
         return next((way for way in ways if way[0][0] not in taken), ways[0]), 0, ()
 
     def step_of(self, state: CollectState) -> str:
-        """Of the clips."""
+        """How many clips are done, and of how many."""
         return f"page {len(state.answered) + 1}" if state.clip else ""
 
     def briefing(self, state: CollectState) -> dict[str, Any]:
-        """What they were told, if anything."""
+        """The sentences of the participant's briefing, if they have one."""
         return {} if state.role is None else {"briefing": self.plan.roles[state.role].briefing}
 
     @cached_property

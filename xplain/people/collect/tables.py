@@ -170,9 +170,9 @@ def glance(collection: Collection, people: People) -> dict[str, Any]:
 
 
 def compared(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dict[str, int]]:
-    """By fact, of the people ("of") who had an opinion at the end: how many said that they hold it
-    wrong ("said"), of how many their answers say so ("inferred"), and of how many both are the same
-    ("agree")."""
+    """By fact, of the people ("of") who had an opinion at the end: how many said that they believed
+    it incorrectly ("said"), of how many their answers say so ("inferred"), and of how many both are
+    the same ("agree")."""
     found = {
         fact.name: dict.fromkeys(("said", "inferred", "agree", "of"), 0) for fact in plan.facts
     }

@@ -71,7 +71,7 @@ class Served:
 
     @property
     def types(self) -> LearnedTypes:
-        """These types."""
+        """The types that the explainer uses."""
         types = self.explainer.types
         assert isinstance(types, LearnedTypes), "of a file, or just learned"
         return types
@@ -87,7 +87,7 @@ class Served:
 
     @cached_property
     def questionnaire(self) -> Questionnaire:
-        """One that nobody has answered yet.
+        """A questionnaire that nobody has answered yet.
 
         Raises:
             InputError: there are no hypotheses.
@@ -122,7 +122,7 @@ class Served:
         return tuple(Candidate(self.features[t].tolist(), self.text(t)) for t in order)
 
     def text(self, transition: int) -> str:
-        """What the robot does there."""
+        """What the robot does in a transition."""
         phrases = () if self.hypotheses is None else self.hypotheses.phrases
         return phrases[transition] if phrases else f"transition {transition}"
 

@@ -52,7 +52,7 @@ class Explanation:
         )
 
     def receive(self, key: str, came: Json) -> None:
-        """Labels, the answer to a question, or more of the trace.
+        """Receives labels, the answer to a question, or more of the trace.
 
         Raises:
             InputError: it is no answer to what is open.
@@ -65,7 +65,7 @@ class Explanation:
             self.session.observe(came.get("labels", ()))
 
     def decide(self) -> Json:
-        """The messages and how much to show, or a question."""
+        """Decides the messages and how much to show, or a question."""
         session = self.session
         if session.finished:
             return {"kind": "wait", "step": session.shown}
@@ -107,12 +107,12 @@ class Asking:
         self.questionnaire = task.questionnaire.anew(None, begun["seed"])
 
     def receive(self, key: str, came: Json) -> None:
-        """The answer to the last question."""
+        """Receives the answer to the last question."""
         about = self.decided["transition"], self.decided["message_set"]
         self.questionnaire.answer(came.get("answer", ()), about)
 
     def decide(self) -> Json:
-        """The question that tells most, until enough is known or asked."""
+        """Chooses the most informative question, until enough is known or asked."""
         if self.questionnaire.done or len(self.questionnaire.asked) >= self.task.questions:
             return {"kind": "end"}
         transition, given = self.questionnaire.next()

@@ -68,7 +68,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return float(self.rng.lognormal(-(sigma**2) / 2, sigma))
 
     def at_before(self, page: Page) -> Fields:
-        """What is right."""
+        """Gives the right answers."""
         return self.asked(self.plan.before)
 
     def at_briefing(self, page: Page) -> None:
@@ -79,11 +79,11 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
             self.user_type = next(t for t, told in enumerate(briefings) if self._told <= told)
 
     def at_training(self, page: Page) -> Fields:
-        """Expected where the message is there."""
+        """Answers that the step is expected where the message is shown."""
         return self.practises(page, len(page.messages))
 
     def at_eligibility(self, page: Page) -> Fields:
-        """What they were told."""
+        """Answers what the briefing told them."""
         questions = self.plan.roles[self.user_type].eligibility
         return [
             (f"q{i}", str((q.answer + self.chance(self.habits.mistake)) % len(q.options)))
@@ -91,13 +91,13 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         ]
 
     def at_evaluation(self, page: Page) -> tuple[Fields, float]:
-        """A label a step."""
+        """Gives a label for each step."""
         labels, seconds = self.labels(len(page.fields), len(page.messages), page.new)
         self.seconds += seconds
         return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
 
     def at_asking(self, page: Page) -> tuple[Fields, float]:
-        """What they think of the clip, with the same errors as a fresh label."""
+        """Answers what they think of the clip, with the same errors as a fresh label."""
         labels, habits, (clip,) = self.plan.clip_labels, self.habits, page.steps
         assert labels is not None, "a plan that asks knows what they would answer"
         truth = labels.of_steps([clip]).label_probabilities(1, self.known)[self.user_type, 0]
@@ -107,7 +107,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return [("label", str(label))], seconds
 
     def at_quiz(self, page: Page) -> Fields:
-        """The statements that they hold true."""
+        """Ticks the statements that they believe to be true."""
         wrong = self.plan.wrong[self.user_type]
         self._lose(self.habits.fading)
         true = {
@@ -121,7 +121,8 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         ]
 
     def _lose(self, probability: float) -> None:
-        """Each fact that was taken in, of those that they believed incorrectly."""
+        """Forgets, by chance, facts that were corrected: each that they had believed
+        incorrectly."""
         wrong = self.plan.wrong[self.user_type]
         for j in indices(self.known):
             if j in wrong and self.chance(probability):

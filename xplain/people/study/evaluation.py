@@ -188,7 +188,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
         )
 
     def of_types(self, belief: Sequence[float]) -> tuple[float, ...]:
-        """What is logged: over user types, whatever habits and knowledge go with them."""
+        """The belief over user types, summed over habits and knowledge; it is logged."""
         return tuple(self.plan.problem.type_belief(np.array(belief)).tolist())
 
     def told(self, state: StudyState) -> dict[str, Any]:
@@ -215,12 +215,12 @@ class Evaluation(Stage["Explaining", StudyState]):
     """The robot's steps, one after the other, with the policy's messages."""
 
     def enter(self, flow: Explaining, state: StudyState) -> StudyState:
-        """The first step."""
+        """Decides the first step."""
         belief = tuple(flow.plan.problem_of(state.condition or "").start.tolist())
         return flow.next_step(replace(state, wrong=False, belief=belief))
 
     def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
-        """The steps so far, the labels, the old messages and the new ones."""
+        """Shows the steps so far, the labels, the old messages and the new ones."""
         plan = flow.plan
         return flow.told(state) | {
             "step": state.step,
@@ -231,7 +231,7 @@ class Evaluation(Stage["Explaining", StudyState]):
         }
 
     def read(self, flow: Explaining, state: StudyState, form: Form) -> dict[str, Any]:
-        """An earlier label that is not sent again stays as it was."""
+        """Reads the labels; an earlier label that is not sent again stays as it was."""
         kept = [*state.labels[: state.step], None]
         sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
         pairs = zip(sent, kept, strict=True)
@@ -240,7 +240,7 @@ class Evaluation(Stage["Explaining", StudyState]):
     def advance(
         self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
     ) -> StudyState:
-        """To the next step, or on from the last one."""
+        """Moves to the next step, or to the next stage after the last one."""
         count = [CANNOT_TELL + 1] * (state.step + 1)
         chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
         talk = flow.talk(state)
@@ -265,7 +265,7 @@ class Asking(OneLabel["Explaining", StudyState]):
     WITHIN: ClassVar = "evaluation"
 
     def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
-        """The clip, and the messages so far."""
+        """Shows the clip, and the messages so far."""
         question = state.asked[-1].question
         return flow.told(state) | {
             "clip": flow.plan.clips[question],
@@ -277,8 +277,8 @@ class Asking(OneLabel["Explaining", StudyState]):
     def advance(
         self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
     ) -> StudyState:
-        """To another question, or to the next step. Of somebody who cannot tell nothing is
-        learned."""
+        """Moves to another question, or to the next step. Nothing is learned from participants who
+        cannot tell."""
         label, talk = self.label(flow, payload), flow.talk(state)
         if label != CANNOT_TELL:
             talk.hear(Asked(state.asked[-1].question), Answered(label))

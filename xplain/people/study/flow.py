@@ -54,10 +54,10 @@ _WIDTH = re.compile(r"[1-9][0-9]{1,4}\Z")
 
 
 class StudyConsent(Consent["Study", StudyState]):
-    """With the width of the window."""
+    """The consent, with the width of the window."""
 
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
-        """Without scripts the width is None."""
+        """Also reads the width, which is None without scripts."""
         width = (form.getlist("width") or [""])[-1]
         return super().read(flow, state, form) | {
             "width": int(width) if _WIDTH.match(width) else None
@@ -68,12 +68,12 @@ class StudyBriefing(Briefing["Study", StudyState]):
     """What everybody is told, and what this user type knows."""
 
     def facts(self, flow: Study, state: StudyState) -> Mapping[str, Sequence[str]]:
-        """No more than the role has; people as they are have no briefing."""
+        """The facts of the role only; people as they are have no briefing."""
         known = [known.right for known in flow.plan.known]
         return {"told_to_all": known, "told_to_you": flow.role(state).briefing}
 
     def screens(self, flow: Study, state: StudyState) -> list[tuple[str, tuple[str, ...]]]:
-        """After a failed attempt the facts alone."""
+        """Shows only the facts after a failed attempt."""
         every = super().screens(flow, state)
         return every[1:-1] if state.attempts else every
 
@@ -83,7 +83,8 @@ class StudyBriefing(Briefing["Study", StudyState]):
         return super().view(flow, state) | {"attempts_left": left}
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
-        """After a failed attempt to the test: the practice is not repeated."""
+        """Moves on; after a failed attempt directly to the test, because the practice is not
+        repeated."""
         after = super().advance(flow, state, payload)
         again = state.attempts and after.stage != self.name
         return replace(after, stage="eligibility") if again else after
@@ -93,7 +94,7 @@ class TrainingStage(Practice["Study", StudyState]):
     """An added action, unexpected without its message."""
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
-        """The message only in the second half."""
+        """Shows the message only in the second half."""
         example = flow.plan.training
         told = [example.message] if state.part else []
         slots = len(flow.plan.facts)
@@ -104,11 +105,11 @@ class Eligibility(Stage["Study", StudyState]):
     """Whether they know what they were told."""
 
     def wanted(self, plan: StudyPlan) -> bool:
-        """Nobody who is not briefed can be checked."""
+        """Whether participants are briefed; others cannot be checked."""
         return not plan.kinds
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
-        """The questions in the participant's order."""
+        """Shows the questions in the participant's order."""
         questions = flow.role(state).eligibility
         return {
             "questions": [(i, questions[i]) for i in (state.orders or {})["eligibility"]],
@@ -116,12 +117,12 @@ class Eligibility(Stage["Study", StudyState]):
         }
 
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
-        """The answers in the plan's order."""
+        """Reads the answers in the plan's order."""
         count = len(flow.role(state).eligibility)
         return {"answers": [small(form.get(f"q{i}")) for i in range(count)]}
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
-        """On with all of them right; else back to the briefing, or to the end."""
+        """Moves on if all answers are right; otherwise back to the briefing, or to the end."""
         questions = flow.role(state).eligibility
         counts = [len(question.options) for question in questions]
         chosen = choices(payload.get("answers"), counts, flow.words["answer_all"])
@@ -137,17 +138,17 @@ class Quiz(Stage["Study", StudyState]):
     """Which statements are true of the robot; no way back to the briefing."""
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
-        """The statements in the participant's order."""
+        """Shows the statements in the participant's order."""
         statements = flow.role(state).quiz
         shown = [(i, statements[i].text) for i in (state.orders or {})["quiz"]]
         return {"statements": shown, "fields": {"true": shown}}
 
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
-        """Those that are ticked."""
+        """Reads the ticked statements."""
         return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
-        """A point for each statement judged rightly."""
+        """Gives a point for each statement judged rightly."""
         statements, chosen = flow.role(state).quiz, payload.get("chosen")
         missing = flow.words["quiz_missing"]
         if not isinstance(chosen, list) or len(chosen) > len(statements):
@@ -191,7 +192,7 @@ class Study(Explaining):
 
     @classmethod
     def of(cls, plan: StudyPlan) -> Study:
-        """With policies made from the conditions' configurations."""
+        """Makes the study, with policies from the conditions' configurations."""
         from hydra.utils import instantiate  # a flow at work knows no configuration
 
         seed = derived_seed(plan.seed, "solver")
@@ -205,7 +206,7 @@ class Study(Explaining):
         return cls(plan, policies, instantiate(plan.belief))
 
     def view(self, state: StudyState) -> dict[str, Any]:
-        """At an end for good also which of the sentences that they were told are not true."""
+        """At a final end, also shows which of the sentences in the briefing are not true."""
         view = super().view(state)
         if not state.over or state.stage == "timed_out" or state.user_type is None:
             return view
@@ -278,11 +279,11 @@ class Study(Explaining):
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """One for every type under every condition."""
+        """A cell for every type under every condition."""
         return tuple(f"{self.plan.roles[t].name}, {condition}" for t, condition in self.plan.cells)
 
     def drawn(self, what: int | tuple[str, int]) -> tuple[Way | None, int, Sequence[str]]:
-        """The map after a number of steps, or with one clip."""
+        """Draws the map after a number of steps, or with one clip."""
         plan = self.plan
         if isinstance(what, tuple):
             clip = plan.clips[what[1]]
@@ -295,20 +296,20 @@ class Study(Explaining):
         return super().titles | {"asking": self.words["asking"]}
 
     def about(self, state: StudyState, blinded: bool) -> dict[str, str]:
-        """Also type and condition."""
+        """Also adds type and condition."""
         role = "" if state.user_type is None else self.plan.roles[state.user_type].name
         hidden = {} if blinded else {"Type": role, "Condition": state.condition or ""}
         return super().about(state, blinded) | hidden
 
     def step_of(self, state: StudyState) -> str:
-        """Of the evaluation."""
+        """The step of the evaluation."""
         before = "before " if state.stage == "asking" else ""
         return f"{before}step {state.step + 1}" if state.stage in EVALUATING else ""
 
     # What to expect ------------------------------------------------------------------------------
 
     def announcement(self) -> str:
-        """Where some are asked, what that is worth to people who never err."""
+        """Where a condition asks, says what asking is worth to people who never err."""
         if ASKING not in self.plan.conditions:
             return ""
         met = self.faultless().items()

@@ -153,12 +153,12 @@ class StudyPlan(StoredPlan):
 
     @property
     def shows_way(self) -> bool:
-        """On a map a trace is shown."""
+        """Whether the trace is shown on a map."""
         return self.path is not None
 
     @property
     def lab_questions(self) -> tuple[LabQuestion, ...]:
-        """Those before the briefing, too."""
+        """Also includes the questions before the briefing."""
         return (*self.before, *self.asked)
 
     def problem_of(self, condition: str) -> Problem:
