@@ -74,7 +74,7 @@ def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
 
 
 def _values(why: Why) -> list[dict[str, Any]]:
-    """The best of what could be said or asked, the best first."""
+    """The best messages and questions by value, the best first."""
     found: list[dict[str, Any]] = [
         *({"messages": names, "value": value} for names, value in why.values.items()),
         *({"question": str(q), "messages": (), "value": value} for q, value in why.questions),

@@ -53,7 +53,7 @@ class TaskModel(Protocol):
 
     @property
     def terminal(self) -> NDArray[np.bool_]:
-        """[S]."""
+        """Terminal states, as booleans [S]."""
         ...
 
     @staticmethod

@@ -252,8 +252,8 @@ _UNTOLD = ("hydra", "_target_", "_convert_", "_partial_")
 
 
 def _unknown_key(error: Any) -> str:
-    """What a key that there is not might have been: another one beside it, or one of another choice
-    of its group."""
+    """Suggests a key in place of an unknown one: a key beside it, or one of another choice of its
+    group."""
     above, _, name = str(error.full_key).rpartition(".")
     known = [str(key) for key in error.parent_node or () if key not in _UNTOLD]
     said, there = f"{error.full_key}: no such key;", ", ".join(known) or "no keys"

@@ -141,8 +141,8 @@ def component_code(config: Any) -> dict[str, str]:
 
 
 def declared(config: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """``{group: {name: what it is}}`` of all that components from elsewhere declare. One that
-    cannot be made declares nothing: the experiment says why."""
+    """All that components from outside the package declare, as ``{group: {name: what it is}}``. A
+    component that cannot be made declares nothing; the experiment reports the reason."""
     found = {}
     for group, node in config.items():
         target = str(node.get("_target_", "xplain")) if isinstance(node, Mapping) else "xplain"
@@ -301,8 +301,8 @@ def require_as_loaded(config: Mapping[str, Any]) -> None:
 
 
 def _was_compiled_from_other(module: ModuleType, source: bytes) -> bool:
-    """Whether Python's compiled file of a module, as it was loaded, is of another source; unknown,
-    and False, where there is none."""
+    """Whether the loaded compiled file of a module comes from another source. False if there is no
+    compiled file."""
     if type(getattr(module, "__loader__", None)) is not SourceFileLoader:
         return False
     try:

@@ -63,10 +63,10 @@ def component(cfg: Config, group: str, **given: Any) -> Any:
 
 
 def _require_class(key: str, target: str) -> None:
-    """Says what there is, where a dotted name leads to nothing.
+    """Checks that a dotted name leads to a class; the error lists the existing names.
 
     Raises:
-        InputError: it is so.
+        InputError: the name leads to nothing.
     """
     module, _, name = target.rpartition(".")
     try:
@@ -96,10 +96,10 @@ def _require_parameters(group: str, node: Config) -> None:
 
 
 def _section(cfg: Config, key: str, kind: type[T]) -> T:
-    """A group of keys as the value that they make.
+    """Makes the value that a group of keys describes.
 
     Raises:
-        InputError: it is no mapping, or has a key that there is not.
+        InputError: it is no mapping, or has an unknown key.
     """
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     for name in mapping(key, cfg[key], f"keys: {', '.join(names)}"):
@@ -125,10 +125,10 @@ def experiment_of(cfg: Config) -> Experiment:
 
 
 def certify_of(cfg: Config) -> Certify:
-    """How much work the certificates may be; they may take the memory that the solver may.
+    """The work limits of the certificates; they may take as much memory as the solver.
 
     Raises:
-        InputError: a number out of its range, or a key that there is not.
+        InputError: a number is out of its range, or a key is unknown.
     """
     certify = _section(cfg, "certify", Certify)
     return replace(certify, memory_gib=cfg["solver"].get("memory_gib", 8.0))

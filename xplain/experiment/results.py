@@ -286,7 +286,8 @@ def load_results(folder: Path) -> Results:
 
 
 def finished_at(address: Path) -> Results | None:
-    """The results at an address, whole, with the certificates that were asked for; else None."""
+    """Reads the results at an address, if they are complete and have the requested certificates;
+    else None."""
     try:
         results = load_results(address)
     except (OSError, ValueError):

@@ -16,11 +16,11 @@ from xplain.randomness import stream
 
 
 def with_others(prepared: Prepared, components: Components, explainee: Explainee) -> Prepared:
-    """The same learned types and traces, to users of the explainee's own types: as many as there
-    are true types, if so many behave unlike every true type and each other.
+    """The same learned types and traces, with users of the explainee's own types. There are as many
+    users as true types, if so many behave unlike every true type and each other.
 
-    What needs a true type's observers is empty: the oracle's labels, and which learned type is the
-    right one.
+    Fields that need a true type's observers are empty: the oracle's labels, and the matching
+    learned type.
 
     Raises:
         InputError: all types of the explainee behave like the true types.

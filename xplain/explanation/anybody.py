@@ -69,7 +69,7 @@ class Open(Independent):
     open: ClassVar[bool] = True
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
-        """As :class:`~xplain.explanation.belief.BeliefUpdate` has it."""
+        """See :class:`~xplain.explanation.belief.BeliefUpdate`."""
         habits = self.habits(learned)
         if problem.n_messages > DENSE:
             return problem.with_habits(habits)

@@ -111,11 +111,11 @@ class Assuming:
             check_assumed(key, getattr(self, key))
 
     def habits(self, learned: Habits | None = None) -> Habits:
-        """As :class:`BeliefUpdate` has it."""
+        """See :class:`BeliefUpdate`."""
         return habits_of(self.error, self.accept, self.forget, learned)
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
-        """As :class:`BeliefUpdate` has it."""
+        """See :class:`BeliefUpdate`."""
         return problem.with_habits(self.habits(learned))
 
 

@@ -4,10 +4,11 @@ A label is what a user thinks; it is what costs are made of. What the user answe
 slips, guesses and errors (:mod:`xplain.explanation.habits`); it is what beliefs are made of.
 Where the two differ a table holds both.
 
-To a user only those messages matter that change this user's labels on the trace: about facts held
-wrong, or that the type's labeler looks at. So each type's probabilities stand over the messages
-relevant to it, and N types of r relevant messages need m · 2^r · N numbers, however many messages
-there are. A dense table is the case where every message is relevant to every type.
+Only those messages matter to a user that change this user's labels on the trace: messages about
+facts believed incorrectly, or messages that the type's labeler looks at. So a table stores each
+type's probabilities by the messages relevant to that type, and N types of r relevant messages need
+m · 2^r · N numbers, however many messages there are. A dense table is the case where every message
+is relevant to every type.
 """
 
 from __future__ import annotations
@@ -259,7 +260,7 @@ class LabelTable:
         return self._changed(self.relevant[list(types)], lambda p: p[:, :, list(types)])
 
     def of_steps(self, steps: Sequence[int]) -> LabelTable:
-        """Some of the transitions, in this order."""
+        """Selects some of the transitions, in this order."""
         return self._changed(self.relevant, lambda p: p[list(steps)])
 
     def repeated(self, times: int) -> LabelTable:

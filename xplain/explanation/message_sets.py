@@ -49,7 +49,7 @@ def subsets(messages: Iterable[int]) -> NDArray[np.int64]:
 
 
 def expand(mask: int, kept: Sequence[int]) -> int:
-    """A mask over the kept messages as one over all."""
+    """Converts a mask over the kept messages to a mask over all messages."""
     return sum(1 << j for i, j in enumerate(kept) if mask >> i & 1)
 
 

@@ -181,8 +181,8 @@ class Problem:
 
     @property
     def messages_land(self) -> bool:
-        """Whether every message said is a fact known from then on, as in the paper. Where not,
-        beliefs are over what users know as well."""
+        """Whether every message said is a fact known from then on, as in the paper. If not, beliefs
+        also cover what users know."""
         return self.habits.take_all_in
 
     @property

@@ -140,12 +140,12 @@ class SimulatedUser(Person):
         """Nothing more than what ``given`` says."""
 
     def react(self, given: int, count: int) -> Reaction:
-        """As :class:`Person` has it."""
+        """See :class:`Person`."""
         labels = self.labels(count, given)
         return Reaction(labels, labels)
 
     def answer(self, row: int, given: int) -> int:
-        """As :class:`Person` has it."""
+        """See :class:`Person`."""
         return int(self.table.of_steps([row]).label_probabilities(1, given)[0, 0])
 
 
@@ -173,7 +173,7 @@ class Slips(Explainee):
     tires: Probability = 0.0
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         return _Slipping(SimulatedUser(labels), self, same, seed)
 
 
@@ -228,7 +228,7 @@ class Sticky(Explainee):
     rate: Probability = 0.4
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         return _Sticky(labels, self.rate, seed)
 
 
@@ -280,7 +280,7 @@ class Misreads(Explainee):
     messages: Annotated[int, Range(2)] = 2
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         rng, rows = stream(seed, "misreads"), labels.rows[0]
         effective = labels.effective()[0]
         if not effective or len(rows) < 2:
@@ -307,7 +307,7 @@ class LearnsUntold(Explainee):
     after: Count = 2
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         return _LearningUntold(labels, self.after)
 
 
@@ -350,7 +350,7 @@ class Heedless(Explainee):
         return habits_of(0.0, self.accept, self.forget)
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         return _Heedless(SimulatedUser(labels), self, seed)
 
 
@@ -394,7 +394,7 @@ class AllWrong(_Others):
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         return (user_type(domain, "all wrong", [one.name for one in domain.parameters]),)
 
 
@@ -404,7 +404,7 @@ class Union(_Others):
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         pairs = list(combinations(observed, 2))
         drawn = [pairs[i] for i in rng.permutation(len(pairs))]
         return tuple(
@@ -440,5 +440,5 @@ class Backlash(_Others):
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """As :class:`Explainee` has it."""
+        """See :class:`Explainee`."""
         return tuple(replace(one, name=f"{one.name}, backlash", backlash=True) for one in observed)

@@ -134,7 +134,7 @@ def foretold(
     Args:
         dataset: answers of O observers, each one's in the order in which they were given.
         assignment: [O] types.
-        ways: to predict, each from the answers of one type so far.
+        ways: prediction methods; each predicts from the answers of one type so far.
 
     Returns:
         The rows of the predicted answers [Q], and log P of them [Q] by each way.

@@ -151,7 +151,7 @@ class FittedLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """As :meth:`Labeler.table`: over all messages if they are few, else over those that the
+        """See :meth:`Labeler.table`: over all messages if they are few, else over those that the
         classifier looks at."""
         n = self.n_messages
         relevant = range(n) if n <= DENSE else looked_at(self.classifier, features, n)
@@ -159,7 +159,7 @@ class FittedLabeler(MeasuredLabeler):
         return LabelTable.joined_types([relevant], [table])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """As :meth:`Labeler.arrays`: the classifier as skops writes it."""
+        """See :meth:`Labeler.arrays`: the classifier as skops writes it."""
         import skops.io
 
         classifier = np.frombuffer(skops.io.dumps(self.classifier), dtype=np.uint8)
@@ -318,8 +318,8 @@ def cheap() -> LabelerTrainer:
 
 
 def looked_at(classifier: Any, features: NDArray[np.float64], n_messages: int) -> Sequence[int]:
-    """The messages that may change a prediction about transitions [T, F], ascending: of a decision
-    tree those that its paths ask for, of any other classifier all.
+    """The messages that may change a prediction about transitions [T, F], ascending. For a decision
+    tree these are the messages that its paths test; for any other classifier, all messages.
 
     Raises:
         TooLargeError: they are too many for a table of all sets of them.

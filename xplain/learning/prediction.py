@@ -75,8 +75,8 @@ def _answered(
     types: UserTypes, asked: Dataset, transition: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """P(answer 1) by type and error rate, of questions about ``transition`` [P] of the dataset that
-    the types were learned from, or −1: [P, N, E]. Without an answer model labelers say what is
-    answered, and there is one rate."""
+    the types were learned from, or −1: [P, N, E]. Without an answer model, labelers predict answers
+    directly, and there is only one error rate."""
     one = _of_types(types.labelers, asked)
     if types.answers is None:
         return one[:, :, None]

@@ -194,7 +194,7 @@ class LearnedTypes:
         return label_table(self.labelers, rows)
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
-        """As :meth:`label_table`, of somebody who believes every fact incorrectly; None where
+        """See :meth:`label_table`, of somebody who believes every fact incorrectly; None where
         facts are unknown."""
         if self.about_everything is None:
             return None

@@ -388,7 +388,7 @@ def parts(
         does: a sentence about the robot, with a place for the ``phrase``.
 
     Raises:
-        InputError: a text is missing, or of something that there is not.
+        InputError: a text is missing, or is about something that does not exist.
     """
     scene = task.scene
     in_words = phrases_of(wording["phrases"], scene is not None)

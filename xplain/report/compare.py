@@ -134,7 +134,7 @@ class Ranked:
 
     @property
     def is_decided(self) -> bool:
-        """Whether it can be told from the best: the interval leaves out 0."""
+        """Whether it differs decidedly from the best: the interval excludes 0."""
         return self.behind.low > 0
 
 

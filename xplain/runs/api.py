@@ -263,10 +263,10 @@ def discover(
 
 
 def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
-    """A run or sweep that is on disk.
+    """Loads a run or sweep from disk.
 
     Raises:
-        InputError: the folder is none.
+        InputError: the folder holds neither a run nor a sweep.
     """
     path = Path(folder)
     if (path / SWEEP).exists():
@@ -339,7 +339,7 @@ def _single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
     """The value of each key.
 
     Raises:
-        InputError: a key has several.
+        InputError: a key has several values.
     """
     for key, values in given.items():
         if len(values) > 1:
@@ -348,7 +348,8 @@ def _single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
 
 
 def _split(keys: Mapping[str, Any], known: Sequence[str]) -> tuple[list[str], dict[str, list[Any]]]:
-    """Choices by name, as overrides, and values that Python gives, a list each."""
+    """Splits choices into those by name, as overrides, and values given as Python objects, a list
+    each."""
     words, given = list[str](), dict[str, list[Any]]()
     for name, own in keys.items():
         key = _key(name, known)

@@ -64,7 +64,7 @@ class Job:
         config: all of it that decides a number, resolved.
         choices: the component chosen in each group, by name.
         outputs: path of the outputs folder.
-        anew: whether it is computed although it has a result, past every cache.
+        anew: whether it is computed again although it has a result, without any cache.
     """
 
     config: Mapping[str, Any]

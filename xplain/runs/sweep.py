@@ -88,7 +88,7 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
 
 
 def save_sweep(path: Path, jobs: Sequence[Listed], outputs: Path, about: Mapping[str, Any]) -> None:
-    """Writes down what a sweep is: once, or anew where the file is damaged.
+    """Writes the description of a sweep: once, or again where the file is damaged.
 
     Args:
         path: of its folder.

@@ -159,8 +159,8 @@ class CachedPolicy:
 
 
 class LazyPolicy:
-    """A policy that is planned when it is first asked: a trace that grows by ten transitions before
-    the next decision is planned for once.
+    """A policy that is planned when it is first asked. So a trace that grows by ten transitions
+    before the next decision is planned for only once.
 
     Args:
         plan: makes the policy.

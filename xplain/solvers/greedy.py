@@ -201,11 +201,11 @@ class KnownType:
 
 @dataclass(frozen=True)
 class FixedBelief:
-    """A policy that is handed another belief than the one held.
+    """A policy that receives another belief than the explainer's.
 
     Attributes:
-        policy: that decides.
-        belief_of: what it is handed.
+        policy: the policy that decides.
+        belief_of: computes the belief that the policy receives.
     """
 
     policy: Policy

@@ -3,11 +3,12 @@
 One source gives two searches: ``missed`` is None where messages land, True where they may be missed
 or forgotten and move the hidden state; numba drops the branches of None.
 
-A node is a belief at (k, v) before a step's messages. Nothing is learned between two *explains* but
-by questions, so an action is a set of messages, the cheapest first, then *explain*; or a question.
-What an action's answers lead to are nodes. A function of a visited *place* (k, v) is linear in the
-belief: what a set of messages costs at once, the bound of its worth from above by known states, and
-from below by silence after it. Plans that ignore all answers bound beliefs from below, too.
+A node is a belief at (k, v) before a step's messages. Between two *explain* actions only questions
+bring information. So an action is either a set of messages (the cheapest first) followed by
+*explain*, or a question. Each answer to an action leads to a node. A function of a visited *place*
+(k, v) is linear in the belief: the immediate cost of a set of messages, the upper bound of its
+value (by known states), and the lower bound (by silence afterwards). Plans that ignore all answers
+bound beliefs from below, too.
 
 Each place keeps the latest bounds that its nodes found. The value of a policy is linear in the
 belief, so its values by state (an alpha vector) bound every belief's optimum from below; and the
@@ -683,8 +684,8 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
 
 @part
 def _kind_size(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
-    """How many of the labels of a step have the column of label i, where this is the first of them
-    and not the same in all possible states; else 0."""
+    """Counts the labels of a step that have the same column as label i, if i is the first of them
+    and the column differs between possible states; else 0."""
     size, news, one = 0, False, -1
     for s in range(len(belief)):
         if belief[s] > 0.0:

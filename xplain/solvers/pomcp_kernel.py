@@ -291,10 +291,10 @@ def _evaluate(model, tree, options, missed, node, is_new, state):  # type: ignor
 
 @part
 def _back_up(model, tree, options, node, length, value):  # type: ignore[no-untyped-def]
-    """Takes the return from a node up the path to the root.
+    """Adds the return of a node to all nodes on the path up to the root.
 
-    With MAX a node is worth its best action, and *explain* the mean of what its observations are
-    worth now: ``moved`` corrects what earlier arrivals counted as.
+    With MAX the value of a node is that of its best action, and the value of *explain* is the mean
+    of the current values of its observations: ``moved`` corrects what earlier arrivals counted as.
     """
     n, to_max, moved = len(model.price), options.backup == MAX, 0.0
     if node != END:

@@ -438,7 +438,7 @@ class KnownValues(NamedTuple):
     Attributes:
         value: [m + 1, cells] V, read by ``value_cells``.
         explain: [m, cells] Q of *explain*, read by ``explain_cells``.
-        value_cells, explain_cells: where they are read.
+        value_cells, explain_cells: the indices of the cells in the two layouts.
     """
 
     value: FloatArray

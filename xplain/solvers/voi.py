@@ -96,7 +96,7 @@ class VoiPolicy:
         return values | {AskQuestion(q): best + gain for q, gain in gains.items()}
 
     def _gains(self, visible: VisibleState, belief: NDArray[np.float64]) -> dict[int, float]:
-        """What each question that was looked into is worth."""
+        """The value of each question that was evaluated."""
         questions, _ = telling_questions(self.process, visible, belief, LOOKED_INTO)
         if not questions:
             return {}
@@ -126,8 +126,9 @@ class VoiPolicy:
 def _spread(
     belief: NDArray[np.float64], rolls: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], list[int]]:
-    """States to simulate, their weights, and the numbers of their streams: every likely state as
-    often, or where they are more than the simulations, states spread evenly over the belief."""
+    """States to simulate, their weights, and the numbers of their random streams. Every likely
+    state is simulated equally often; if there are more states than simulations, the states are
+    spread evenly over the belief."""
     likely = np.flatnonzero(belief > FAINT)
     if rolls > 1 and len(likely) > rolls:
         at = (np.arange(rolls) + 0.5) / rolls

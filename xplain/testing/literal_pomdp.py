@@ -153,8 +153,8 @@ class LiteralPOMDP:
             yield probability, frozenset(compress(facts, kept))
 
     def discount(self, action: int) -> float:
-        """γ_E; 1 for a question, and for a message where only steps discount: where messages may be
-        said again they do not."""
+        """γ_E for an *explain* action; 1 for a question, and for a message where only steps
+        discount. Messages that may be given again do not discount."""
         if action == EXPLAIN:
             return self.problem.discount
         return 1.0 if action < EXPLAIN else self.problem.message_discount

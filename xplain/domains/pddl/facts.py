@@ -65,8 +65,8 @@ class Words:
         return self._fill(name, words) or " ".join(plainly)
 
     def literal(self, text: str, action: str = "") -> str:
-        """As :meth:`atom`, with "not" before it if it must not hold; the last literal of an effect,
-        with its conditions after it."""
+        """See :meth:`atom`, with "not" before it if it must not hold; the last literal of an
+        effect, with its conditions after it."""
         words = []
         for negation, atom in re.findall(r"(\(not )?\(([^?()][^()]*)\)", text):
             name, *arguments = atom.split()

@@ -287,7 +287,7 @@ class Hypotheses:
 
     @cached_property
     def tables(self) -> NDArray[np.uint8]:
-        """[1 + V, C, T] the labels, and those of the variants."""
+        """The labels, and those of the variants: [1 + V, C, T]."""
         variants = self.variants if len(self.variants) else self.labels[None][:0]
         return np.concatenate([self.labels[None], variants])
 
@@ -347,8 +347,8 @@ class Hypotheses:
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        """[C] of each candidate the facts that some question reveals, values being as assumed:
-        candidates behave alike if and only if these agree.
+        """For each candidate [C] the facts that some question reveals, if values are as assumed.
+        Candidates behave alike if and only if these facts are the same.
 
         Candidates that behave alike have an intersection that does, too (give the messages
         outside it), so that each class has one smallest member. A fact j is in it unless for every

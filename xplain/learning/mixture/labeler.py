@@ -224,8 +224,8 @@ class HypothesisLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """As :meth:`Labeler.table`. Where messages are many, those matter that are about facts that
-        people of the type likely believe incorrectly."""
+        """See :meth:`Labeler.table`. Where messages are many, those matter that are about facts
+        that people of the type likely believe incorrectly."""
         place = self.known.find(features)
         relevant = self._relevant(features, place)
         sets = subsets(relevant)
@@ -255,7 +255,7 @@ class HypothesisLabeler(MeasuredLabeler):
         return sorted(found)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """As :meth:`Labeler.arrays`: rows of features [U, F], and P(label = 1) of each by message
+        """See :meth:`Labeler.arrays`: rows of features [U, F], and P(label = 1) of each by message
         set [U, 2^n].
 
         Raises:
@@ -377,7 +377,7 @@ class EverythingWrong(Labeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """As :meth:`Labeler.table`; ½ where hypotheses do not know a transition."""
+        """See :meth:`Labeler.table`; ½ where hypotheses do not know a transition."""
         hypotheses, sets = self.known.hypotheses, np.arange(1 << self.n_messages)
         rows = hypotheses.row(sets[-1] & ~sets)
         place = self.known.find(features)
@@ -388,7 +388,7 @@ class EverythingWrong(Labeler):
         return LabelTable.dense(np.clip(one, EDGE, 1 - EDGE)[None])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """As :meth:`Labeler.arrays`: a table of all that it knows."""
+        """See :meth:`Labeler.arrays`: a table of all that it knows."""
         features = self.known.features
         return {"rows": features, "table": self.table(features.astype(np.float64)).array(
             self.n_messages)[0]}  # fmt: skip
@@ -404,11 +404,11 @@ class HypothesisTrainer(LabelerTrainer):
     them (:mod:`xplain.learning.evidence`).
 
     Attributes:
-        classifier: learns from labels alone; any of scikit-learn that gives probabilities.
+        classifier: learns from labels alone; any scikit-learn classifier that gives probabilities.
         holdout: share of the distinct points held out to measure the accuracy.
         path: an ``.npz`` file of hypotheses with features; None: the observers' domain's.
-        hypotheses: in place of both.
-        answers: how the dataset's people err when they answer; None: all as often.
+        hypotheses: used instead of ``path`` and of the domain's hypotheses.
+        answers: how the dataset's people err when they answer; None: all have the same error rate.
         evidence: how well the dataset's answers were predicted; None: hypotheses are believed.
         types: [O] of the dataset's observers, as in ``evidence``.
     """
@@ -440,7 +440,7 @@ class HypothesisTrainer(LabelerTrainer):
         return KnownTransitions.of(hypotheses)
 
     def fitted_to(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
-        """As :meth:`LabelerTrainer.fitted_to`; without hypotheses, where the labels are of another
+        """See :meth:`LabelerTrainer.fitted_to`; without hypotheses, where the labels are of another
         task."""
         if not self._is_about(dataset):
             return self._alone.fitted_to(dataset, seed)
@@ -482,7 +482,7 @@ class HypothesisTrainer(LabelerTrainer):
         return EverythingWrong(self.known) if n <= DENSE and sets == 1 << n else None
 
     def thoughts(self, dataset: Dataset) -> NDArray[np.float64] | None:
-        """As :meth:`LabelerTrainer.thoughts`; 1 where hypotheses do not know a transition."""
+        """See :meth:`LabelerTrainer.thoughts`; 1 where hypotheses do not know a transition."""
         asked = self.known_answers(dataset)
         if asked is None or self.everything() is None:
             return None
@@ -497,7 +497,7 @@ class HypothesisTrainer(LabelerTrainer):
         return asked if (asked.place >= 0).any() else None
 
     def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
-        """As :meth:`LabelerTrainer.cluster`."""
+        """See :meth:`LabelerTrainer.cluster`."""
         asked = self.known_answers(dataset)
         return None if asked is None else asked.cluster(dataset, concentration)
 

@@ -1,5 +1,5 @@
-r"""A generative model of labels: people believe some facts incorrectly, and each message sets one
-right.
+r"""A generative model of labels: people believe some facts incorrectly, and each message corrects
+one fact.
 
 An observer is of a type R, the set of facts (= messages) that they believe incorrectly. Asked about
 transition τ under message set H, they still believe M = R \ H incorrectly, and the label depends on
@@ -8,10 +8,10 @@ transition τ under message set H, they still believe M = R \ H incorrectly, and
     label(τ, H) = f_τ(M ∩ S_τ), flipped with probability ε_τ
 
 f_τ is a table of 0 and 1 over the few facts S_τ that matter at τ. Nothing of this is given: f, S
-and ε are learned from everybody's labels together, so that independent questions, which hardly
-ever coincide, still speak of the same things. Assumed is what the paper assumes: a message that
-tells what one knows changes nothing, and people who believe the same facts incorrectly expect the
-same.
+and ε are learned from everybody's labels together, so that independent questions, which are hardly
+ever the same, still inform the same parameters. The assumptions are the paper's: a message about a
+fact that a person knows changes nothing, and people who believe the same facts incorrectly expect
+the same.
 
 Inference is collapsed Gibbs sampling (f integrated out, cell by cell: a Beta-like two-point prior
 makes the predictive probability a function of ones − zeros): R of each observer given the
@@ -21,9 +21,9 @@ base measure uniform over fact sets.
 
 A sweep draws (S, ε) of every transition, then R of every observer, then tries to split and merge
 whole types where observers are many: after Jain & Neal (2004), "A split-merge Markov chain Monte
-Carlo procedure for the Dirichlet process mixture model", in its plain form: who is split off is
-drawn at random, without Gibbs scans in between. Without such moves two types that answer alike
-become one, observer by observer, only in as many sweeps as they have observers.
+Carlo procedure for the Dirichlet process mixture model", in its plain form: the observers that are
+split off are drawn at random, without Gibbs scans in between. Without such moves two types that
+answer alike become one, observer by observer, only in as many sweeps as they have observers.
 """
 
 from __future__ import annotations
@@ -306,7 +306,7 @@ def merge_types(answers: SortedLabels, prior: Prior, state: ChainState, log_new:
     """Lets a type take the fact set of another wherever that makes ``state`` likelier.
 
     Returns:
-        By how much all of it does (log).
+        The total increase of the log-likelihood.
     """
     gained, facts = 0.0, state.facts
     used = np.unique(facts)
@@ -373,8 +373,8 @@ def _propose(
 
 
 def _log_merged(size: int, others: int, urn: float) -> float:
-    """log P(one type) − log P(two) of Pólya's urn, with ``urn`` balls of the colour of each fact
-    set at first."""
+    """log P(one type) − log P(two types) under Pólya's urn, which begins with ``urn`` balls of the
+    colour of each fact set."""
     return lgamma(size + others + urn) + lgamma(urn) - lgamma(size + urn) - lgamma(others + urn)
 
 

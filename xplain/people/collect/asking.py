@@ -232,8 +232,8 @@ def clip(
 def _varied(
     plan: CollectPlan, before: Sequence[AskedClip], near: set[int], asking: Questionnaire
 ) -> tuple[int, int]:
-    """The best question about a step unlike all before, if it tells about as much as the best one;
-    else the best about a step unlike those next to it."""
+    """The best question about a step unlike all earlier steps, if it is about as informative as the
+    best question; else the best question about a step unlike the neighbouring ones."""
     phrases, every = plan.hypotheses.phrases, asking.alternatives(ALTERNATIVES)
     unknown = _unknown(before)
     found = [one for one in every if ((one[0],), one[1]) not in unknown] or every
