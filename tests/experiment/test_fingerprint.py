@@ -78,6 +78,11 @@ def test_values_count_and_order_does_not():
     assert fingerprint({"a": [1, 2]}) != fingerprint({"a": [2, 1]})
 
 
+def keep(compiled):
+    compiled.parent.mkdir(exist_ok=True)
+    compiled.write_bytes(b"compiled")
+
+
 EDITS = {
     "the module": lambda at: (at / "their_solver/best.py").write_text("class Best: x = 1"),
     "its package": lambda at: (at / "their_solver/__init__.py").write_text("# edited"),
@@ -85,7 +90,7 @@ EDITS = {
     "its name": lambda at: (at / "their_solver/best.py").rename(at / "their_solver/better.py"),
     "a file beside it": lambda at: (at / "their_solver/map.txt").write_text("#..#"),
     "none": lambda at: None,
-    "what Python keeps": lambda at: (at / "their_solver/__pycache__").mkdir(),
+    "what Python keeps": lambda at: keep(at / "their_solver/__pycache__/best.cpython-399.pyc"),
     "a file elsewhere": lambda at: (at / "notes.txt").write_text("of the tests, say"),
 }
 
