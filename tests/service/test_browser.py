@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
@@ -113,9 +114,9 @@ def test_a_lab_s_page_in_jspsych_counts_each_answer_once(talks: Talks, lab: str,
     for person in range(3):
         which, _ = talks.begin(kind, f"p{person}", talks_began(kind, trace))
         rows, _ = talks.read(kind, which)
-        keys = [row.key for row in rows]
+        keys = [row.kind for row in rows]
         assert keys == ["begin", *(f"answer {n}" for n in range(1, len(rows)))]
-        assert rows[-1].decided["kind"] in ("wait", "end")
+        assert json.loads(str(rows[-1].state))["kind"] in ("wait", "end")
 
 
 def talks_began(kind: str, trace: list[int]) -> dict[str, Any]:
