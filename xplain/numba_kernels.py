@@ -1,14 +1,16 @@
 """What kernels are made with, by numba's public means: decorators, bits of masks, random words.
 
 numba caches machine code beside the source, or below ``NUMBA_CACHE_DIR``, and takes it from there
-while the kernel's own file is as it was: a kernel and its parts stand in one file, and who edits
-this one removes the cache.
+while the kernel's own file is as it was. Parts may be in other files: a digest of these is in the
+name by which a kernel is cached.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -27,6 +29,12 @@ part = numba.njit(inline="always")
 def kernel(function: Callable[..., Any]) -> Any:
     """Decorates a kernel: compiled at its first call, cached where a folder can be written, and run
     without the GIL."""
+    files = {__file__}
+    for used in function.__globals__.values():
+        if code := getattr(getattr(used, "py_func", None), "__code__", None):
+            files.add(code.co_filename)
+    digest = sha256(b"".join(Path(file).read_bytes() for file in sorted(files))).hexdigest()[:12]
+    function.__qualname__ += f"_{digest}"
     try:
         return numba.njit(cache=True, nogil=True)(function)
     except RuntimeError as error:

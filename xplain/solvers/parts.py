@@ -1,9 +1,4 @@
-"""What the compiled searches have in common: the process of one problem, inside a kernel.
-
-numba takes a kernel's machine code from its cache while the kernel's own file is as it was. Who
-edits this file, or :mod:`xplain.numba_kernels`, removes the cache (``tests/test_numba_kernels.py``
-tells).
-"""
+"""What the compiled searches have in common: the process of one problem, inside a kernel."""
 
 from __future__ import annotations
 
