@@ -1,14 +1,14 @@
-"""Messages that may not land, learned from people who answered before and after they were told.
+"""Messages that may not land, learned from answers before and after messages.
 
-A message corrects the fact that it is about with probability α, or the person believes it
-incorrectly for good. What people still believe incorrectly decides f, as in
-:mod:`xplain.learning.answers`. Queries have slips and guesses, and people differ in how often they
-slip: the odds of all slips of a person are multiplied by one of LEVELS, an ability as in the model
-of Rasch. Everything is learned from everybody's answers by expectation maximisation. Without
-hypotheses nobody knows which facts matter where; people then differ in their slips alone.
+A message corrects its fact with probability α; otherwise the person keeps the incorrect belief. The
+facts that a person still believes incorrectly decide f, as in :mod:`xplain.learning.answers`.
+Queries have slips and guesses, and people differ in how often they slip: one of LEVELS multiplies
+the odds of all slips of a person, like the ability in the Rasch model. Expectation maximisation
+learns everything from the answers of all people. Without hypotheses it is unknown which facts
+matter where; people then differ only in their slips.
 
-Whoever answered otherwise than expected before a message does so again: the log odds of an answer
-move with the difference between the earlier answer about this transition and what was expected.
+A person whose answer before a message was unexpected is likely to repeat it: the log odds of a
+later answer move with the difference between the earlier answer and its expectation.
 """
 
 from __future__ import annotations
@@ -24,40 +24,40 @@ from xplain.learning.data.dataset import Dataset, query_index
 
 LEVELS = np.array([0.03, 0.1, 0.3, 1, 3, 10, 30])
 PEOPLE = 20
-"""So many must have answered both before and after they were told, at least."""
+"""Minimum number of people who answered both before and after messages."""
 FACTS = 6
-"""Facts that are told apart, at most: there are 3 to their number hidden states."""
+"""Maximum number n of facts; there are 3^n hidden states."""
 NUMBERS = 1 << 23
-"""Of answers times hidden states, at most."""
+"""Maximum number of answers times hidden states."""
 WEIGHT = 16.0
-"""The mean of all slips, or guesses, weighs as much as so many answers to each query."""
+"""The mean slip (or guess) over all queries counts as this number of answers to each query."""
 SMOOTHING = 4.0
-"""As if each level had so many people more, who believe incorrectly what all people do."""
+"""Number of pseudo-observers at each level, with the average incorrect beliefs."""
 STEPS, STILL = 60, 1e-3
-"""Steps at most; they end when no slip, guess or α moves by more than STILL."""
+"""Maximum number of steps. They end earlier if no slip, guess or α changes by more than STILL."""
 LANDS = 0.95
-"""All messages land unless the interval of an α ends below this."""
+"""All messages land unless the interval of one α ends below this value."""
 GRID = np.linspace(0.005, 0.995, 199)
 
 
 @dataclass(frozen=True)
 class Landing:
-    """How often messages land, and what people answer before and after: S hidden states of O
-    people, Q queries.
+    """How often messages land, and the answers before and after them: S hidden states, O people, Q
+    queries.
 
     Attributes:
         accept: [n, 3] α of each message, and the ends of its 95 % interval; [0, 3] without
             hypotheses.
-        mean: α of all messages, each weighed by the people whom it could correct.
+        mean: mean α; each message is weighted by the number of people whom it could correct.
         table: [2^n, T] P(f = 1) by the facts believed incorrectly.
-        wrong, kept: [S] facts believed incorrectly before any message, and those of them that
-            messages do not correct, as bitmasks.
-        slip, guess: [Q + 1] the last are of a query that nobody answered.
-        number: of each query (transition, message set).
-        people: [O + 1, levels · S] posterior of each person; the last is of somebody new.
-        surprise: [O + 1, T + 1] the answer before any message about each transition, less its
-            expectation by the person's other answers; 0 where there is none.
-        repeats: what a surprise adds to the log odds of an answer after messages.
+        wrong, kept: [S] bitmasks of the facts believed incorrectly before any message, and of those
+            that messages do not correct.
+        slip, guess: [Q + 1]; the last entry is for a query without answers.
+        number: index of each query (transition, message set).
+        people: [O + 1, levels · S] posterior of each person; the last row is for an unknown person.
+        surprise: [O + 1, T + 1] the answer about each transition before any message, minus its
+            expectation given the person's other answers; 0 without such an answer.
+        repeats: weight of a surprise in the log odds of an answer after messages.
     """
 
     accept: NDArray[np.float64]
@@ -74,13 +74,14 @@ class Landing:
 
     @property
     def missed(self) -> bool:
-        """Whether some messages do not land."""
+        """True if some messages do not land."""
         return bool((self.accept[:, 2] < LANDS).any())
 
     def predicted(
         self, who: NDArray[np.int64], transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(answer 1) of people (−1: somebody new) about transitions (−1: unknown): [P]."""
+        """[P] P(answer 1) of people (−1: unknown person) about transitions (−1: unknown
+        transition)."""
         result, both = np.empty(len(who)), np.stack([transition, told], axis=1)
         for query in np.unique(both, axis=0):
             rows = np.flatnonzero((both == query).all(axis=1))
@@ -96,13 +97,13 @@ def learned_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Land
 
     Args:
         dataset: the answers.
-        table: [2^n, T] P(f = 1) of its transitions by the facts believed incorrectly; None where
-            nobody knows that.
+        table: [2^n, T] P(f = 1) of each transition by the facts believed incorrectly; None if
+            unknown.
 
     Returns:
-        None where fewer than PEOPLE observers were told something for good between their answers,
-        or hidden states are too many. Without a table also where not all were told the same: types
-        may then say more than abilities.
+        None if fewer than PEOPLE observers received lasting messages between their answers, or if
+        there are too many hidden states. Without a table also if observers received different
+        messages, since types may then explain more than abilities.
     """
     given = [
         np.unique(dataset.message_set[dataset.observer == o]) for o in range(len(dataset.observers))
@@ -180,8 +181,8 @@ def learned_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Land
 def _surprises(
     dataset: Dataset, query: NDArray[np.int64], one: NDArray[np.float64], new: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
-    """As of :class:`Landing`, of P(answer 1) ``one`` [states, Q] and log P(state) ``new``. What a
-    surprise adds is one step of Newton's from 0."""
+    """Computes ``surprise`` and ``repeats`` of :class:`Landing`, from P(answer 1) ``one`` [states,
+    Q] and log P(state) ``new``. ``repeats`` is one Newton step from 0."""
     log = np.log([1 - one, one])[dataset.label, :, query]  # [P, states]
     plain, observer = dataset.message_set == 0, dataset.observer
     about = np.zeros((len(dataset.observers), len(new)))
@@ -196,8 +197,8 @@ def _surprises(
 
 
 def _is_chain(sets: NDArray[np.int64]) -> bool:
-    """Whether each of these message sets is part of the next larger one: what is told stays
-    told."""
+    """True if each of these message sets is a subset of the next larger one: no message is taken
+    back."""
     ordered = sets[np.argsort(np.bitwise_count(sets))]
     return bool((ordered[:-1] & ~ordered[1:] == 0).all())
 
@@ -209,7 +210,7 @@ def _thought(
     transition: NDArray[np.int64],
     told: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """P(f = 1) of queries [Q] by hidden state: [S, Q]; 1 about unknown transitions."""
+    """[S, Q] P(f = 1) of queries by hidden state; 1 for unknown transitions."""
     held = (wrong[:, None] & ~told | kept[:, None] & told) & len(table) - 1
     return np.where(transition >= 0, table[held, transition], 1.0)
 
@@ -217,14 +218,13 @@ def _thought(
 def _answered(
     f: NDArray[np.float64], slip: NDArray[np.float64], guess: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """P(answer 1) of queries by level and hidden state, where P(f = 1) is ``f`` [S, Q]: [levels,
-    S, Q]."""
+    """[levels, S, Q] P(answer 1) of queries by level and hidden state; ``f`` [S, Q] is P(f = 1)."""
     slips = expit(logit(slip) + np.log(LEVELS)[:, None])
     return np.asarray(f * (1 - slips[:, None]) + (1 - f) * guess)
 
 
 def _drawn(times: NDArray[np.float64], of: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rates [Q], shrunk towards the mean of all."""
+    """[Q] rates, shrunk towards their overall mean."""
     mean = (times.sum() + 1) / (of.sum() + 20)
     return np.asarray(((times + WEIGHT * mean) / (of + WEIGHT)).clip(0.001, 0.6))
 
@@ -232,8 +232,8 @@ def _drawn(times: NDArray[np.float64], of: NDArray[np.float64]) -> NDArray[np.fl
 def _interval(
     people: NDArray[np.float64], had: NDArray[np.bool_], stays: NDArray[np.bool_], accept: float
 ) -> tuple[float, float]:
-    """The 95 % interval of α of a message, all else being as it was learned: the likelihood of
-    each person's answers is linear in α. ``people`` [O, S] is the posterior at ``accept``."""
+    """The 95 % interval of α of a message with all other parameters fixed; each person's likelihood
+    is linear in α. ``people`` [O, S] is the posterior at ``accept``."""
     landed = people[:, had & ~stays].sum(axis=1) / accept
     missed = people[:, stays].sum(axis=1) / (1 - accept)
     rest = people[:, ~had].sum(axis=1)

@@ -1,11 +1,12 @@
-"""Types as classes of answers, for tables in which nobody was told anything.
+"""Types as classes of answers, for data without messages.
 
-Without messages labels say nothing of which facts a person believes incorrectly; all that types can
-be is people who answer alike. A class k answers question q with 1 with probability P[k, q] ~ Beta(c
-m_q, c (1 − m_q)): m_q is everybody's mean, so a class of few answers is drawn towards it, and by
-how much (c) is learned. Observers share classes by a Dirichlet process, drawn in blocks (Ishwaran &
-James 2001, "Gibbs sampling methods for stick-breaking priors", section 5). What is expected of an
-observer is averaged over all draws: one sharing of classes is surer than answers allow.
+Labels given without messages do not show which facts a person believes incorrectly. A type can then
+only be a class: people who answer alike. A member of class k answers question q with 1 with
+probability P[k, q] ~ Beta(c m_q, c (1 − m_q)). m_q is the mean over all people; a class with few
+answers is drawn towards it. The strength c is learned. A Dirichlet process assigns observers to
+classes and is drawn in blocks (Ishwaran & James 2001, "Gibbs sampling methods for stick-breaking
+priors", section 5). The expected answers of an observer are averaged over all draws, because a
+single draw is more certain than the answers allow.
 """
 
 from __future__ import annotations
@@ -19,24 +20,26 @@ from xplain.learning.types import Clustering, shares_of
 from xplain.randomness import stream
 
 MOST = 30
-"""Classes at most."""
+"""Maximum number of classes."""
 STARTS = 5
-"""Classes that a chain starts with, of observers drawn at random."""
+"""Number of classes at the start of a chain; their observers are drawn at random."""
 SWEEPS, WARM_UP = 300, 100
-"""Draws of a chain, and how many of the first do not count."""
+"""Sweeps of a chain, and the number of first sweeps that are discarded."""
 SHRINKAGE = np.array([0.5, 1, 2, 4, 8, 16, 32])
-"""c is one of these, as likely each."""
+"""The possible values of c, equally likely."""
 
 
 def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: int) -> Clustering:
-    """Draws classes of the observers by their answers, whatever they were told: those of the
-    likeliest draw, what is expected over all draws, and how likely how many are.
+    """Draws classes of observers by their answers alone and ignores their messages.
+
+    The result has the classes of the most likely draw, the expected answers over all draws, and the
+    posterior over the number of classes.
 
     Args:
         dataset: labels of O observers on T transitions.
-        concentration: prior mean of α of the process, which is learned.
+        concentration: prior mean of α of the Dirichlet process; α is learned.
         chains: independent runs.
-        seed: of every draw.
+        seed: seed of every draw.
     """
     shape = len(dataset.observers), len(dataset.features)
     ones, total = np.zeros(shape), np.zeros(shape)
@@ -59,13 +62,13 @@ def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: in
 
 
 class _Chain:
-    """The state of a chain: ``assignment`` [O], and what was ``expected`` [O, T] of observers given
-    the one before.
+    """The state of a chain: the class of each observer (``assignment`` [O]) and the answers
+    ``expected`` [O, T], computed from the previous assignment.
 
     Args:
-        ones, total: [O, T] answers 1, and all answers.
+        ones, total: [O, T] number of answers 1, and of all answers.
         concentration: prior mean of α.
-        rng: of every draw.
+        rng: random stream of every draw.
     """
 
     def __init__(
@@ -82,10 +85,10 @@ class _Chain:
         self.assignment = rng.integers(0, STARTS, len(ones))
 
     def sweep(self) -> float:
-        """Draws everything once; returns the log of the joint probability of the classes before
-        and the answers, α at its prior mean, but for a constant."""
+        """Draws all variables once. Returns the log of the joint probability of the previous
+        classes and the answers, up to a constant, with α at its prior mean."""
         rng = self.rng
-        self.assignment = np.unique(self.assignment, return_inverse=True)[1]  # those in use first
+        self.assignment = np.unique(self.assignment, return_inverse=True)[1]  # classes in use first
         member = np.eye(MOST)[self.assignment]
         size, ones, zeros = member.sum(axis=0), member.T @ self.ones, member.T @ self.zeros
         own = size[size > 0]
@@ -102,9 +105,9 @@ class _Chain:
         return score
 
     def _draw_shares(self, size: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Draws α given the number of classes in use (Escobar & West 1995, section 6), then log
-        shares [K]: those of classes in use and of all others are Dirichlet, and what is left for
-        others is broken in sticks."""
+        """Draws α given the number of classes in use (Escobar & West 1995, section 6), then the log
+        shares [K]. The shares of the classes in use and of all other classes together are
+        Dirichlet; the last share is split among the other classes by stick breaking."""
         rng, n, k = self.rng, float(size.sum()), len(size)
         rate = self.rate - np.log(rng.beta(self.alpha + 1, n))
         more = rng.random() * (k + n * rate) < k
@@ -116,7 +119,8 @@ class _Chain:
         return np.asarray(np.log(np.append(drawn[:-1], drawn[-1] * stick) + 1e-300))
 
     def _draw_shrinkage(self, ones: NDArray[np.float64], zeros: NDArray[np.float64]) -> float:
-        """Draws c, P[k, q] integrated out; returns the log-likelihood of the answers under it."""
+        """Draws c with P[k, q] integrated out. Returns the log-likelihood of the answers given
+        c."""
         value = np.empty(len(SHRINKAGE))
         for i, c in enumerate(SHRINKAGE):
             first, second = c * self.mean, c * (1 - self.mean)

@@ -1,9 +1,13 @@
-"""The compiled steps of the sampler: (S_τ, ε_τ) of each transition given everybody's facts held
-wrong, and the facts R that each observer believes incorrectly given all others' answers.
+"""The compiled steps of the sampler.
 
-A cell of transition τ is one value of M ∩ S_τ (see :mod:`xplain.learning.mixture.sampler`), its
-facts packed into the lowest bits of an integer. The kernels index arrays in full: a row taken out
-of an array is counted by numba, and that costs more than the work in the innermost loops.
+One step draws (S_τ, ε_τ) of each transition given the facts that each observer believes
+incorrectly. The other draws the incorrect facts R of each observer given all other observers'
+answers.
+
+A cell of transition τ is one value of M ∩ S_τ (see :mod:`xplain.learning.mixture.sampler`). Its
+facts are packed into the lowest bits of an integer. The kernels index arrays with all indices:
+numba counts references to a row that is taken out of an array, which costs more than the work of
+the inner loops.
 """
 
 from __future__ import annotations
@@ -14,12 +18,12 @@ from numba import njit
 from xplain.numba_kernels import kernel, part
 
 REACH = 64
-"""Ones − zeros beyond which a cell's value is beyond doubt."""
+"""Largest |ones − zeros| in the tables; a cell's value is certain beyond it."""
 
 
 @njit(nogil=True)
 def packed(subsets, z, mask):  # type: ignore[no-untyped-def]
-    """The bits of ``mask`` at the positions of subset z, packed."""
+    """Packs the bits of ``mask`` at the positions of subset z into the lowest bits."""
     packed = 0
     for i in range(subsets.shape[1]):
         if subsets[z, i] < 0:
@@ -30,24 +34,25 @@ def packed(subsets, z, mask):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def table_row(ahead):  # type: ignore[no-untyped-def]
-    """Where ones − zeros is in the tables of :class:`~xplain.learning.mixture.sampler.Prior`."""
+    """The row of the tables of :class:`~xplain.learning.mixture.sampler.Prior` for ones − zeros."""
     return min(max(ahead, -REACH), REACH) + REACH
 
 
 @part
 def log_cell_of(zeros, ones, c, e, prior):  # type: ignore[no-untyped-def]
-    """:func:`~xplain.learning.mixture.likelihood.log_cell` of labels in cell c, of errors e."""
+    """:func:`~xplain.learning.mixture.likelihood.log_cell` of the labels in cell c at error level
+    e."""
     right, false, ahead = prior.log_flip[e, 0], prior.log_flip[e, 1], ones - zeros
     value = ones * right + zeros * false + prior.marginal[int(c == 0), e, table_row(ahead)]
-    if ahead < -REACH:  # beyond the table it is a straight line
+    if ahead < -REACH:  # linear beyond the table
         value += (ahead + REACH) * (false - right)
     return value
 
 
 @njit(nogil=True)
 def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
-    """Adds the labels of observer ``o``, of R = ``state.facts[o]``, to ``state.counts`` (sign 1),
-    or takes them away (sign −1)."""
+    """Adds the labels of observer ``o`` to ``state.counts`` (sign 1) or removes them (sign −1),
+    given R = ``state.facts[o]``."""
     transition, label, given = answers.transition, answers.label, state.messages_given
     subset, subsets, count = state.subset, prior.subsets, state.counts
     facts = state.facts[o]
@@ -58,8 +63,8 @@ def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def draw(log_weight, size, temperature, rng):  # type: ignore[no-untyped-def]
-    """An index below ``size`` with probability ∝ exp(log weight / temperature), and the log of the
-    sum of the weights themselves."""
+    """Draws an index below ``size`` with probability ∝ exp(log weight / temperature). Returns it
+    with the log of the sum of the weights at temperature 1."""
     top = log_weight[0]
     for i in range(size):
         top = max(top, log_weight[i])
@@ -82,22 +87,22 @@ def draw(log_weight, size, temperature, rng):  # type: ignore[no-untyped-def]
 
 
 WIDE = 12
-"""Up to so many facts every S_τ is tried at once; with more, those among so many facts: the ones
-that matter now, and others at random."""
+"""For up to this number of facts every S_τ is tried. For more facts, S_τ is drawn among this number
+of facts: the current ones and random others."""
 
 
 @kernel
 def resample_transitions(answers, prior, state, temperature, rng):  # type: ignore[no-untyped-def]
-    """Draws (S_τ, ε_τ) of every transition, and counts the labels by the cells that this makes.
+    """Draws (S_τ, ε_τ) of every transition, and counts the labels by the new cells.
 
-    Returns log P(all labels | everybody's R), f integrated out, S and ε summed out; where messages
-    are more than WIDE each S_τ is drawn among the subsets of WIDE facts only, and it is log P(all
-    labels, S and ε as drawn | everybody's R).
+    Returns log P(all labels | everybody's R), with f integrated out and S and ε summed out. For
+    more than WIDE messages each S_τ is drawn among the subsets of WIDE facts only; the result is
+    then log P(all labels, the drawn S and ε | everybody's R).
     """
     levels, size, n = len(state.log_noise), len(prior.size), answers.n_messages
     held = state.facts[answers.owner] & ~answers.message_set
     block, candidates, weights = (1 << n) - 1, np.arange(size), np.empty(size * levels)
-    number = np.full(1 << min(n, WIDE), -1)  # of M, as the block's facts have it
+    number = np.full(1 << min(n, WIDE), -1)  # of M, by its facts in the block
     wrong, times = np.empty(len(number), np.int64), np.empty((len(number), 2), np.int64)
     cell, cells = np.empty(len(number), np.int64), np.empty((state.counts.shape[1], 4), np.int64)
     score = 0.0
@@ -107,7 +112,7 @@ def resample_transitions(answers, prior, state, temperature, rng):  # type: igno
             size = _within(prior.members, block, candidates)
         distinct = _tally(t, answers, held, block, number, wrong, times)
         _weigh(candidates[:size], wrong[:distinct], times, prior, state, cell, cells, weights)
-        if n > WIDE:  # this block is likelier to be drawn from some S than from others: that counts
+        if n > WIDE:  # the probability to draw this block depends on S
             for i in range(size * levels):
                 weights[i] += prior.log_block[prior.size[candidates[i // levels]]]
         chosen, total = draw(weights, size * levels, temperature, rng)
@@ -123,9 +128,12 @@ def resample_transitions(answers, prior, state, temperature, rng):  # type: igno
 
 @njit(nogil=True)
 def _tally(t, answers, held, block, number, wrong, times):  # type: ignore[no-untyped-def]
-    """Counts the answers about transition t, once for all subsets: ``wrong`` lists the M that
-    differ in facts of ``block``, ``times`` the labels 0 and 1 of each. Returns how many they are.
-    ``number`` is −1 before and after."""
+    """Counts the answers about transition t once for all subsets.
+
+    ``wrong`` receives the distinct M, restricted to the facts of ``block``; ``times`` receives the
+    number of labels 0 and 1 of each. Returns the number of distinct M. ``number`` is −1 before and
+    after.
+    """
     rows, distinct = answers.rows, 0
     for i in range(answers.transition_start[t], answers.transition_start[t + 1]):
         mask = held[rows[i]]
@@ -144,7 +152,7 @@ def _tally(t, answers, held, block, number, wrong, times):  # type: ignore[no-un
 
 @njit(nogil=True)
 def _packed_block(block, mask, n):  # type: ignore[no-untyped-def]
-    """The bits of ``mask`` at the positions of the bits of ``block``, packed."""
+    """Packs the bits of ``mask`` at the positions of the bits of ``block``."""
     packed, size = 0, 0
     for j in range(n):
         if block >> j & 1:
@@ -155,7 +163,7 @@ def _packed_block(block, mask, n):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _random_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
-    """The facts of subset z and others at random, WIDE in all, as a bitmask."""
+    """Draws WIDE facts as a bitmask: the facts of subset z and random others."""
     block = prior.members[z]
     size = prior.size[z]
     while size < WIDE:
@@ -167,7 +175,7 @@ def _random_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _within(members, block, out):  # type: ignore[no-untyped-def]
-    """Writes to ``out`` the subsets of the facts in ``block``; how many."""
+    """Writes the subsets of the facts in ``block`` to ``out``. Returns their number."""
     size = 0
     for z in range(len(members)):
         if members[z] & ~block == 0:
@@ -178,10 +186,11 @@ def _within(members, block, out):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _weigh(candidates, wrong, times, prior, state, cell, cells, weights):  # type: ignore[no-untyped-def]
-    """Writes to ``weights`` the log joint of (S_τ, ε_τ) and the labels, for each candidate for S_τ
-    and each level of ε, given the distinct M of all answers and the ``times`` of their labels.
+    """Computes the log joint probability of (S_τ, ε_τ) and the labels, for each candidate S_τ and
+    each level of ε, and writes it to ``weights``.
 
-    ``cell`` [M] and ``cells`` [2^depth, 4] are overwritten.
+    ``wrong`` lists the distinct M of all answers, ``times`` the numbers of their labels. ``cell``
+    [M] and ``cells`` [2^depth, 4] are overwritten.
     """
     subsets, sizes, levels = prior.subsets, prior.size, len(state.log_noise)
     for a in range(len(candidates)):
@@ -227,20 +236,21 @@ def _choose(t, z, e, held, answers, subsets, state):  # type: ignore[no-untyped-
 
 
 BLOCK = 8
-"""Facts whose combinations are tried at once for an observer."""
+"""Number of facts whose combinations are tried together for an observer."""
 
 
 @kernel
 def resample_facts(answers, prior, state, used, members, number, log_new, temperature, rng):  # type: ignore[no-untyped-def]
-    """Draws R of every observer among all fact sets; ``state.facts`` and ``state.counts`` follow.
+    """Draws R of every observer among all fact sets, and updates ``state.facts`` and
+    ``state.counts``.
 
-    Where facts are more than BLOCK, an observer may first jump to a type in use, and draws BLOCK
-    facts, chosen at random, anew (``state.order``).
+    For more than BLOCK facts, an observer may first jump to a type in use. Then R is drawn again
+    within BLOCK random facts (``state.order``).
 
-    The first ``number`` of ``used`` [K + O] are the fact sets in use, the tables of the Chinese
-    restaurant, which ``members`` observers hold; those that nobody held before are appended.
-    ``log_new`` is the log weight of a fact set that nobody holds, where each that somebody holds
-    weighs log(observers).
+    The first ``number`` entries of ``used`` [K + O] are the fact sets in use, the tables of the
+    Chinese restaurant process; ``members`` counts their observers. New fact sets are appended.
+    ``log_new`` is the log weight of a fact set without observers; a fact set with observers weighs
+    log(observers).
     """
     facts, order = state.facts, state.order
     width = min(len(order), BLOCK)
@@ -275,7 +285,7 @@ def resample_facts(answers, prior, state, used, members, number, log_new, temper
 
 @njit(nogil=True)
 def _find(facts, number, one):  # type: ignore[no-untyped-def]
-    """Where ``one`` is among the first ``number``; ``number`` where it is not."""
+    """The index of ``one`` among the first ``number`` facts; ``number`` if it is missing."""
     for k in range(number):
         if facts[k] == one:
             return k
@@ -284,7 +294,8 @@ def _find(facts, number, one):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _from_prior(members, number, new, rng):  # type: ignore[no-untyped-def]
-    """A type in use, drawn by its ``members``; ``number`` for a new one, of weight ``new``."""
+    """Draws a type in use in proportion to its ``members``. Returns ``number`` for a new type,
+    whose weight is ``new``."""
     left = rng.random() * (members[:number].sum() + new)
     for k in range(number):
         left -= members[k]
@@ -295,8 +306,8 @@ def _from_prior(members, number, new, rng):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _combine(facts, order, width, masks):  # type: ignore[no-untyped-def]
-    """Writes to ``masks`` [2^width] ``facts`` with the first ``width`` of ``order`` believed
-    incorrectly or not, in all ways."""
+    """Writes all 2^width variants of ``facts`` to ``masks`` [2^width]: each of the first ``width``
+    facts of ``order`` is believed incorrectly or not."""
     rest = facts
     for j in range(width):
         rest &= ~(np.int64(1) << order[j])
@@ -309,8 +320,8 @@ def _combine(facts, order, width, masks):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _weigh_types(masks, order, width, used, members, number, log_new, weights):  # type: ignore[no-untyped-def]
-    """Writes to ``weights`` the log prior weight of each of ``masks``, by the Chinese restaurant
-    process."""
+    """Writes the log prior weight of each of ``masks`` under the Chinese restaurant process to
+    ``weights``."""
     for i in range(len(masks)):
         weights[i] = np.exp(log_new)
     for k in range(number):
@@ -326,11 +337,11 @@ def _weigh_types(masks, order, width, used, members, number, log_new, weights): 
 
 @njit(nogil=True)
 def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # type: ignore[no-untyped-def]
-    """Adds to ``values`` [masks]: log P(labels of observer o | R = mask, the labels counted).
+    """Adds log P(labels of observer o | R = mask, the counted labels) to ``values`` [masks].
 
-    Rows of one transition are neighbours; all that R says about them is which of the few facts in
-    S_τ it holds, so each such combination is tried once. Every row is counted before the next is
-    predicted, and taken back. ``by_cell`` [2^depth] is overwritten.
+    Rows of one transition are neighbours. They depend on R only through the few facts of S_τ in R,
+    so each combination of these facts is tried once. Every row is counted before the next is
+    predicted; the counts are restored at the end. ``by_cell`` [2^depth] is overwritten.
     """
     transition, label, messages_given = answers.transition, answers.label, state.messages_given
     subsets, predictive, count = prior.subsets, prior.predictive, state.counts
@@ -341,7 +352,7 @@ def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # ty
         while end < last and transition[end] == t:
             end += 1
         z, e = state.subset[t], state.noise[t]
-        # Where no fact matters the labels say the same of every R.
+        # If no fact matters, the labels do not depend on R.
         if prior.size[z] > 0:
             for held in range(1 << prior.size[z]):
                 value = 0.0
@@ -360,7 +371,7 @@ def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # ty
 
 @kernel
 def log_likelihood(state, prior):  # type: ignore[no-untyped-def]
-    """log P(all labels | M of every answer, S, ε), f integrated out."""
+    """log P(all labels | M of every answer, S, ε), with f integrated out."""
     total, counts = 0.0, state.counts
     for t in range(len(counts)):
         for c in range(counts.shape[1]):
@@ -372,7 +383,7 @@ def log_likelihood(state, prior):  # type: ignore[no-untyped-def]
 
 @kernel
 def relabel(members, new, answers, prior, state):  # type: ignore[no-untyped-def]
-    """Gives the observers ``members`` the fact set ``new``; ``state.counts`` follows."""
+    """Gives the observers ``members`` the fact set ``new``, and updates ``state.counts``."""
     for o in members:
         count_rows(o, -1, answers, prior, state)
         state.facts[o] = new

@@ -1,10 +1,10 @@
-"""A labeler of hypotheses: P(label = 1) of people of one type, by what they may believe incorrectly
-(docs/what-to-ask.md).
+"""A labeler from hypotheses: P(label = 1) of people of one type, by the facts that they may believe
+incorrectly (docs/what-to-ask.md).
 
-What it knows of a type is a posterior over fact sets. Where a cell was asked about and the answers
-contradict the hypotheses, its label goes by the answers
-(:mod:`xplain.learning.mixture.likelihood`); all others stay with the hypotheses. These are weighed
-against labels alone (:mod:`xplain.learning.evidence`).
+The labeler holds a posterior over fact sets. If answers contradict the hypotheses in a cell, the
+answers decide the label of this cell (:mod:`xplain.learning.mixture.likelihood`); all other cells
+keep the label of the hypotheses. The result is a weighted mean with predictions from labels alone
+(:mod:`xplain.learning.evidence`).
 """
 
 from __future__ import annotations
@@ -53,34 +53,34 @@ from xplain.learning.types import Clustering
 log = logging.getLogger(__name__)
 
 KEPT = 1e-4
-"""Fact sets with a smaller share of the posterior are left out of predictions."""
+"""Predictions leave out fact sets with a smaller posterior."""
 OFTEN = 0.05
 RELEVANT = 0.01
 MOST = 12
 MAX_TABLE = 1 << 24
 EDGE = 0.002
-"""Probabilities stay so far from 0 and 1. A label is shown again with every later step, so that
-larger doubts about what nothing speaks against would add up to messages that nobody needs."""
+"""Minimum distance of a probability from 0 and 1. A label is shown again at every later step, so
+larger doubts without evidence would add up and lead to unnecessary messages."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HypothesisLabeler(MeasuredLabeler):
-    """The posterior over the fact sets of people of one type, and what follows for their labels.
+    """The posterior over the fact sets of people of one type, and the labels that follow from it.
 
     It predicts what people find explicable, f, not what they answer: errors in answers are left
-    out. Transitions that the hypotheses do not know are left to ``alone``, and transitions that
-    share their features are told apart.
+    out. ``alone`` predicts transitions that the hypotheses do not contain. Transitions with equal
+    features are kept apart.
 
     Attributes:
         known: the hypotheses.
-        fit_alone: learns from the labels alone.
-        trust: weight of the hypotheses, the rest being that of ``alone``; 1 where people think as
-            hypotheses say (:attr:`doubt`).
-        facts: [R] fact sets that are likely.
-        weight: [R, 1 + V, D] their posterior with variant and deviation.
-        cells: of the answers, for each fact set.
+        fit_alone: fits a labeler to the labels alone.
+        trust: weight of the hypotheses; ``alone`` has the remaining weight. 1 if people think as
+            the hypotheses say (:attr:`doubt`).
+        facts: [R] likely fact sets.
+        weight: [R, 1 + V, D] posterior of fact set, variant and deviation.
+        cells: cells of the answers, for each fact set.
         learned: [N] P(f = 1) of each cell, times the weight of its fact set.
-        level: [E] posterior of the levels of error.
+        level: [E] posterior of the error levels.
     """
 
     known: KnownTransitions
@@ -105,11 +105,11 @@ class HypothesisLabeler(MeasuredLabeler):
         """Computes the posterior over fact sets, variants and deviations.
 
         Args:
-            known, fit_alone: as above.
-            answers: P of people of the type.
-            given: [P, 2, E] log P(answer | f) for f = 0 and 1, by levels of error that are as
-                likely; None: of answers that all err as often.
-            trust: weight of the hypotheses, where they are doubted.
+            known, fit_alone: see the class.
+            answers: P answers of people of the type.
+            given: [P, 2, E] log P(answer | f) for f = 0 and 1, by equally likely error levels;
+                None: all answers have the same error rate.
+            trust: weight of the hypotheses.
         """
         given = by_level(answers.label) if given is None else given
         facts = known.supported(answers)
@@ -137,7 +137,7 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @cached_property
     def alone(self) -> Labeler:
-        """A labeler learned from the labels alone, when it is first needed."""
+        """A labeler fitted to the labels alone, at its first use."""
         return self.fit_alone()
 
     @property
@@ -147,12 +147,12 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @property
     def unwritten(self) -> float:
-        """P(people of the type believe something incorrectly that is in no hypothesis)."""
+        """P(people of the type believe a fact incorrectly that no hypothesis contains)."""
         return float(self.weight[(self.facts & self.known.unwritten) > 0].sum())
 
     def log_answered(self, answers: Answers) -> NDArray[np.float64]:
-        """log P of further answers [P], which err by the levels of
-        :func:`~xplain.learning.mixture.likelihood.by_level`: [P]."""
+        """[P] log P of further answers, with the error levels of
+        :func:`~xplain.learning.mixture.likelihood.by_level`."""
         one = self.known_rows(answers.transition, answers.message_set)
         error = self.level @ ERROR
         same = np.where(answers.label == 1, one, 1 - one)
@@ -160,7 +160,7 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @cached_property
     def _share(self) -> NDArray[np.float64]:
-        """[n] P(a person of the type believes a fact incorrectly)."""
+        """[n] P(a person of the type believes the fact incorrectly)."""
         share: NDArray[np.float64] = self.weight.sum(axis=(1, 2)) @ bits_of(
             self.facts, self.n_messages
         )
@@ -168,13 +168,13 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @property
     def wrong(self) -> NDArray[np.float64]:
-        """See :attr:`Labeler.wrong`; like labels, never certain."""
+        """See :attr:`Labeler.wrong`. Never exactly 0 or 1."""
         return np.clip(self._share, EDGE, 1 - EDGE)
 
     def known_rows(
         self, transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(f = 1) of known transitions [P] under message sets [P]: [P]."""
+        """[P] P(f = 1) of known transitions [P] given message sets [P]."""
         asked, result = Answers(transition, told, transition), np.zeros(len(transition))
         for r in range(len(self.facts)):
             cells = Cells.of(self.known, asked, self.facts[[r]])
@@ -190,8 +190,8 @@ class HypothesisLabeler(MeasuredLabeler):
     def exactly(
         self, transitions: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(f = 1) by the hypotheses alone, of their transitions [P]: [P]. Where transitions
-        share their features, nobody knows which of them an answer was about."""
+        """[P] P(f = 1) of transitions [P] by the hypotheses alone. If transitions share their
+        features, it is unknown which of them an answer was about."""
         result = np.zeros(len(transitions))
         for r, facts in enumerate(self.facts.tolist()):
             one = self.known.exactly(facts & ~told, transitions)
@@ -203,8 +203,8 @@ class HypothesisLabeler(MeasuredLabeler):
     def _weighed(
         self, one: NDArray[np.float64], features: NDArray[Any], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(f = 1) of rows of features [P, F] under message sets [P], where the hypotheses' is
-        ``one`` [P]: [P]."""
+        """[P] P(f = 1) of rows of features [P, F] given message sets [P]; ``one`` [P] is the value
+        by the hypotheses."""
         if self.trust < 1:
             alone = self.alone.probability(features, told)
             one = self.trust * one + (1 - self.trust) * alone
@@ -224,8 +224,8 @@ class HypothesisLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """See :meth:`Labeler.table`. Where messages are many, those matter that are about facts
-        that people of the type likely believe incorrectly."""
+        """See :meth:`Labeler.table`. If there are many messages, the table contains those whose
+        facts people of the type are likely to believe incorrectly."""
         place = self.known.find(features)
         relevant = self._relevant(features, place)
         sets = subsets(relevant)
@@ -238,10 +238,12 @@ class HypothesisLabeler(MeasuredLabeler):
         return LabelTable.joined_types([relevant], [table])
 
     def _relevant(self, features: NDArray[np.float64], place: NDArray[np.int64]) -> Sequence[int]:
-        """The messages that the table is over, ascending: all if they are few. Otherwise the facts
-        that people of the type may believe incorrectly; where not all sets of facts are candidates,
-        those they do with a probability of RELEVANT, the likeliest MOST of them. Other messages are
-        taken to be never given."""
+        """The messages of the table, ascending: all messages if they are few.
+
+        Otherwise these are the facts that people of the type may believe incorrectly. If not all
+        fact sets are candidates, only facts with a probability of at least RELEVANT count, and at
+        most the MOST likeliest. The table assumes that other messages are never given.
+        """
         if self.n_messages <= DENSE:
             return range(self.n_messages)
         likely = np.argsort(-self._share, kind="stable")[:MOST].tolist()
@@ -255,8 +257,8 @@ class HypothesisLabeler(MeasuredLabeler):
         return sorted(found)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """See :meth:`Labeler.arrays`: rows of features [U, F], and P(label = 1) of each by message
-        set [U, 2^n].
+        """See :meth:`Labeler.arrays`: distinct rows of features [U, F], and P(label = 1) of each
+        row by message set [U, 2^n].
 
         Raises:
             TooLargeError: more than MAX_TABLE numbers.
@@ -272,12 +274,12 @@ class HypothesisLabeler(MeasuredLabeler):
 
 @dataclass(frozen=True)
 class KnownAnswers:
-    """The answers of a dataset about transitions that hypotheses know.
+    """The answers of a dataset about transitions that the hypotheses contain.
 
     Attributes:
         known: the hypotheses.
-        dataset: these answers alone.
-        place: [T] where hypotheses know the transitions of the dataset; −1 nowhere.
+        dataset: only these answers.
+        place: [T] index of each transition of the dataset in the hypotheses; −1 if missing.
     """
 
     known: KnownTransitions
@@ -286,7 +288,8 @@ class KnownAnswers:
 
     @classmethod
     def of(cls, known: KnownTransitions, dataset: Dataset) -> KnownAnswers:
-        """Selects the answers of a dataset that has the hypotheses' features and messages."""
+        """Selects the known answers of a dataset. Its features and messages are those of the
+        hypotheses."""
         place = known.find(dataset.features)
         return cls(known, dataset.take(np.flatnonzero(place[dataset.transition] >= 0)), place)
 
@@ -299,19 +302,19 @@ class KnownAnswers:
 
     @cached_property
     def grown(self) -> KnownTransitions:
-        """The hypotheses with all that any observer's answers make likely."""
+        """The hypotheses, extended by the fact sets that any observer's answers make likely."""
         known = self.known
         for own in self.of_observers:
             known = known.with_sets(self.known.grown(own).supported(own))
         return known
 
     def partition(self, concentration: float) -> Partition:
-        """The likeliest types, α of the process being ``concentration``."""
+        """The most likely types, with concentration α of the Chinese restaurant process."""
         return partition(self.grown, self.of_observers, concentration)
 
     def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
-        """The same types, with what is expected of all transitions of the dataset that these
-        answers come from; None if labels alone predict answers better."""
+        """The same types, with the expected answers to all transitions of the full dataset. None if
+        labels alone predict answers better."""
         facts, _, expected = self.partition(concentration)
         if self.evidence(np.unique(facts, return_inverse=True)[1]).beaten:
             return None
@@ -327,7 +330,7 @@ class KnownAnswers:
         return Clustering.by_facts(facts, "hypotheses", expected=expected)
 
     def evidence(self, assignment: NDArray[np.int64]) -> Evidence:
-        """How well hypotheses predict the answers, the observers' types [O] being given."""
+        """Measures how well the hypotheses predict the answers, given the observers' types [O]."""
         data = self.dataset
 
         def by_hypotheses(train: Dataset, test: Dataset) -> NDArray[np.float64]:
@@ -343,13 +346,13 @@ class KnownAnswers:
         return Evidence(own, alone, assignment[data.observer[rows]], doubt, unwritten)
 
     def _learned(self, data: Dataset) -> HypothesisLabeler:
-        """A labeler of people of one type, who all have the same error rate."""
+        """Fits a labeler to people of one type with equal error rates."""
         return self.labeler(data, partial(cheap().fit, data, 0))
 
     def labeler(
         self, data: Dataset, alone: Callable[[], Labeler], *about: Any
     ) -> HypothesisLabeler:
-        """A labeler of people of one type, from some of the answers; ``about`` as for
+        """Fits a labeler to people of one type; ``about`` holds the further arguments of
         :meth:`HypothesisLabeler.of`."""
         answers = self._answers(data)
         return HypothesisLabeler.of(self.known.grown(answers), answers, alone, *about)
@@ -361,7 +364,7 @@ class KnownAnswers:
 
 @dataclass(frozen=True)
 class EverythingWrong(Labeler):
-    """A labeler of somebody who believes every fact incorrectly, by the hypotheses alone.
+    """A labeler of a person who believes every fact incorrectly, by the hypotheses alone.
 
     Attributes:
         known: hypotheses of all sets of at most DENSE facts.
@@ -377,7 +380,7 @@ class EverythingWrong(Labeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """See :meth:`Labeler.table`; ½ where hypotheses do not know a transition."""
+        """See :meth:`Labeler.table`; ½ for transitions that the hypotheses do not contain."""
         hypotheses, sets = self.known.hypotheses, np.arange(1 << self.n_messages)
         rows = hypotheses.row(sets[-1] & ~sets)
         place = self.known.find(features)
@@ -388,7 +391,7 @@ class EverythingWrong(Labeler):
         return LabelTable.dense(np.clip(one, EDGE, 1 - EDGE)[None])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """See :meth:`Labeler.arrays`: a table of all that it knows."""
+        """See :meth:`Labeler.arrays`: a table of all known transitions."""
         features = self.known.features
         return {"rows": features, "table": self.table(features.astype(np.float64)).array(
             self.n_messages)[0]}  # fmt: skip
@@ -396,21 +399,21 @@ class EverythingWrong(Labeler):
 
 @dataclass(frozen=True)
 class HypothesisTrainer(LabelerTrainer):
-    """Fits labelers that know what people might believe incorrectly.
+    """Fits labelers that use hypotheses of what people may believe incorrectly.
 
-    Labels of another task (with other features or messages) say nothing about the hypotheses, and
-    are learned without them; so are transitions that the hypotheses do not know. Where people of a
-    type think otherwise than the hypotheses say, these are weighed against what is learned without
-    them (:mod:`xplain.learning.evidence`).
+    Labels of another task (with other features or messages) and of transitions that the hypotheses
+    do not contain are learned without hypotheses. If people of a type disagree with the hypotheses,
+    the labeler is a weighted mean with one that is learned without them
+    (:mod:`xplain.learning.evidence`).
 
     Attributes:
-        classifier: learns from labels alone; any scikit-learn classifier that gives probabilities.
+        classifier: learns from labels alone; any scikit-learn classifier with probabilities.
         holdout: share of the distinct points held out to measure the accuracy.
-        path: an ``.npz`` file of hypotheses with features; None: the observers' domain's.
+        path: an ``.npz`` file of hypotheses with features; None: those of the observers' domain.
         hypotheses: used instead of ``path`` and of the domain's hypotheses.
-        answers: how the dataset's people err when they answer; None: all have the same error rate.
-        evidence: how well the dataset's answers were predicted; None: hypotheses are believed.
-        types: [O] of the dataset's observers, as in ``evidence``.
+        answers: error model of the dataset's answers; None: all have the same error rate.
+        evidence: how well the dataset's answers were predicted; None: hypotheses are trusted.
+        types: [O] types of the dataset's observers, as in ``evidence``.
     """
 
     classifier: Any = field(default_factory=paper_tree)
@@ -422,7 +425,7 @@ class HypothesisTrainer(LabelerTrainer):
 
     def given(self, observed: Observed) -> LabelerTrainer:
         """Takes the hypotheses of the observers' domain, and the fact sets that their questions
-        found likely, if it has no others."""
+        made likely. Hypotheses that the trainer already has come first."""
         if self.hypotheses is not None or self.path is not None:
             return self
         return replace(self, hypotheses=observed.hypotheses)
@@ -432,7 +435,7 @@ class HypothesisTrainer(LabelerTrainer):
         """The hypotheses by rows of features.
 
         Raises:
-            InputError: there are none, or none with features.
+            InputError: no hypotheses, or hypotheses without features.
         """
         hypotheses = self.hypotheses or hypotheses_of(None, self.path)
         if hypotheses.features is None:
@@ -440,8 +443,8 @@ class HypothesisTrainer(LabelerTrainer):
         return KnownTransitions.of(hypotheses)
 
     def fitted_to(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
-        """See :meth:`LabelerTrainer.fitted_to`; without hypotheses, where the labels are of another
-        task."""
+        """See :meth:`LabelerTrainer.fitted_to`. Labels of another task are learned without
+        hypotheses."""
         if not self._is_about(dataset):
             return self._alone.fitted_to(dataset, seed)
         asked, given, trust = KnownAnswers.of(self.known, dataset), None, 1.0
@@ -456,13 +459,14 @@ class HypothesisTrainer(LabelerTrainer):
 
     @property
     def _alone(self) -> LabelerTrainer:
-        """Learns from labels alone."""
+        """A trainer that learns from labels alone."""
         return LabelerTrainer(self.classifier, self.holdout, "leaf")
 
     def with_errors(
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
-        """Also knows how these people err when they answer; their types [O] are given."""
+        """Adds what is learned about the errors in these people's answers; their types [O] are
+        given."""
         known = self.known_answers(dataset)
         if known is None:
             return self, self.answers, self.evidence
@@ -482,7 +486,8 @@ class HypothesisTrainer(LabelerTrainer):
         return EverythingWrong(self.known) if n <= DENSE and sets == 1 << n else None
 
     def thoughts(self, dataset: Dataset) -> NDArray[np.float64] | None:
-        """See :meth:`LabelerTrainer.thoughts`; 1 where hypotheses do not know a transition."""
+        """See :meth:`LabelerTrainer.thoughts`; 1 for transitions that the hypotheses do not
+        contain."""
         asked = self.known_answers(dataset)
         if asked is None or self.everything() is None:
             return None
@@ -490,7 +495,7 @@ class HypothesisTrainer(LabelerTrainer):
         return np.where(asked.place >= 0, self.known.share[0][rows][:, asked.place], 1.0)
 
     def known_answers(self, dataset: Dataset) -> KnownAnswers | None:
-        """The answers that hypotheses know about; None where they know nothing of the dataset."""
+        """The answers about transitions that the hypotheses contain; None if there are none."""
         if not self._is_about(dataset):
             return None
         asked = KnownAnswers.of(self.known, dataset)

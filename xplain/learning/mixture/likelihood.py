@@ -1,20 +1,20 @@
-r"""The likelihood of answers, where hypotheses may be wrong here and there, and the candidates that
-it compares.
+r"""The likelihood of answers if hypotheses may be wrong at some transitions, and the candidate fact
+sets that it compares.
 
-A person who believes the facts R incorrectly and was given the messages H is in the *cell* (τ, R \
-H) when asked about τ. The label f of a cell differs from the hypotheses with probability δ, and an
-answer is not a label (:mod:`xplain.learning.answers`)::
+A person believes the facts R incorrectly and was given the messages H. Asked about τ, this person
+is in the *cell* (τ, R \ H). The label f of a cell differs from the hypotheses with probability δ,
+and an answer may differ from the label (:mod:`xplain.learning.answers`)::
 
     P(answers in a cell) = Σ_f P(f | hypotheses, δ) Π P(answer | f)
 
-so that one contradiction is taken for an error and several at one cell are believed. δ is a type's,
-one of a few levels, and summed out. How answers err is learned from everybody's; where nobody else
-is known, all answers err as often, with a probability ε of a few levels that is summed out too.
+So one contradiction in a cell counts as an error, and several change the label of the cell. Each
+type has one of a few levels of δ, which is summed out. The error rates of answers are learned from
+all people. If only one person's answers are known, all answers have one error rate ε, and its few
+levels are summed out too.
 
-Where facts are so many that not all sets can be listed, the sets of very few facts are candidates
-at first. Whichever set the answers make likely brings in all sets of one fact more, so that the
-list holds the sets that are likely, and those next to them; what it leaves out would need several
-facts more than any likely set.
+If there are too many facts to list all sets, the first candidates are the sets of very few facts.
+Each likely set adds all sets with one further fact. The list then holds the likely sets and their
+neighbours; a set that is missing differs from every likely set by several facts.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ log = logging.getLogger(__name__)
 def log_cell(
     one: NDArray[np.float64], given_zero: ArrayLike, given_one: ArrayLike
 ) -> NDArray[np.float64]:
-    """log Σ_f P(f) P(answers in the cell | f): the likelihood of all searches for types.
+    """log Σ_f P(f) P(answers in the cell | f). All searches for types share this likelihood.
 
     Args:
-        one: P(f = 1) before any answer, inside (0, 1).
-        given_zero, given_one: log P(answers | f), of shapes that fit to that of ``one``.
+        one: P(f = 1) before any answer, strictly between 0 and 1.
+        given_zero, given_one: log P(answers | f); shapes that broadcast with ``one``.
     """
     zero, own = np.asarray(given_zero), np.asarray(given_one)
     top = np.maximum(zero, own)
@@ -53,32 +53,32 @@ def log_cell(
 
 
 def cell_posterior(one: NDArray[np.float64], said: ArrayLike) -> NDArray[np.float64]:
-    """P(f = 1 | answers in the cell), by P(f = 1) ``one`` before them and what they say for it:
-    log P(answers | f = 1) − log P(answers | f = 0)."""
+    """P(f = 1 | answers in the cell), given the prior ``one`` and the log likelihood ratio
+    ``said``: log P(answers | f = 1) − log P(answers | f = 0)."""
     return np.asarray(expit(logit(one) + said))
 
 
 WRONG = 0.05
-"""Probability of a wrong answer, where it is not known."""
+"""Probability of a wrong answer if the error rate is unknown."""
 LIKELY = 0.2
-"""Posterior of a set that brings in those next to it. More than a set gets by its prior alone that
-has one fact more than another, and was never asked about."""
+"""Posterior from which a set adds its neighbours. It is above the prior share of a set with one
+further fact that was never asked about."""
 
 
 def grown(
     hypotheses: Hypotheses, posterior: Callable[[Hypotheses], NDArray[np.float64]]
 ) -> Hypotheses:
-    """Adds all sets next to likely sets, until every neighbour of a likely set is a candidate.
+    """Adds all neighbours of likely sets, until every neighbour of a likely set is a candidate.
 
     Args:
-        hypotheses: the candidates so far; returned unchanged where labels of further sets are
-            unknown or cannot be computed.
-        posterior: of the candidates [C].
+        hypotheses: the candidates so far; returned unchanged if labels of further sets are unknown
+            or cannot be computed.
+        posterior: returns the posterior [C] of the candidates.
     """
     while hypotheses.further is not None:
         likely = hypotheses.facts[posterior(hypotheses) >= LIKELY]
         more = likely[:, None] | 1 << np.arange(hypotheses.n_messages)
-        new = np.setdiff1d(more, hypotheses.facts)  # sets of one fact more, no candidates yet
+        new = np.setdiff1d(more, hypotheses.facts)  # one further fact, no candidates yet
         if not len(new):
             break
         try:
@@ -95,8 +95,8 @@ def posterior_by(
     told: NDArray[np.int64],
     labels: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """[C] of candidates given the answers of one type: transitions, message sets and labels,
-    [P] each. One answer in twenty is taken to be wrong."""
+    """[C] posterior of the candidates given the answers of one type: transitions, message sets and
+    labels, [P] each. One answer in twenty is assumed to be wrong."""
     agree = (hypotheses.label(transitions, told) == labels).sum(axis=2)
     with np.errstate(divide="ignore"):
         joint = agree * np.log((1 - WRONG) / WRONG) + np.log(hypotheses.prior)
@@ -105,14 +105,14 @@ def posterior_by(
 
 
 UNWRITTEN = 0.1
-"""Probability that somebody believes a fact incorrectly that no hypothesis has."""
+"""Probability that a person believes a fact incorrectly that no hypothesis contains."""
 MATTERS = 0.2
-"""Share of what is explicable otherwise that such a fact makes inexplicable."""
+"""Share of the otherwise explicable labels that such a fact makes inexplicable."""
 
 
 SUPPORTED = 1e-3
-"""Posterior given the answers of one observer, or one type, from which on a candidate is compared
-with all answers more closely, where facts are too many to list all sets."""
+"""Posterior, given the answers of one observer or one type, from which a candidate is compared with
+all answers in more detail. Used if there are too many facts to list all sets."""
 
 
 class Answers(NamedTuple):
@@ -135,18 +135,19 @@ class Answers(NamedTuple):
 
 @dataclass(frozen=True)
 class KnownTransitions:
-    """The hypotheses by rows of features: transitions that share one are one, of mean label.
+    """The hypotheses by rows of features. Transitions with equal features form one row with their
+    mean label.
 
-    A message whose fact is in no hypothesis might yet correct something. People who believe such a
-    fact incorrectly, alone or with others, are candidates as well. What it changes is unknown: each
-    label may be 0 instead, and answers tell where it is.
+    A message whose fact is in no hypothesis may still correct something. So there are also
+    candidates who believe such a fact incorrectly, alone or with others. Its effect is unknown:
+    each label may be 0 instead, and answers show which.
 
     Attributes:
-        hypotheses: with features; with the candidates who believe a fact incorrectly that nobody
-        wrote down.
-        unwritten: these facts, as a bitmask.
+        hypotheses: hypotheses with features, including the candidates with unwritten facts.
+        unwritten: facts that no hypothesis contains, as a bitmask.
         features: [U, F] float32, distinct.
-        share: [1 + V, C, U] float64, of the transitions with these features those labelled 1.
+        share: [1 + V, C, U] float64, share of the transitions with these features that are labelled
+            1.
     """
 
     hypotheses: Hypotheses
@@ -156,7 +157,7 @@ class KnownTransitions:
 
     @classmethod
     def of(cls, hypotheses: Hypotheses) -> KnownTransitions:
-        """Groups the transitions of hypotheses that have features."""
+        """Groups the transitions of hypotheses by their features."""
         assert hypotheses.features is not None
         hypotheses, unwritten = _with_unwritten(hypotheses)
         rows = np.asarray(hypotheses.features, dtype=np.float32)
@@ -167,42 +168,42 @@ class KnownTransitions:
         return cls(hypotheses, distinct, share, unwritten)
 
     def grown(self, answers: Answers) -> KnownTransitions:
-        """Adds the candidates that the answers of one type make likely, and those next to them."""
+        """Adds the candidates that the answers of one type make likely, and their neighbours."""
         found = grown(self.hypotheses, lambda known: self._posterior(known, answers))
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
     def with_sets(self, facts: NDArray[np.int64]) -> KnownTransitions:
-        """Adds candidates: these sets and their subsets."""
+        """Adds these sets and their subsets as candidates."""
         found = self.hypotheses.with_sets(facts)
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
     def supported(self, answers: Answers) -> NDArray[np.int64]:
-        """The essential facts of the candidates for which the answers of one type speak at all,
-        ascending; where all sets are candidates, none is left out."""
+        """The essential facts of the candidates that the answers of one type support, ascending. If
+        all sets are candidates, all are returned."""
         if self.hypotheses.complete:
             return np.unique(self.essential)
         posterior = self._posterior(self.hypotheses, answers)
         return np.unique(self.essential[posterior >= min(SUPPORTED, posterior.max())])
 
     def _posterior(self, hypotheses: Hypotheses, answers: Answers) -> NDArray[np.float64]:
-        """[C] of candidates. One transition represents all that share its features."""
+        """[C] posterior of the candidates. One transition represents all with the same features."""
         column = self._column[answers.transition]
         return posterior_by(hypotheses, column, answers.message_set, answers.label)
 
     @cached_property
     def _column(self) -> NDArray[np.int64]:
-        """[U] a transition with each row of features."""
+        """[U] one transition for each row of features."""
         rows = np.asarray(self.hypotheses.features, dtype=np.float32)
         return np.unique(rows, axis=0, return_index=True)[1]
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        """Essential facts [C], as in the hypotheses. Facts that no hypothesis describes always
-        count as essential."""
+        """[C] essential facts, as in the hypotheses. Facts that no hypothesis contains always count
+        as essential."""
         return self.hypotheses.essential | self.hypotheses.facts & self.unwritten
 
     def prior_of(self, facts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """The prior [R] of candidates with these essential facts."""
+        """[R] prior of the candidates with these essential facts."""
         every, which = np.unique(self.essential, return_inverse=True)
         prior = np.bincount(which.ravel(), self.hypotheses.prior)
         return np.asarray(prior[np.searchsorted(every, facts)], np.float64)
@@ -215,8 +216,8 @@ class KnownTransitions:
     def exactly(
         self, held: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P, 1 + V, D] P(f = 1) of the hypotheses' own transitions [P], whose features may be
-        shared, for people who believe these facts [P] incorrectly."""
+        """[P, 1 + V, D] P(f = 1) of single transitions [P], also if they share features, for people
+        who believe the facts ``held`` [P] incorrectly."""
         labels = self.hypotheses.tables[:, self.hypotheses.row(held), transitions]
         return self._deviating((labels * _certain(held, self.unwritten)).T)
 
@@ -226,12 +227,12 @@ class KnownTransitions:
         return np.ascontiguousarray(self.share.reshape(len(self.share), -1).T)
 
     def truth(self, key: NDArray[np.int64]) -> NDArray[np.float64]:
-        """P(f = 1) of cells [*], by variant and δ: [*, 1 + V, D]."""
+        """[*, 1 + V, D] P(f = 1) of cells [*], by variant and δ."""
         return self._deviating(self._by_cell[key])
 
     def _deviating(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """P(f = 1) where the hypotheses' is ``share`` [*, 1 + V]. Where variants that differ in
-        sizes disagree, more than the others may be true."""
+        """P(f = 1) if the hypotheses say ``share`` [*, 1 + V]. Where variants with different sizes
+        disagree, δ is larger."""
         of_sizes = share[..., self.hypotheses.sizes]
         disputed = of_sizes.min(axis=-1) != of_sizes.max(axis=-1)
         more = np.minimum(DISPUTED * DEVIATION, DEVIATION[-1])
@@ -241,7 +242,7 @@ class KnownTransitions:
 
     @cached_property
     def ambiguous(self) -> NDArray[np.bool_]:
-        """[U] whether transitions that share the features are labelled differently."""
+        """[U] True if transitions with these features have different labels."""
         written = self.share[:, self.hypotheses.facts & self.unwritten == 0]
         return np.asarray(((written > 0) & (written < 1)).any(axis=(0, 1)))
 
@@ -255,8 +256,8 @@ class KnownTransitions:
     def find_exactly(
         self, features: NDArray[np.float64], states: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """[P] the hypotheses' transitions with these features [P, F] between these states [P, 2];
-        −1 where there is none."""
+        """[P] the transitions of the hypotheses with these features [P, F] and states [P, 2]; −1 if
+        there is none."""
         return places(np.hstack([states, features.astype(np.float32)]), self._exact)
 
     @cached_property
@@ -264,13 +265,17 @@ class KnownTransitions:
         return numbered(self.features)
 
     def find(self, features: NDArray[np.floating]) -> NDArray[np.int64]:
-        """[P] where rows of features [P, F] are; −1 where the hypotheses do not know them."""
+        """[P] indices of rows of features [P, F]; −1 for rows that the hypotheses do not
+        contain."""
         return places(features.astype(np.float32), self._place)
 
 
 def _with_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
-    """With each candidate those who believe one fact more incorrectly that has a message, but that
-    no candidate believes incorrectly; and these facts. Their labels are as without it."""
+    """Adds unwritten facts: facts with a message that no candidate believes incorrectly.
+
+    For each candidate and unwritten fact there is a further candidate who also believes this fact
+    incorrectly, with the same labels. Returns the hypotheses and the unwritten facts.
+    """
     written = int(np.bitwise_or.reduce(hypotheses.facts))
     open_facts = [1 << j for j in range(hypotheses.n_messages) if not written >> j & 1]
     candidates = len(hypotheses.facts)
@@ -297,28 +302,28 @@ def _certain(held: NDArray[np.int64], unwritten: int) -> NDArray[np.float64]:
 
 
 DEVIATION = np.array([0.0005, 0.005, 0.05, 1 / 3])
-"""δ is one of these; the last is that of people whom no hypothesis fits."""
+"""The possible values of δ; the last is for people whom no hypothesis fits."""
 DEVIATION_PRIOR = np.array([0.9, 0.06, 0.03, 0.01])
 DISPUTED = 20.0
-"""δ is so much larger, up to ⅓, where variants of the hypotheses disagree."""
+"""Factor on δ where variants of the hypotheses disagree; the product is at most ⅓."""
 ERROR = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
-"""ε is one of these, as likely each."""
+"""The possible values of ε, equally likely."""
 
 
 def by_level(label: NDArray[np.int64]) -> NDArray[np.float64]:
-    """log P(answer | f, ε) of answers [P] for f = 0 and 1 and every level of ε: [P, 2, E]."""
+    """[P, 2, E] log P(answer | f, ε) of answers [P], for f = 0 and 1 and every level of ε."""
     right = label[:, None] == np.arange(2)
     return np.asarray(np.where(right[:, :, None], np.log1p(-ERROR), np.log(ERROR)))
 
 
 SCALE = np.array([0.05, 0.15, 0.4, 1.0, 2.0])
-"""Of people of one type all slips, guesses and errors may be so many times those learned of
-everybody, each as likely: what many contradict is f rather than a slip, if f fits as well."""
+"""Possible factors of one type on all learned slips, guesses and error rates, equally likely. Many
+contradictions in a cell are then explained by f rather than by slips if f fits as well."""
 
 
 def scaled(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArray[np.float64]:
-    """log P(answer | f) [P, 2] of answers [P], errors being by a level of :data:`SCALE` more or
-    less: [P, 2, E]."""
+    """[P, 2, E] log P(answer | f) of answers [P], with error rates multiplied by each level of
+    :data:`SCALE`; ``given`` [P, 2] holds the values without a factor."""
     right = label[:, None] == np.arange(2)
     wrong = np.exp(np.where(right, np.log(-np.expm1(given)), given))[:, :, None] * SCALE
     wrong = np.minimum(wrong, 0.45)
@@ -327,12 +332,13 @@ def scaled(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArray[np.f
 
 @dataclass(frozen=True)
 class Cells:
-    """Answers of people of one type by cell, for each of R fact sets that the type may have.
+    """The cells of the answers of one type, for each of R fact sets that the type may have.
 
     Attributes:
-        which: [N] number of the fact set that a cell belongs to.
+        which: [N] index of the fact set of each cell.
         where: [R, P] the cell of each answer, by fact set.
-        key: [N] row of what is believed incorrectly · U + transition; ascending for each fact set.
+        key: [N] (index of the set of incorrect facts) · U + transition; ascending within a fact
+            set.
         one: [N, 1 + V, D] P(f = 1) before any answer, by variant and δ.
     """
 
@@ -343,7 +349,7 @@ class Cells:
 
     @classmethod
     def of(cls, known: KnownTransitions, answers: Answers, facts: NDArray[np.int64]) -> Cells:
-        """The cells of P answers, if people believed ``facts`` [R] incorrectly."""
+        """Finds the cells of P answers for people who believe ``facts`` [R] incorrectly."""
         held = known.hypotheses.row(facts[:, None] & ~answers.message_set)
         size = known.share[0].size
         key = held * known.share.shape[2] + answers.transition
@@ -352,14 +358,14 @@ class Cells:
         return cls(cells // size, where.reshape(held.shape), key, known.truth(key))
 
     def given(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
-        """log P(answers in the cell | f) for f = 0 and 1 and E levels of error, of log P(answer |
-        f) [P, 2, E]: [2, N, 1, 1, E]."""
+        """[2, N, 1, 1, E] log P(answers in the cell | f) for f = 0 and 1 and E error levels, from
+        log P(answer | f) ``given`` [P, 2, E]."""
         every = np.tile(given, (len(self.where), 1, 1))
         total = summed(every, self.where.ravel(), len(self.key))
         return np.moveaxis(total, 1, 0)[:, :, None, None]
 
     def log_likelihood(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
-        """log P(answers | R, variant, δ, level), of log P(answer | f) [P, 2, E]: [R, 1 + V, D,
-        E]."""
+        """[R, 1 + V, D, E] log P(answers | R, variant, δ, level), from log P(answer | f) ``given``
+        [P, 2, E]."""
         value = log_cell(self.one[..., None], *self.given(given))
         return summed(value, self.which, len(self.where))

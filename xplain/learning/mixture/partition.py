@@ -1,13 +1,13 @@
-"""Which fact sets observers have, and how their answers err.
+"""Finds the fact sets of observers and the error rates of their answers.
 
-At first a mixture over all people: shares of (fact set, variant, deviation), f of their cells,
-slips, guesses and error rates are found together by expectation maximisation, as in a diagnosis of
-skills (DINA), where f is given. All of it is soft: if each person had the type that suits their
-mistakes, nobody would seem to make any.
+First comes a mixture over all people. Expectation maximisation finds the shares of (fact set,
+variant, deviation), f of the cells, slips, guesses and error rates together, as in cognitive
+diagnosis (DINA), where f is given. All assignments are soft: with hard assignments each person
+would get the type that explains their mistakes, and nobody would seem to make any.
 
-Then types are shared by a Chinese restaurant process, as in :mod:`xplain.learning.mixture.sampler`.
-Nothing is sampled: hypotheses leave so few fact sets that the likeliest sharing is found by merging
-(benchmarks/README.md compares).
+Then a Chinese restaurant process assigns observers to types, as in
+:mod:`xplain.learning.mixture.sampler`. There is no sampling: hypotheses leave so few fact sets that
+merging finds the most likely partition (benchmarks/README.md compares).
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from xplain.learning.mixture.likelihood import (
 )
 
 ROUNDS, AS_SAID = 30, 5
-"""Of expectation maximisation; in the first ones f is as the hypotheses say."""
+"""Rounds of expectation maximisation, and the first rounds in which f follows the hypotheses."""
 STEPS = 3
-"""Towards other slips, guesses and error rates, in a round."""
+"""Updates of slips, guesses and error rates in one round."""
 
 
 def mixture(
@@ -48,18 +48,20 @@ def mixture(
     log_new: NDArray[np.float64],
     level: float,
 ) -> tuple[NDArray[np.float64], AnswerModel, NDArray[np.float64] | None]:
-    """P(fact set) of each person [O, R]; how answers err; and P(answer 1) of each person about all
-    rows of features that hypotheses know, with nothing told [O, U]: None where somebody was told
-    something.
+    """Fits the mixture over all people.
+
+    Returns P(fact set) of each person [O, R]; the error model of answers; and [O, U] P(answer 1) of
+    each person without messages, for all rows of features in the hypotheses. The last is None if
+    some people received messages.
 
     Args:
         known: the hypotheses.
-        answers: P of them.
-        person: [P] who gave it.
-        people: O, with those who gave none.
+        answers: P answers.
+        person: [P] the person who gave each answer.
+        people: O, including people without answers.
         facts: [R] candidates.
-        log_new: [R] log prior weight of each.
-        level: slips and guesses at first.
+        log_new: [R] log prior weight of each candidate.
+        level: initial slip and guess.
     """
     cells, questions = Cells.of(known, answers, facts), known.share.shape[2]
     group = cells.where.T.ravel()
@@ -76,11 +78,11 @@ def mixture(
         weight = softmax(joint, axis=(1, 2))  # [O, R, (1 + V) D]
         share = (weight.sum(axis=0) + prior) / (people + 1)
         others = softmax(joint[person] - log_each, axis=(1, 2))
-        f = (others * one).sum(axis=(1, 2))  # of each answer, by all others of its person
+        f = (others * one).sum(axis=(1, 2))  # of each answer, from the person's other answers
         made = answer_model.learned(each, f, questions, people, made, STEPS)
         given = made.log_given(*about)
-        said = weight[person] * np.diff(given)[:, :, None]  # for f = 1, by who may have given it
-        if turn >= AS_SAID:  # … and by all other answers in its cell
+        said = weight[person] * np.diff(given)[:, :, None]  # for f = 1, by the person's types
+        if turn >= AS_SAID:  # … and from all other answers in its cell
             total = summed(said.reshape(len(group), -1), group, len(cells.key))
             one = cell_posterior(before, total[group].reshape(said.shape) - said)
     assert isinstance(made, AnswerModel)
@@ -97,22 +99,23 @@ def mixture(
 
 
 CANDIDATE = 0.01
-"""A fact set starts as a candidate where somebody's own answers give it so much."""
+"""A fact set is a candidate at first if one person's own answers give it at least this
+posterior."""
 SURER = 1e-6
-"""Gain (log) of a move that is made."""
+"""Minimum gain in log probability of a move."""
 TRIED = 5
-"""Fact sets that are tried for a type that two would make."""
+"""Number of fact sets that are tried for two merged types."""
 
 
 class Partition(NamedTuple):
     """Types of observers.
 
     Attributes:
-        facts: [O] of each observer's type.
-        answers: how answers err, questions being the rows of features that hypotheses know.
-        expected: [O, U] P(answer 1) of each observer about every row of features that hypotheses
-            know, with nothing told, by a mixture over all people: it trusts hypotheses more than
-            types do. None where somebody was told something.
+        facts: [O] facts that each observer's type believes incorrectly.
+        answers: error model; its questions are the rows of features of the hypotheses.
+        expected: [O, U] P(answer 1) of each observer without messages, by the mixture over all
+            people, for every row of features. It trusts hypotheses more than types do. None if some
+            observers received messages.
     """
 
     facts: NDArray[np.int64]
@@ -121,12 +124,14 @@ class Partition(NamedTuple):
 
 
 def partition(known: KnownTransitions, observers: list[Answers], concentration: float) -> Partition:
-    """The likeliest sharing of types by observers: everybody's own best fact set at first, and
-    merges while they pay, before and after it is learned how answers err.
+    """Finds the most likely partition of observers into types.
+
+    At first each observer has their own best fact set. Types are merged while this increases the
+    probability, both before and after the error model is learned.
 
     Args:
         known: the hypotheses.
-        observers: the answers of each.
+        observers: the answers of each observer.
         concentration: α of the Chinese restaurant process.
     """
     search = _Search(known, observers, concentration)
@@ -146,7 +151,7 @@ def partition(known: KnownTransitions, observers: list[Answers], concentration: 
 def errors_of(
     known: KnownTransitions, observers: list[Answers], types: NDArray[np.int64]
 ) -> AnswerModel:
-    """How answers err, the types [O] of the observers being given."""
+    """Learns the error model of answers, given the types [O] of the observers."""
     search = _Search(known, observers, 1.0)
     search.alike()
     search.learn(search.best_of(types))
@@ -154,7 +159,7 @@ def errors_of(
 
 
 class _Search:
-    """What is known in :func:`partition`, whose state is an index into ``facts`` for each
+    """The data of the search in :func:`partition`. Its state is an index into ``facts`` for each
     observer."""
 
     def __init__(
@@ -164,13 +169,13 @@ class _Search:
         sizes = [len(one.label) for one in observers]
         self.person = np.repeat(np.arange(len(observers)), sizes)
         self.rows = np.split(np.arange(len(self.person)), np.cumsum(sizes)[:-1])
-        # One candidate stands for all that behave alike.
+        # One candidate represents all that behave alike.
         self.facts = reduce(np.union1d, [known.supported(answers) for answers in observers])
         self.log_new = np.log(concentration) + np.log(known.prior_of(self.facts))
 
     def alike(self) -> NDArray[np.float64]:
-        """All answers err as often, with the probability that makes them likeliest, everybody being
-        of a type of their own. Returns what each then believes incorrectly: [O, R]."""
+        """Sets one error rate for all answers: the most likely one if every observer is a type of
+        their own. Returns the posterior [O, R] of each observer's fact set."""
         levels = by_level(self.every.label)
         alone = np.stack([self._log_sum(rows, self.facts, levels) for rows in self.rows])
         alone += self.log_new[:, None]
@@ -179,8 +184,7 @@ class _Search:
         return np.asarray(softmax(alone[:, :, likely], axis=1))
 
     def learn(self, state: NDArray[np.int64]) -> AnswerModel:
-        """Learns how answers err, given the current types; the search uses this model from then
-        on."""
+        """Learns the error model given the current types. The search then uses it."""
         cell, priors, count = np.zeros(len(self.person), dtype=np.int64), [], 0
         for r in np.unique(state).tolist():
             rows = np.flatnonzero(state[self.person] == r)
@@ -196,12 +200,12 @@ class _Search:
         return made
 
     def heed(self, answers: AnswerModel) -> None:
-        """Uses this model of errors from now on."""
+        """Uses this error model from now on."""
         about = self.every.transition, self.person, self.every.label
         self.given = answers.log_given(*about)[:, :, None]
 
     def best_of(self, types: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The likeliest fact set of each type, given who is of it: [O]."""
+        """[O] the most likely fact set of each observer's type, given its members."""
         state = np.zeros(len(types), dtype=np.int64)
         for one in np.unique(types):
             members = np.flatnonzero(types == one)
@@ -209,21 +213,22 @@ class _Search:
         return state
 
     def _together(self, members: Sequence[int], facts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """log P(answers of the members | they are of one type R) of some fact sets: [R]."""
+        """[R] log P(answers of the members | all have type R), for some fact sets."""
         rows = np.concatenate([self.rows[o] for o in members])
         return self._log_sum(rows, facts, self.given)[:, 0]
 
     def _log_sum(
         self, rows: NDArray[np.int64], facts: NDArray[np.int64], given: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """log P(some answers | they are of one type R, level), log P(each answer | f) being
-        ``given`` [P, 2, E]: [R, E]."""
+        """[R, E] log P(some answers | all have type R, level), from log P(answer | f) ``given`` [P,
+        2, E]."""
         value = Cells.of(self.known, self.every.take(rows), facts).log_likelihood(given[rows])
         return np.asarray(logsumexp(value + self.known.log_prior[:, :, None], axis=(1, 2)))
 
     def merge(self, state: NDArray[np.int64]) -> None:
-        """Gives the type that gains most by it other facts that nobody has, or merges two under the
-        facts that then fit best, while one gains; in place."""
+        """Repeats the move with the highest gain while there is a gain; changes ``state`` in place.
+        A move gives a type an unused fact set, or merges two types under the fact set that fits
+        both best."""
         alone: dict[tuple[int, ...], NDArray[np.float64]] = {}
         both: dict[tuple[int, ...], float] = {}
         while True:

@@ -1,29 +1,28 @@
 r"""A generative model of labels: people believe some facts incorrectly, and each message corrects
 one fact.
 
-An observer is of a type R, the set of facts (= messages) that they believe incorrectly. Asked about
-transition τ under message set H, they still believe M = R \ H incorrectly, and the label depends on
-τ and M alone::
+An observer has a type R: the set of facts (= messages) that they believe incorrectly. Given message
+set H, they still believe M = R \ H incorrectly. Their label of transition τ depends only on τ and
+M::
 
     label(τ, H) = f_τ(M ∩ S_τ), flipped with probability ε_τ
 
-f_τ is a table of 0 and 1 over the few facts S_τ that matter at τ. Nothing of this is given: f, S
-and ε are learned from everybody's labels together, so that independent questions, which are hardly
-ever the same, still inform the same parameters. The assumptions are the paper's: a message about a
-fact that a person knows changes nothing, and people who believe the same facts incorrectly expect
-the same.
+f_τ is a table of 0 and 1 over the few facts S_τ that matter at τ. f, S and ε are learned from the
+labels of all observers together, so different questions still inform the same parameters. The
+paper's assumptions hold: a message about a fact that a person knows changes nothing, and people who
+believe the same facts incorrectly expect the same.
 
-Inference is collapsed Gibbs sampling (f integrated out, cell by cell: a Beta-like two-point prior
-makes the predictive probability a function of ones − zeros): R of each observer given the
-others' answers, then (S_τ, ε_τ) of each transition. Types are shared by a Chinese restaurant
-process (Neal 2000, "Markov chain sampling methods for Dirichlet process mixture models"), its
-base measure uniform over fact sets.
+Inference is collapsed Gibbs sampling (f integrated out, for each cell: with a two-point prior the
+predictive probability depends only on ones − zeros). It draws R of each observer given the others'
+answers, then (S_τ, ε_τ) of each transition. A Chinese restaurant process assigns observers to types
+(Neal 2000, "Markov chain sampling methods for Dirichlet process mixture models"), with a uniform
+base measure over fact sets.
 
-A sweep draws (S, ε) of every transition, then R of every observer, then tries to split and merge
-whole types where observers are many: after Jain & Neal (2004), "A split-merge Markov chain Monte
-Carlo procedure for the Dirichlet process mixture model", in its plain form: the observers that are
-split off are drawn at random, without Gibbs scans in between. Without such moves two types that
-answer alike become one, observer by observer, only in as many sweeps as they have observers.
+A sweep draws (S, ε) of every transition, then R of every observer. With many observers it then
+tries to split and merge whole types, after Jain & Neal (2004), "A split-merge Markov chain Monte
+Carlo procedure for the Dirichlet process mixture model", in its plain form: the observers of a new
+type are drawn at random, without Gibbs scans. Without these moves two types with equal answers
+merge only one observer at a time, which takes as many sweeps as they have observers.
 """
 
 from __future__ import annotations
@@ -57,24 +56,24 @@ from xplain.learning.user_types import Clusterer
 from xplain.randomness import derived_seed, stream
 
 NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
-"""ε_τ is one of these; how often each occurs is learned."""
+"""The possible values of ε_τ; their shares are learned."""
 CELL = np.array([0.25, 0.98])
-"""P(f_τ = 1) before any answer: where a fact that matters is believed incorrectly, which mostly
-makes people wonder, and where none is."""
+"""P(f_τ = 1) before any answer: with a relevant fact believed incorrectly (then most people find
+the transition inexplicable), and without one."""
 SUBSET = 0.5
-"""Each further fact that matters at a transition halves the prior of S_τ."""
+"""Each further fact in S_τ multiplies its prior by this factor."""
 
 
 class SortedLabels(NamedTuple):
-    """The labels of a dataset, sorted by observer and, of each observer, by transition.
+    """The labels of a dataset, sorted by observer, then by transition.
 
     P labels by O observers on T transitions.
 
     Attributes:
         start: [O + 1] int64 first row of each observer.
         transition, message_set, label, owner: [P] int64; ``owner`` is the observer.
-        rows: [P] int64 the rows of everybody in the order of their transition.
-        transition_start: [T + 1] int64 where each transition starts in ``rows``.
+        rows: [P] int64 all rows, sorted by transition.
+        transition_start: [T + 1] int64 first index of each transition in ``rows``.
         n_messages: n.
     """
 
@@ -108,18 +107,19 @@ class SortedLabels(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What is known of f, S and ε before any answer, as tables to look up.
+    """Tables of the prior of f, S and ε.
 
     Z subsets of at most ``depth`` facts, E levels of noise.
 
     Attributes:
-        subsets: [Z, depth] int64 positions of the facts of each possible S_τ, −1 where fewer.
-        size: [Z] int64 how many facts each has.
+        subsets: [Z, depth] int64 facts of each possible S_τ, padded with −1.
+        size: [Z] int64 number of facts in each subset.
         members: [Z] int64 the same facts as a bitmask.
-        log_subset: [Z] log prior.
-        log_block: [depth + 1] log P(the facts among which S_τ is sought | S_τ), by its size.
+        log_subset: [Z] log prior of each subset.
+        log_block: [depth + 1] log P(the block of facts that S_τ is drawn from | S_τ), by the size
+            of S_τ.
         predictive: [2, E, 2 · REACH + 1, 2] log P(next label | is M ∩ S empty, ε, ones − zeros).
-        marginal: [2, E, 2 · REACH + 1] log marginal likelihood of a cell beyond that of f = 1.
+        marginal: [2, E, 2 · REACH + 1] log marginal likelihood of a cell, relative to f = 1.
         log_flip: [E, 2] log(1 − ε) and log ε.
     """
 
@@ -134,7 +134,7 @@ class Prior(NamedTuple):
 
     @classmethod
     def of(cls, n: int, depth: int) -> Prior:
-        """Makes the prior for n messages, of which at most ``depth`` matter at a transition."""
+        """Computes the prior for n messages, of which at most ``depth`` matter at a transition."""
         depth = min(depth, n)
         chosen = [one for size in range(depth + 1) for one in combinations(range(n), size)]
         subsets = np.full((len(chosen), max(depth, 1)), -1, dtype=np.int64)
@@ -161,17 +161,17 @@ class Prior(NamedTuple):
 
 
 class ChainState(NamedTuple):
-    """One state of a chain, and what is counted of it. A step overwrites the arrays.
+    """One state of a chain, with its counts. A step overwrites the arrays.
 
     Attributes:
         facts: [O] int64, R of each observer.
         subset: [T] int64, S_τ as an index into :attr:`Prior.subsets`.
         noise: [T] int64, ε_τ as an index into :data:`NOISE`.
         log_noise: [E] log share of each level of noise.
-        messages_given: [P] int64 the messages about S_τ that each answer was given, packed into
-            the lowest bits.
+        messages_given: [P] int64 the messages about S_τ that were given before each answer, packed
+            into the lowest bits.
         counts: [T, 2^depth, 2] int64 labels 0 and 1 by cell (τ, M ∩ S_τ).
-        order: [n] int64 the messages, those that were tried last for an observer first.
+        order: [n] int64 the messages; the block that was last tried for an observer comes first.
     """
 
     facts: NDArray[np.int64]
@@ -188,8 +188,8 @@ class ChainState(NamedTuple):
 
 
 def facts_that_matter(prior: Prior, state: ChainState) -> int:
-    """The facts that matter at some transition, as a bitmask: types that differ in others only
-    are behaviourally one."""
+    """The facts that matter at some transition, as a bitmask. Types that differ only in other facts
+    behave alike."""
     return int(np.bitwise_or.reduce(prior.members[state.subset]))
 
 
@@ -197,11 +197,11 @@ class Chain(NamedTuple):
     """One run of the sampler.
 
     Attributes:
-        best: the chain's state of the highest score.
-        score: log of that state's joint probability with the labels, f integrated out, and up to
-            12 messages S and ε summed out.
-        types: [sweeps / 2] int64, types that differ, after each sweep that counts (heated ones do
-            not).
+        best: the state with the highest score.
+        score: log joint probability of that state and the labels, with f integrated out; for up to
+            12 messages S and ε are summed out too.
+        types: [sweeps / 2] int64, number of distinct types after each sweep of the second half (the
+            first half is heated).
     """
 
     best: ChainState
@@ -220,8 +220,8 @@ def sample(
 ) -> Chain:
     """Runs a chain from R = ``first`` [O].
 
-    Over the first half of the sweeps probabilities are taken to the power 1 / temperature, the
-    temperature falling from ``initial_temperature`` to 1.
+    In the first half of the sweeps probabilities are raised to the power 1 / temperature; the
+    temperature falls from ``initial_temperature`` to 1.
     """
     n, observers = answers.n_messages, len(first)
     log_new = math.log(concentration) - n * math.log(2)
@@ -229,7 +229,7 @@ def sample(
     best, best_score = state, -np.inf
     types = np.zeros(sweeps, dtype=np.int64)
     for sweep in range(sweeps):
-        # From the initial temperature straight down to 1 over the first half, 1 from there on.
+        # Falls linearly to 1 over the first half, then stays at 1.
         heat = max(1.0 - sweep / max(sweeps // 2, 1), 0.0)
         temperature = 1.0 + (initial_temperature - 1.0) * heat
         score = resample_transitions(answers, prior, state, temperature, rng)
@@ -252,8 +252,8 @@ def sample(
 
 
 def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> ChainState:
-    """The state in which observers believe ``first`` [O] incorrectly, no fact matters anywhere, and
-    all levels of noise are equally likely; nothing is counted yet."""
+    """The state in which observers believe ``first`` [O] incorrectly, no fact matters, and all
+    noise levels are equally likely. It has no counts yet."""
     transitions, levels = len(answers.transition_start) - 1, len(prior.log_flip)
     return ChainState(
         facts=first.copy(),
@@ -267,14 +267,15 @@ def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> Chain
 
 
 def _log_restaurant(members: NDArray[np.int64], log_new: float) -> float:
-    """log P(who shares a type, and each type's fact set) of types with ``members`` [K]."""
+    """log P(partition of the observers, and each type's fact set) for types with ``members``
+    [K]."""
     return sum(log_new + lgamma(size) for size in members.tolist())
 
 
 MANY_OBSERVERS = 100
-"""Observers from which types are moved whole too."""
+"""Number of observers from which whole types are moved too."""
 MOVES = 20
-"""So many of these moves are tried in a sweep."""
+"""Split and merge moves in one sweep."""
 
 
 def split_merge(
@@ -285,12 +286,12 @@ def split_merge(
     temperature: float,
     rng: np.random.Generator,
 ) -> None:
-    """Tries MOVES moves by Metropolis-Hastings; ``state`` is overwritten.
+    """Tries MOVES Metropolis-Hastings moves; overwrites ``state``.
 
     Args:
-        answers, prior, state: of the sampler.
-        log_new: log weight of a fact set that nobody holds, in the Chinese restaurant process.
-        temperature: of the target.
+        answers, prior, state: see :func:`sample`.
+        log_new: log weight of an unused fact set in the Chinese restaurant process.
+        temperature: temperature of the target distribution.
         rng: the chain's stream.
     """
     now = log_likelihood(state, prior)
@@ -303,7 +304,7 @@ def split_merge(
 
 
 def merge_types(answers: SortedLabels, prior: Prior, state: ChainState, log_new: float) -> float:
-    """Lets a type take the fact set of another wherever that makes ``state`` likelier.
+    """Gives a type the fact set of another wherever this makes ``state`` more likely.
 
     Returns:
         The total increase of the log-likelihood.
@@ -333,8 +334,8 @@ def _take(
     prior: Prior,
     state: ChainState,
 ) -> float:
-    """Gives observers who share a type the fact set ``new``, where that makes the labels likelier
-    by more than ``least`` than the log-likelihood ``now``; returns by how much (0: it does not)."""
+    """Gives all observers of a type the fact set ``new`` if the log-likelihood then exceeds ``now``
+    by more than ``least``. Returns the gain, or 0 without a change."""
     old, counts = state.facts[members[0]], state.counts.copy()
     relabel(members, new, answers, prior, state)
     gain = float(log_likelihood(state, prior)) - now
@@ -348,10 +349,12 @@ def _take(
 def _propose(
     facts: NDArray[np.int64], n: int, urn: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], int, float, float] | None:
-    """A merge, by which all of a type take the fact set of another, or a split, by which a part of
-    it, of random size, takes one that nobody holds: its observers, their new fact set, and the log
-    ratios of the prior after and before, and of the probabilities to propose the way back and this.
-    None: there is no such type or part."""
+    """Proposes a merge (all observers of a type take the fact set of another) or a split (a random
+    part of a type takes an unused fact set).
+
+    Returns the observers, their new fact set, the log ratio of the priors (after / before), and the
+    log ratio of the proposal probabilities (back / forth). None if there is no such type or part.
+    """
     used = np.unique(facts)
     a = rng.integers(0, len(used))
     members = np.flatnonzero(facts == used[a])
@@ -373,13 +376,14 @@ def _propose(
 
 
 def _log_merged(size: int, others: int, urn: float) -> float:
-    """log P(one type) − log P(two types) under Pólya's urn, which begins with ``urn`` balls of the
-    colour of each fact set."""
+    """log P(one type) − log P(two types) under Pólya's urn with ``urn`` balls of each fact set at
+    first."""
     return lgamma(size + others + urn) + lgamma(urn) - lgamma(size + urn) - lgamma(others + urn)
 
 
 def _log_ways(whole: int, part: int) -> float:
-    """log of the ways to choose a part of 1 … whole − 1, all sizes equally likely."""
+    """log of the inverse probability to choose a part of ``whole`` observers; all sizes 1 … whole −
+    1 are equally likely."""
     choose = lgamma(whole + 1) - lgamma(part + 1) - lgamma(whole - part + 1)
     return math.log(whole - 1) + choose
 
@@ -388,25 +392,25 @@ log = logging.getLogger(__name__)
 
 FEWEST_SWEEPS = 20
 MANY = 38
-"""Messages of which there are too many sets of four."""
+"""Number of messages above which there are too many sets of four facts."""
 MAX_SUBSETS = 1 << 15
-"""Fact sets S that may matter at a transition; all are weighed in every sweep."""
+"""Maximum number of candidates for S; every sweep weighs all of them."""
 
 
 @checks("clusterer")
 @dataclass(frozen=True)
 class DirichletMixture(Clusterer):
-    """Finds types by Gibbs sampling. The sampled state of the highest joint probability is the
-    result.
+    """Finds types by Gibbs sampling. The result is the sampled state with the highest joint
+    probability.
 
     Attributes:
-        concentration: α > 0 of the Chinese restaurant process; more makes new types likelier.
-        depth: facts that may matter together at one transition; None: 5; 4 for more than 12
-            messages, or for so many observers that chains stop early (``updates``) and would not
-            converge among more sets of facts; 3 for more than 38 messages.
-        chains: independent runs; half start from one type, half from types at random.
+        concentration: α > 0 of the Chinese restaurant process; a larger α makes new types more
+            likely.
+        depth: maximum number of facts in S_τ. None chooses 5, or 4 for more than 12 messages or for
+            so many observers that ``updates`` ends chains early, or 3 for more than 38 messages.
+        chains: independent runs; half of them start with one type, half with random types.
         sweeps: sweeps of each chain; the first half are heated. Large data need few.
-        updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
+        updates: a chain stops after this many updates of an observer (but not before 20 sweeps).
         heat: initial temperature.
     """
 
@@ -418,15 +422,14 @@ class DirichletMixture(Clusterer):
     heat: Annotated[float, Range(1)] = 4.0
 
     def cluster(self, observed: Observed, seed: int) -> Clustering:
-        """Types, what each needs to be told, and the posterior over their number.
+        """Finds the types, the messages that each needs, and the posterior over their number.
 
-        Where nobody was told anything, types are classes of answers
-        (:mod:`xplain.learning.mixture.classes`). Hypotheses of what people might believe
-        incorrectly, where the trainer has some, take the place of the prior over which facts matter
-        where.
+        Without messages in the data, types are classes of answers
+        (:mod:`xplain.learning.mixture.classes`). If the trainer has hypotheses, they replace the
+        prior over S.
 
         Raises:
-            TooLargeError: ``depth`` is too large for so many messages.
+            TooLargeError: ``depth`` is too large for the number of messages.
         """
         seed, dataset = derived_seed(seed, "clusterer"), observed.dataset
         found = self.labeler.given(observed).cluster(dataset, self.concentration)
@@ -443,8 +446,7 @@ class DirichletMixture(Clusterer):
         return found
 
     def _sampled(self, dataset: Dataset, seed: int) -> Clustering:
-        """Finds types by sampling fact sets, for data in which some answers were given under
-        messages."""
+        """Finds types by sampling fact sets, for data with messages."""
         observers, n = len(dataset.observers), dataset.n_messages
         long = observers * self.sweeps <= self.updates
         usual = 5 if n <= WIDE and long else 4 if n <= MANY else 3
@@ -483,10 +485,10 @@ class DirichletMixture(Clusterer):
 
 
 def _errors(dataset: Dataset, prior: Prior, state: ChainState) -> AnswerModel:
-    """Slips, guesses and error rates, were the cells of all answers those of ``state``.
+    """Estimates slips, guesses and error rates, given the cells of ``state``.
 
-    The sampler itself has one rate of errors a transition: an observer's own would make labels of a
-    cell differ in weight, where its tables know their difference alone.
+    The sampler itself has one error rate for each transition. With an error rate for each observer
+    the labels of a cell would have different weights, and its tables hold only ones − zeros.
     """
     held = state.facts[dataset.observer] & ~dataset.message_set
     matters = held & prior.members[state.subset[dataset.transition]]
@@ -495,8 +497,8 @@ def _errors(dataset: Dataset, prior: Prior, state: ChainState) -> AnswerModel:
     label = dataset.label.astype(np.int64)
     about = CellAnswers(cell.ravel(), dataset.transition, dataset.observer, label)
     wrong = float(np.exp(state.log_noise) @ NOISE)
-    # How many cells are 1 is seen in the answers: where few answers share a cell, a share that is
-    # too low would pass for guesses.
+    # The share of cells with label 1 is estimated from the answers: with few answers in each
+    # cell, a share that is too low would be taken for guesses.
     kind = (matters > 0).astype(np.int64)
     ones = np.bincount(kind, label, 2) / np.bincount(kind, minlength=2).clip(1)
     one = ((ones - wrong) / (1 - 2 * wrong)).clip(0.02, 0.98)[(cells[1] > 0).astype(np.int64)]
