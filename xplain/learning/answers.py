@@ -1,4 +1,4 @@
-"""An answer is not a label: f is what a person thinks, y what they click.
+"""The error model of answers: the label f is what a person thinks, the answer y is what they say.
 
 Question τ has a slip s and a guess g, person i an error rate e::
 
@@ -6,12 +6,13 @@ Question τ has a slip s and a guess g, person i an error rate e::
 
 Slips and guesses are those of the DINA model (Junker & Sijtsma 2001, "Cognitive assessment models
 with few assumptions"), where f says whether a person has all skills that an item needs; the error
-rate is added. All three are learned from everybody's answers by empirical Bayes. Errors that all
-people share cannot be told from slips that all questions share: they are taken to be slips, as the
-likeliest error rate of the population is 0. What most of a type answer is what they think: a slip
-or a guess is less likely than ½, and never explains such a majority. Slips and guesses have one
-mean, towards which those of a question are shrunk: if slips seem more frequent than guesses over
-all questions, more likely f differs from what was expected.
+rate is added. Empirical Bayes learns all three from the answers of all people.
+
+Errors of all people and slips at all questions have the same effect. They are counted as slips: the
+most likely error rate in the population is 0. The majority answer of a type is its label: slips and
+guesses are below ½ and never explain a majority. Slips and guesses of questions are shrunk to one
+common mean. If slips seem more frequent than guesses over all questions, then f probably differs
+from its prior.
 """
 
 from __future__ import annotations
@@ -27,38 +28,38 @@ from scipy.special import betaln, softmax
 from xplain.explanation.habits import UNKNOWN, Habits
 
 RATES, RATE_PRIOR = map(np.array, UNKNOWN["error"])
-"""The error rates e that are told apart, here as in explanations, and their probabilities where no
-answers were learned from."""
+"""The possible error rates e, here and in explanations, and their prior without answers."""
 PEOPLE = 2.0
-"""This prior counts as so many people."""
+"""This prior counts as this number of people."""
 MEAN = 0.02
-"""Mean of slips and of guesses before any answer."""
+"""Prior mean of slips and of guesses."""
 WEIGHT = 50.0
-"""The prior of :data:`MEAN` weighs as much as so many answers."""
+"""The prior of :data:`MEAN` counts as this number of answers."""
 SHRINKAGE = np.array([16.0, 32, 64, 128])
-"""Answers of which the mean of all questions has the weight for each of them: the one of these
-that makes the answers likeliest."""
+"""Possible weights of the mean over all questions, in answers to each question. The one with the
+highest likelihood is used."""
 LOWEST, HIGHEST = 0.002, 0.45
-"""Slips and guesses stay between."""
+"""Range of slips and guesses."""
 MAJORITY = 3
-"""A cell with so many answers has a majority."""
+"""A cell has a majority from this number of answers."""
 DEVIATES = 0.05
-"""In a cell with a majority, f differs from what is expected with at least this probability while
-slips are learned: what most of a type answer is what they think."""
+"""While slips are learned, f of a cell with a majority differs from its prior with at least this
+probability, because the majority answer of a type is its label."""
 STEPS = 60
-"""Steps of the expectation maximisation, at most; it ends when nothing moves by more than STILL."""
+"""Maximum number of steps of expectation maximisation. It ends earlier if no value changes by more
+than STILL."""
 STILL = 1e-4
 
 
 @dataclass(frozen=True)
 class AnswerModel:
-    """How labels become answers, of T questions and O people.
+    """The error model for T questions and O people.
 
     Attributes:
-        slip, guess: [T + 1] P(a = 0 | f = 1) and P(a = 1 | f = 0) of each question; the last are
-            those of a question that nobody answered. slip + guess < 1.
-        person: [O + 1, E] posterior over :data:`RATES` of each person; the last row is of a person
-            who gave no answer.
+        slip, guess: [T + 1] P(a = 0 | f = 1) and P(a = 1 | f = 0) of each question; the last entry
+            is for a question without answers. slip + guess < 1.
+        person: [O + 1, E] posterior over :data:`RATES` of each person; the last row is for a person
+            without answers.
     """
 
     slip: NDArray[np.float64]
@@ -72,40 +73,40 @@ class AnswerModel:
 
     @property
     def habits(self) -> Habits:
-        """Habits of the next person at a question that nobody answered. Slips and guesses are one
-        symmetric rate; the answers say nothing about messages that do not land."""
+        """Habits of an unknown person at an unknown question. Slips and guesses become one
+        symmetric rate. Answers give no information about messages that do not land."""
         mean, whole = (self.slip[-1] + self.guess[-1]) / 2, np.ones(len(RATES))
         return Habits(mean + RATES * (1 - 2 * mean), whole, 0 * whole, self.prior)
 
     def log_given(
         self, question: NDArray[np.int64], person: NDArray[np.int64], label: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """log P(y | f = 0 and 1) of P answers: [P, 2]. The index −1 stands for an unknown question
-        or person, for which the mean of all is taken."""
+        """[P, 2] log P(y | f = 0 and 1) of P answers. Index −1 is an unknown question or person; it
+        has the mean of all."""
         each = self.likelihood(question, label)
         return np.asarray(np.log((each * self.person[person][:, None, :]).sum(axis=2)))
 
     def likelihood(
         self, question: NDArray[np.int64], label: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(y | f, e) of P answers: [P, 2, E]."""
+        """[P, 2, E] P(y | f, e) of P answers."""
         one = self.given(question)
         return np.asarray(np.where(label[:, None, None] == 1, one, 1 - one))
 
     def given(self, question: NDArray[np.int64]) -> NDArray[np.float64]:
-        """P(y = 1 | f, e) of P questions: [P, 2, E]."""
+        """[P, 2, E] P(y = 1 | f, e) of P questions."""
         return answered(self.slip[question], self.guess[question])
 
     def wrong(self, question: NDArray[np.int64], person: NDArray[np.int64]) -> float:
-        """Share of these answers [P] that differ from what the person thinks, if f = 0 and f = 1
-        are equally likely."""
+        """Share of these answers [P] that differ from the label, if f = 0 and f = 1 are equally
+        likely."""
         slip = (self.slip[question] + self.guess[question]) / 2
         rate = self.person[person] @ RATES
         return float((slip + rate * (1 - 2 * slip)).mean())
 
 
 def answered(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
-    """P(y = 1) of P questions by f = 0, 1 and error rate: [P, 2, E]."""
+    """[P, 2, E] P(y = 1) of P questions for f = 0, 1 and each error rate."""
     one = np.stack([guess, 1 - slip], axis=-1)[..., None]
     return np.asarray((1 - RATES) * one + RATES * (1 - one))
 
@@ -113,15 +114,14 @@ def answered(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[n
 def truth(
     one: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """P(f = 1) of cases whose answers are 1 with probability ``one``. Answers are 1 with
-    probability ``low`` where f is 0, and ``high`` where f is 1. So an accuracy measured on answers
-    becomes one about f."""
+    """P(f = 1) of cases with P(y = 1) ``one``, where P(y = 1) is ``low`` for f = 0 and ``high`` for
+    f = 1. It converts an accuracy measured on answers into an accuracy about f."""
     return np.asarray(((one - low) / (high - low)).clip(0.0, 1.0))
 
 
 class CellAnswers(NamedTuple):
-    """P answers: ``cell`` [P], which share one f, ``question`` [P], ``person`` [P] and ``label``
-    [P], of 0 and 1."""
+    """P answers: ``cell`` [P], ``question`` [P], ``person`` [P] and ``label`` [P] (0 or 1). All
+    answers of a cell have the same f."""
 
     cell: NDArray[np.int64]
     question: NDArray[np.int64]
@@ -137,17 +137,17 @@ def learned(
     start: AnswerModel | float = MEAN,
     steps: int = STEPS,
 ) -> AnswerModel:
-    """Slips, guesses and error rates by expectation maximisation.
+    """Learns slips, guesses and error rates by expectation maximisation.
 
-    Belief propagation computes what each answer tells about its cell's f and its person's rate,
-    given all other answers. It is exact where no two people share two cells.
+    For each answer, belief propagation computes the evidence of all other answers about its cell's
+    f and its person's rate. It is exact if no two people share two cells.
 
     Args:
-        answers: P of them.
+        answers: P answers.
         prior: [C] P(f = 1) of each cell before any answer.
-        questions, people: T and O, with those who gave no answer.
-        start: where to begin, or slips and guesses at first.
-        steps: at most.
+        questions, people: T and O, including those without answers.
+        start: initial model, or initial slip and guess.
+        steps: maximum number of steps.
     """
     counted = np.bincount(answers.cell, minlength=len(prior))
     off = np.where(counted >= MAJORITY, DEVIATES, 1e-6)
@@ -157,7 +157,7 @@ def learned(
     else:
         slip, guess = np.full((2, questions + 1), max(start, LOWEST))
         share = RATE_PRIOR
-    rate = np.tile(share, (len(answers.cell), 1))  # [P, E] of each answer's person, by the others'
+    rate = np.tile(share, (len(answers.cell), 1))  # [P, E] from the person's other answers
     for _ in range(steps):
         before = np.concatenate([slip, guess, share])
         one = answered(slip[answers.question], guess[answers.question])
@@ -179,7 +179,7 @@ def learned(
 def summed(
     values: NDArray[np.float64], group: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
-    """Sums of ``values`` [N, …] by group [N]: [count, …]."""
+    """[count, …] sums of ``values`` [N, …] by group [N]."""
     columns = values.reshape(len(values), prod(values.shape[1:])).T
     total = np.stack([np.bincount(group, column, count) for column in columns], axis=1)
     return np.asarray(total.reshape(count, *values.shape[1:]))
@@ -188,12 +188,12 @@ def summed(
 def _others(
     values: NDArray[np.float64], group: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
-    """For each row the sum of the other rows of its group: [P, K]."""
+    """[P, K] for each row, the sum of the other rows of its group."""
     return np.asarray(summed(values, group, count)[group] - values)
 
 
 def _population(person: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[E] how many people have which error rate; 0 is the likeliest."""
+    """[E] distribution of error rates over people; 0 is the most likely rate."""
     share = (person.sum(axis=0) + PEOPLE * RATE_PRIOR) / (len(person) + PEOPLE)
     share[0] = share.max()
     return np.asarray(share / share.sum())
@@ -205,9 +205,8 @@ def _slips(
     weight: NDArray[np.float64],
     answers: CellAnswers,
 ) -> NDArray[np.float64]:
-    """Slips and guesses [2, T + 1] of answers whose f and error rate have the probabilities
-    ``weight`` [P, 2, E]. A person's earlier answers tell how much of them is that person's own
-    error."""
+    """[2, T + 1] slips and guesses, from P(f, error rate) ``weight`` [P, 2, E] of each answer. A
+    person's earlier answers show which part of the errors is that person's own error rate."""
     question, counts = answers.question, np.zeros((2, 2, len(slip) - 1))
     for f, before in ((1, slip), (0, guess)):
         unlike = (answers.label != f)[:, None]

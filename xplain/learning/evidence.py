@@ -1,8 +1,8 @@
-"""Evidence of hypotheses against labels alone: how well each predicts answers before it learns
-from them (prequential: Dawid 1984, "Statistical theory: the prequential approach").
+"""Evidence of hypotheses against labels alone: how well each predicts answers before it learns from
+them (prequential: Dawid 1984, "Statistical theory: the prequential approach").
 
-Answers come in the order in which each observer gave them, a quarter of everybody's at a time; each
-quarter is predicted from the quarters before, by observers of the same type.
+Answers are in the order in which each observer gave them, and are split into quarters. Each quarter
+is predicted from the earlier quarters of observers of the same type.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ from numpy.typing import NDArray
 from xplain.learning.data.dataset import Dataset
 
 PARTS = 4
-"""Parts of each observer's answers; the first part is learned from, and not predicted."""
+"""Parts of each observer's answers; the first part is not predicted."""
 BEFORE = 10.0
-"""Hypotheses are believed as if so many answers before had been theirs alone."""
+"""Prior weight of the hypotheses, in answers."""
 LEAST = 0.01
-"""Weight of hypotheses, at least."""
+"""Minimum weight of hypotheses."""
 WORSE, BEATEN = float(np.log(20)), 20.0
-"""Log evidence against hypotheses from which on this is said, and from which on they are given up
-for labels alone: given up in vain they cost more than kept in vain."""
+"""Log evidence against hypotheses from which a warning is logged, and from which labels alone
+replace them. The second is larger, because a wrong replacement costs more than a wrong
+hypothesis."""
 DOUBTED = 0.5
-"""Hypotheses are doubted of a type where this is less than the probability that they err often."""
+"""Hypotheses of a type are doubted if P(they are often wrong) exceeds this value."""
 COIN = float(np.log(2))
 
 Predict = Callable[[Dataset, Dataset], NDArray[np.float64]]
-"""log P of each label of the second dataset, by what is learned from the first: [Q]."""
+"""Returns [Q] log P of each label of the second dataset, learned from the first."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,12 @@ class Evidence:
     """Predictions of Q answers by observers of N types.
 
     Attributes:
-        hypotheses: [Q] log P of each answer, by hypotheses.
-        labels: [Q] the same, by labels alone.
-        of_type: [Q] the type of the observer who gave it.
+        hypotheses: [Q] log P of each answer by the hypotheses.
+        labels: [Q] log P of each answer by labels alone.
+        of_type: [Q] type of the observer who gave the answer.
         doubt: [N] P(people of a type disagree with the hypotheses at one transition in twenty, or
             more).
-        unwritten: [N] P(people of a type believe something incorrectly that is in no hypothesis).
+        unwritten: [N] P(people of a type believe a fact incorrectly that no hypothesis contains).
     """
 
     hypotheses: NDArray[np.float64]
@@ -54,7 +55,7 @@ class Evidence:
 
     @property
     def nats(self) -> tuple[float, float]:
-        """Mean −log P of an answer by hypotheses, and by labels alone; a coin's if no answer was
+        """Mean −log P of an answer by hypotheses, and by labels alone; log 2 if no answer was
         predicted."""
         if not len(self.of_type):
             return COIN, COIN
@@ -62,36 +63,36 @@ class Evidence:
 
     @property
     def trust(self) -> NDArray[np.float64]:
-        """[N] weight of the hypotheses of each type; labels alone have the rest. It is 1, or what
-        :func:`stacked` finds if the hypotheses are doubted."""
+        """[N] weight of the hypotheses of each type; labels alone have the remaining weight. It is
+        1, or the weight of :func:`stacked` if the hypotheses are doubted."""
         types = (np.flatnonzero(self.of_type == t) for t in range(len(self.doubt)))
         weight = [stacked(self.hypotheses[own], self.labels[own]) for own in types]
         return np.where(self.doubt > DOUBTED, weight, 1.0)
 
     @property
     def against(self) -> float:
-        """Log evidence for labels alone, or for a coin, over hypotheses."""
+        """Log evidence against the hypotheses: for labels alone or for a fair coin."""
         own, others = self.nats
         return (own - min(others, COIN)) * len(self.of_type)
 
     @property
     def otherwise(self) -> int:
-        """Number of types that disagree with the hypotheses, or believe something incorrectly that
-        is in none of them."""
+        """Number of types that disagree with the hypotheses, or believe a fact incorrectly that no
+        hypothesis contains."""
         return int((np.maximum(self.doubt, self.unwritten) > DOUBTED).sum())
 
     @property
     def lost(self) -> bool:
-        """Whether the hypotheses do not fit: people of a type disagree, or hypotheses predict
+        """True if the hypotheses do not fit: people of a type disagree with them, or they predict
         worse."""
         return self.otherwise > 0 or self.against > WORSE
 
     @property
     def beaten(self) -> bool:
-        """Whether labels alone predict so much better that the hypotheses are given up.
+        """True if labels alone predict so much better that they replace the hypotheses.
 
-        A coin that predicts better does not count: where many answers are wrong, both hypotheses
-        and labels alone are overconfident after so few answers, and labels alone would be the only
+        A fair coin that predicts better does not count: with many wrong answers both hypotheses and
+        labels alone are overconfident after so few answers, and labels alone would be the only
         alternative.
         """
         own, others = self.nats
@@ -111,9 +112,9 @@ class Evidence:
 
 
 def stacked(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """The weight w in [LEAST, 1] that makes Σ log(w P₁ + (1 − w) P₂) + BEFORE log w largest, of
-    answers with log P ``first`` and ``second`` [Q] (Yao et al. 2018, "Using stacking to average
-    Bayesian predictive distributions")."""
+    """The weight w in [LEAST, 1] that maximises Σ log(w P₁ + (1 − w) P₂) + BEFORE log w. ``first``
+    and ``second`` [Q] are log P₁ and log P₂ of the answers (Yao et al. 2018, "Using stacking to
+    average Bayesian predictive distributions")."""
     from scipy.optimize import brentq
 
     ratio = np.exp(np.clip(second - first, -50, 50))
@@ -129,15 +130,15 @@ def stacked(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
 def foretold(
     dataset: Dataset, assignment: NDArray[np.int64], ways: tuple[Predict, ...]
 ) -> tuple[NDArray[Any], ...]:
-    """Predicts the answers of a dataset, a type at a time.
+    """Predicts the answers of a dataset, one type at a time.
 
     Args:
-        dataset: answers of O observers, each one's in the order in which they were given.
+        dataset: answers of O observers, in the order in which each observer gave them.
         assignment: [O] types.
-        ways: prediction methods; each predicts from the answers of one type so far.
+        ways: prediction methods; each predicts from the earlier answers of one type.
 
     Returns:
-        The rows of the predicted answers [Q], and log P of them [Q] by each way.
+        The rows of the predicted answers [Q], and their log P [Q] by each method.
     """
     part, kind = parts(dataset.observer), assignment[dataset.observer]
     found: list[tuple[NDArray[Any], ...]] = [(np.zeros(0, np.int64), *[np.zeros(0)] * len(ways))]
@@ -153,7 +154,7 @@ def foretold(
 
 
 def parts(observer: NDArray[np.int64]) -> NDArray[np.int64]:
-    """[P] which quarter of their own observer's answers each is of, 0 to PARTS − 1."""
+    """[P] part of each answer within its observer's answers, 0 to PARTS − 1."""
     order, count = np.argsort(observer, kind="stable"), np.bincount(observer)
     rank = np.empty(len(observer), dtype=np.int64)
     rank[order] = np.arange(len(observer)) - (np.cumsum(count) - count)[observer[order]]

@@ -1,5 +1,5 @@
-"""Labelers: what people of a type would find explicable, learned from their labels
-(docs/method.md, section 3)."""
+"""Labelers: predict which transitions people of a type find explicable. They are learned from
+labels (docs/method.md, section 3)."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from xplain.learning.types import Clustering, KnownTypes
 from xplain.randomness import derived_seed, stream
 
 MOST_LOOKED_AT = 16
-"""Messages that may change a labeler's predictions about one trace."""
+"""Maximum number of messages that may change a labeler's predictions about one trace."""
 MANY = 10_000
-"""From more labels on, equal rows are fitted as one row with a weight: they are much fewer."""
+"""From this number of labels, equal rows are fitted as one row with a weight, which is faster."""
 ROWS = 1 << 16
-"""Rows that a classifier is asked about at a time."""
+"""Rows in one call of a classifier."""
 
 
 def paper_tree() -> Any:
@@ -37,19 +37,19 @@ def paper_tree() -> Any:
 
 
 class Labeler(Protocol):
-    """Predicts what people of one type find explicable: the interface of every labeler. A class of
-    your own inherits from it, and has ``n_messages`` and :meth:`table`.
+    """Predicts what people of one type find explicable: the interface of every labeler. Your own
+    class inherits from it and has ``n_messages`` and :meth:`table`.
 
     Attributes:
-        n_messages: n of the messages that it was learned with.
-        confidence: P(label = prediction), (right + 1) / (tested + 2) on questions held out of
-            training, inside (0, 1); NaN if nobody measured it.
+        n_messages: number n of messages in training.
+        confidence: P(label = prediction), (right + 1) / (tested + 2) on held-out questions,
+            strictly between 0 and 1; NaN if not measured.
         accuracy: right / tested; NaN if nothing was tested.
-        n_train, n_test: distinct questions (transition, message set) in either part; 0 tested
-            questions mean that there were too few to hold any out.
-        means_truth: P(label = 1) is what people think, without errors in their answers. Otherwise
-            it is what they answer, and the confidence is measured on answers in any case.
-        wrong: [n] P(a person of the type believes a fact incorrectly); None where that is unknown.
+        n_train, n_test: distinct questions (transition, message set) in either part; ``n_test`` is
+            0 if there were too few to hold any out.
+        means_truth: True if P(label = 1) is what people think, without errors in their answers.
+            False if it is what they answer. The confidence is always measured on answers.
+        wrong: [n] P(a person of the type believes a fact incorrectly); None if unknown.
     """
 
     n_messages: int
@@ -62,12 +62,12 @@ class Labeler(Protocol):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """P(label = 1) of T transitions, of people of one type.
+        """P(label = 1) of T transitions for people of one type.
 
         Args:
             features: [T, F].
-            transitions: [T, 3] with these features, where they are known; a labeler may tell
-                transitions apart that share their features.
+            transitions: [T, 3] with these features, if known; a labeler may distinguish transitions
+                with equal features.
 
         Raises:
             TooLargeError: too many messages matter on these transitions.
@@ -82,29 +82,30 @@ class Labeler(Protocol):
     def probability(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(label = 1) of each (transition [T, F], message set [T]): [T], inside (0, 1)."""
+        """[T] P(label = 1) of each pair (transition [T, F], message set [T]), strictly between 0
+        and 1."""
         distinct, where = np.unique(features, axis=0, return_inverse=True)
         return self.table(distinct).array(self.n_messages)[0][where.ravel(), message_sets]
 
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """The likelier label of each (transition [T, F], message set [T]): [T] of 0 and 1."""
+        """[T] the more likely label (0 or 1) of each pair (transition [T, F], message set [T])."""
         return (self.probability(features, message_sets) >= 0.5).astype(np.uint8)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays for a file of types, by name.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: the labeler cannot be written.
         """
         raise InputError("types", type(self).__name__, "a labeler with arrays() to write to a file")
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredLabeler(Labeler):
-    """A labeler whose accuracy was measured on labels that were held out (:class:`Labeler` explains
-    the figures)."""
+    """A labeler whose accuracy was measured on held-out labels (see the attributes of
+    :class:`Labeler`)."""
 
     n_messages: int
     confidence: float = 0.5
@@ -115,12 +116,12 @@ class MeasuredLabeler(Labeler):
 
 @dataclass(frozen=True, kw_only=True)
 class FittedLabeler(MeasuredLabeler):
-    """A fitted classifier of scikit-learn, with its confidence.
+    """A fitted scikit-learn classifier with its confidence.
 
     Attributes:
         classifier: fitted; its classes are among 0 and 1.
-        calibrated: P(label = 1) comes from the classifier's own probabilities (see
-            :class:`LabelerTrainer`), not from the one confidence.
+        calibrated: True if P(label = 1) comes from the classifier's own probabilities (see
+            :class:`LabelerTrainer`), False if it comes from the confidence.
     """
 
     classifier: Any
@@ -129,7 +130,7 @@ class FittedLabeler(MeasuredLabeler):
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """See :meth:`Labeler.predict`; the classifier predicts."""
+        """See :meth:`Labeler.predict`; the classifier's prediction."""
         x = inputs(features, message_sets, self.n_messages)
         return np.asarray(self.classifier.predict(x), dtype=np.uint8)
 
@@ -151,15 +152,15 @@ class FittedLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """See :meth:`Labeler.table`: over all messages if they are few, else over those that the
-        classifier looks at."""
+        """See :meth:`Labeler.table`. The table has all messages if they are few, otherwise those
+        that the classifier tests."""
         n = self.n_messages
         relevant = range(n) if n <= DENSE else looked_at(self.classifier, features, n)
         table = by_sets(self.probability, features, subsets(relevant))
         return LabelTable.joined_types([relevant], [table])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """See :meth:`Labeler.arrays`: the classifier as skops writes it."""
+        """See :meth:`Labeler.arrays`: the classifier in the format of skops."""
         import skops.io
 
         classifier = np.frombuffer(skops.io.dumps(self.classifier), dtype=np.uint8)
@@ -171,8 +172,9 @@ class FittedLabeler(MeasuredLabeler):
     def _shrunk(
         self, share: NDArray[np.float64], weight: NDArray[np.float64] | float = np.inf
     ) -> NDArray[np.float64]:
-        """Shares of ones among ``weight`` labels, drawn to the confidence of their majority as by
-        two more labels; never closer to 0 or 1 than the number of tested labels can show."""
+        """Shares of ones among ``weight`` labels, shrunk towards the confidence of their majority
+        by two pseudo-labels. Their distance from 0 and 1 is at least what the number of tested
+        labels can show."""
         base = self._of_labels(share >= 0.5)
         pull = 2 / (np.asarray(weight) + 2)
         edge = 1 / (self.n_test + 2)
@@ -184,18 +186,17 @@ class FittedLabeler(MeasuredLabeler):
 class LabelerTrainer:
     """Fits a labeler to the labels of some observers.
 
-    The labels are split by distinct (transition, message set): duplicates on both sides would
-    leak. The confidence is measured on the held-out part by a classifier that saw only the
-    training part, and counts each question once: observers who repeat each other are no further
-    evidence. Of a question answered both ways the share that agrees counts as right. The labeler
-    returned is fitted to all labels: it has seen more than the one measured, so the confidence
-    errs, if at all, on the modest side.
+    The labels are split by distinct (transition, message set), so that no question is in both
+    parts. The confidence is measured on the held-out part, with a classifier fitted to the training
+    part. It counts each question once, because observers who repeat each other are no further
+    evidence. If a question has both answers, the share of right ones counts. The returned labeler
+    is fitted to all labels, so its true accuracy is at least about the measured one.
 
     Attributes:
-        classifier: any scikit-learn classifier, unfitted; it is cloned for every fit.
-        holdout: share of the distinct points that is held out, in (0, 1).
-        confidence: ``accuracy`` (the paper: one number a labeler) or ``leaf`` (the classifier's
-            own probabilities, drawn to that number).
+        classifier: any unfitted scikit-learn classifier; it is cloned for every fit.
+        holdout: share of the distinct points that is held out, strictly between 0 and 1.
+        confidence: ``accuracy`` (the paper: one number for a labeler) or ``leaf`` (the classifier's
+            own probabilities, shrunk towards that number).
     """
 
     classifier: Any = field(default_factory=paper_tree)
@@ -210,47 +211,49 @@ class LabelerTrainer:
             raise InputError("labeler.classifier", self.classifier, "leaf needs predict_proba")
 
     def given(self, observed: Observed) -> LabelerTrainer:
-        """The trainer that also knows what can be used of the observers' task and questions."""
+        """Returns the trainer with what it can use of the observers' task and questions."""
         return self
 
     def types_of(self, observed: Observed) -> KnownTypes | None:
-        """The types that agents know without any labels; None if labels are needed.
+        """The types that are known without labels; None if labels are needed.
 
         Raises:
-            InputError: these observers' types are unknown.
+            InputError: the types of these observers are unknown.
         """
         return None
 
     def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
-        """The types of the dataset's observers by hypotheses of what people believe incorrectly: a
-        Dirichlet process over fact sets, α being its ``concentration``. None where there are no
-        hypotheses, or labels alone predict answers better."""
+        """Finds the observers' types by hypotheses: a Dirichlet process over fact sets with α =
+        ``concentration``. None if there are no hypotheses, or if labels alone predict answers
+        better."""
         return None
 
     def everything(self) -> Labeler | None:
-        """The labeler of somebody who believes every fact incorrectly; None where facts are
-        unknown, or too many."""
+        """The labeler of a person who believes every fact incorrectly; None if facts are unknown or
+        too many."""
         return None
 
     def thoughts(self, dataset: Dataset) -> NDArray[np.float64] | None:
-        """P(label = 1) of a dataset's T transitions by the facts believed incorrectly: [2^n, T];
-        None where facts are unknown, or too many."""
+        """[2^n, T] P(label = 1) of a dataset's T transitions by the facts believed incorrectly;
+        None if facts are unknown or too many."""
         return None
 
     def with_errors(
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
-        """For a dataset whose observers' types [O] are given: the trainer, the error model of its
-        people's answers, and how well the hypotheses predicted the dataset. The last two are None
-        where the trainer does not learn them."""
+        """Learns the errors of a dataset's people, given their types [O].
+
+        Returns the trainer, the error model of the answers, and how well the hypotheses predicted
+        the dataset. The last two are None if the trainer does not learn them.
+        """
         return self, None, None
 
     def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> MeasuredLabeler:
-        """Fits one labeler to all labels of a dataset. The same labels, in whatever order, and the
-        same seed give the same labeler.
+        """Fits one labeler to all labels of a dataset. Equal labels in any order and an equal seed
+        give an equal labeler.
 
-        A single distinct point cannot be split: nothing is tested, the confidence is ½. So it is
-        where it is not to be ``measured``: predictions are the same, for half of the work.
+        A single distinct point cannot be split: then nothing is tested and the confidence is ½. The
+        same holds if ``measured`` is False, which saves half of the work and keeps the predictions.
 
         Raises:
             InputError: no labels.
@@ -258,7 +261,7 @@ class LabelerTrainer:
         if len(dataset) == 0:
             raise InputError("data", 0, "a labeler needs at least one label")
         seed = derived_seed(seed, "labelers")
-        # Sorted: who answered first must not matter to a classifier that looks at the order.
+        # Sorted, because the result of some classifiers depends on the order of rows.
         dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))
         query, test = query_index(dataset), split(dataset, self.holdout, seed)
         train, held = (dataset.take(np.flatnonzero(rows)) for rows in (~test, test))
@@ -279,7 +282,7 @@ class LabelerTrainer:
         )
 
     def fitted_to(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
-        """A labeler fitted to the labels of a dataset, which is not measured yet."""
+        """Fits a labeler to the labels of a dataset, without a measurement."""
         return FittedLabeler(
             classifier=self.fitted(dataset, seed),
             n_messages=dataset.n_messages,
@@ -287,13 +290,13 @@ class LabelerTrainer:
         )
 
     def fitted(self, dataset: Dataset, seed: int) -> Any:
-        """A clone of the classifier that is fitted to the labels of a dataset; a constant one where
-        all labels are equal."""
+        """Fits a clone of the classifier to the labels of a dataset; a constant classifier if all
+        labels are equal."""
         from sklearn.base import clone
         from sklearn.tree import DecisionTreeClassifier
         from sklearn.utils.validation import has_fit_parameter
 
-        # A stump predicts the only label it saw; many classifiers refuse to be fitted to it.
+        # Many classifiers cannot be fitted to one class; a stump predicts it.
         torn = dataset.label.min() != dataset.label.max()
         model = clone(self.classifier) if torn else DecisionTreeClassifier()
         state = derived_seed(seed, "labeler", "classifier") & 0xFFFFFFFF
@@ -310,7 +313,7 @@ class LabelerTrainer:
 
 
 def cheap() -> LabelerTrainer:
-    """Learns from labels alone at little cost: a pruned tree predicts about as well as boosting
+    """Learns from labels alone at little cost. A pruned tree predicts about as well as boosting
     (benchmarks/README.md)."""
     from sklearn.tree import DecisionTreeClassifier
 
@@ -322,7 +325,7 @@ def looked_at(classifier: Any, features: NDArray[np.float64], n_messages: int) -
     tree these are the messages that its paths test; for any other classifier, all messages.
 
     Raises:
-        TooLargeError: they are too many for a table of all sets of them.
+        TooLargeError: too many messages for a table of all their sets.
     """
     if not hasattr(classifier, "tree_"):
         if n_messages > DENSE:
@@ -357,8 +360,8 @@ def by_sets(
     features: NDArray[np.float64],
     message_sets: NDArray[np.int64],
 ) -> NDArray[Any]:
-    """Asks about each transition [T, F] under each of the message sets [K]: [T, K]. ``asked`` takes
-    transitions [P, F] and message sets [P]."""
+    """[T, K] results of ``asked`` for each transition [T, F] under each message set [K]. ``asked``
+    takes transitions [P, F] and message sets [P]."""
     count = len(message_sets)
     size = max(ROWS // count, 1)
     found = [
@@ -369,7 +372,7 @@ def by_sets(
 
 
 def check_looked_at(count: int, n_messages: int) -> None:
-    """Raises TooLargeError where a labeler looks at more messages on a trace than allowed."""
+    """Raises TooLargeError if a labeler tests more messages on a trace than allowed."""
     if count > MOST_LOOKED_AT:
         raise TooLargeError(
             f"labeler: a type's labeler looks at {count} of {n_messages} messages on one trace, "
@@ -379,9 +382,9 @@ def check_looked_at(count: int, n_messages: int) -> None:
 
 
 def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
-    """Which labels are held out, by distinct (transition, message set): [P].
+    """[P] True for held-out labels, chosen by distinct (transition, message set).
 
-    Both parts get at least one distinct point where there are two.
+    Each part has at least one distinct point if there are two.
     """
     query = query_index(dataset)
     count = int(query.max()) + 1
@@ -393,20 +396,20 @@ def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
 
 
 def by_question(right: NDArray[np.bool_], query: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The share of right labels [P] of each distinct question: [distinct]."""
+    """[distinct] share of right labels [P] for each distinct question."""
     _, number = np.unique(query, return_inverse=True)
     share: NDArray[np.float64] = np.bincount(number, right) / np.bincount(number)
     return share
 
 
 def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> float:
-    """The share of fresh questions that a labeler fitted to these labels gets right:
-    cross-validated over message sets, each distinct (transition, message set) once. NaN if there
-    is one message set.
+    """The share of new questions that a labeler fitted to these labels gets right, cross-validated
+    over message sets; each distinct (transition, message set) counts once. NaN if there is only one
+    message set.
 
-    Where labels are few, :attr:`Labeler.accuracy` says more than fresh questions would show: a
-    held-out (transition, message set) comes from a trace whose other transitions, under the same
-    messages, are trained with. Fresh questions come with messages of their own.
+    With few labels, :attr:`Labeler.accuracy` is higher: the other transitions of a held-out
+    question's trace, under the same messages, are in the training part. New questions have other
+    message sets.
     """
     told, group = np.unique(dataset.message_set, return_inverse=True)
     if len(told) < 2:

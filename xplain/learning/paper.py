@@ -1,15 +1,15 @@
-"""The paper's way to the user types (docs/method.md, section 4; Soni et al. 2021, section 4.1).
+"""The paper's method to find user types (docs/method.md, section 4; Soni et al. 2021, section 4.1).
 
 Each observer is a point: the smallest set of messages that makes every transition explicable to
-their own labeler. The points are partitioned into k = 1, 2, … groups, and k is where the curve of
-disagreements bends (docs/choices.md, "no elbow").
+their own labeler. The points are partitioned into k = 1, 2, … groups, and k is at the elbow of the
+curve of disagreements (docs/choices.md, "no elbow").
 
-Two labels disagree when they are of one cluster, transition and message set, and differ (paper,
+Two labels disagree if they have the same cluster, transition and message set, and differ (paper,
 Definition 1). Within a *cell* (transition, message set) a cluster with z zeros and o ones has z · o
 such pairs.
 
-The smallest set is exact: fewest inexplicable transitions first (0 where possible), then fewest
-messages, then the order of the messages (of {0, 5} and {1, 2} the first, for it has the first
+The smallest set is exact: fewest inexplicable transitions first (0 if possible), then fewest
+messages, then the order of the messages (of {0, 5} and {1, 2} the first, because it has the first
 message).
 """
 
@@ -37,24 +37,23 @@ log = logging.getLogger(__name__)
 
 
 def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
-    """The number of clusters at the elbow, and the rule that gave it (also logged).
+    """Returns the number of clusters at the elbow, and the rule that gave it (also logged).
 
     Kneedle (Satopää et al. 2011, the paper's choice) looks for the bend of a convex, decreasing
-    curve. Its knee stands, also where it is wrong: the first drop of the curve is the largest (it
-    parts most pairs of types at once), so that the knee often comes too early. The first rule that
-    applies:
+    curve. Its knee is kept even if it is wrong. It often comes too early, because the first split
+    separates most pairs of types and the first drop of the curve is the largest. The first rule
+    that applies decides:
 
-    1. ``flat zero``: nobody ever disagrees, k = 1.
-    2. ``kneedle``: its knee. Where it reports an end of the curve, as of concave ones, it found
-       none: a curve cannot bend at its end.
+    1. ``flat zero``: no disagreements, k = 1.
+    2. ``kneedle``: its knee. A knee at an end of the curve, as for concave curves, does not count.
     3. ``no knee, few``: the smallest k that leaves at most ``few`` of the disagreements at k = 1.
-    4. ``no knee, lowest``: no k does; the smallest k of the fewest disagreements.
+    4. ``no knee, lowest``: there is no such k; the smallest k with the fewest disagreements.
 
     Args:
         curve: [K] disagreements for k = 1 … K.
-        few: a share in [0, 1), for where there is no knee.
+        few: a share in [0, 1), used if there is no knee.
     """
-    # A partition into more clusters may be worse by chance; what counts is the best so far.
+    # A partition into more clusters may be worse by chance; the best so far counts.
     lowest = np.minimum.accumulate(curve)
     if curve[0] == 0:
         return _chosen(1, "flat zero", "no two observers disagree on any label")
@@ -83,7 +82,7 @@ def _chosen(k: int, rule: str, why: str) -> tuple[int, str]:
 
 
 def _kneedle(curve: NDArray[np.int64]) -> int | None:
-    """The knee of a curve that never rises, strictly between its ends; None where it has none."""
+    """The knee of a curve that never rises, strictly between its ends; None if there is none."""
     from kneed import KneeLocator  # heavy: it imports pyplot
 
     with warnings.catch_warnings():
@@ -94,10 +93,10 @@ def _kneedle(curve: NDArray[np.int64]) -> int | None:
 
 
 def disagreements(dataset: Dataset, assignments: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Numbers of disagreements [K] of K clusterings [O]."""
+    """[K] numbers of disagreements of K clusterings [O]."""
     cell = query_index(dataset)
     ones, size = np.bincount(cell, weights=dataset.label), np.bincount(cell)
-    rows = np.flatnonzero(((ones > 0) & (ones < size))[cell])  # all others agree, and never count
+    rows = np.flatnonzero(((ones > 0) & (ones < size))[cell])  # all others agree
     cell, observer, label = cell[rows], dataset.observer[rows], dataset.label[rows]
     found = []
     for assignment in assignments:
@@ -109,14 +108,14 @@ def disagreements(dataset: Dataset, assignments: Iterable[NDArray[np.int64]]) ->
 
 
 def minimal_message_sets(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> NDArray[np.int64]:
-    """The vector of each observer, as a message set: [O].
+    """[O] the smallest message set of each observer.
 
-    Each observer's classifier is fitted to all of the observer's own labels; it is only asked
-    about them, so nothing is held out. All are fitted with the same seed: observers who answered
-    alike get the same vector. An observer without labels gets the empty set.
+    Each observer's classifier is fitted to all of the observer's own labels. It only predicts
+    these, so nothing is held out. All classifiers have the same seed: observers with equal answers
+    get the same set. An observer without labels gets the empty set.
 
     Raises:
-        TooLargeError: as :func:`minimal_message_set`.
+        TooLargeError: see :func:`minimal_message_set`.
     """
     found = np.zeros(len(dataset.observers), dtype=np.int64)
     order = np.argsort(dataset.observer, kind="stable")
@@ -139,7 +138,7 @@ def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messag
         n_messages: n.
 
     Raises:
-        TooLargeError: the classifier looks at too many messages.
+        TooLargeError: the classifier tests too many messages.
     """
     messages = looked_at(classifier, features, n_messages)
 
@@ -151,32 +150,33 @@ def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messag
 
 
 def smallest(inexplicable: NDArray[np.int64], messages: Sequence[int]) -> int:
-    """The smallest of the 2^r sets of some messages, as a bitmask, by how many transitions are
-    ``inexplicable`` under each [2^r]."""
+    """The smallest of the 2^r sets of some messages, as a bitmask. ``inexplicable`` [2^r] is the
+    number of inexplicable transitions under each set."""
     sets = subsets(messages)
-    # Of {0, 5} and {1, 2} the first: the first message weighs most.
+    # The first message weighs most: {0, 5} comes before {1, 2}.
     first = bits_of(np.arange(len(sets)), len(messages)) @ (1 << np.arange(len(messages)))[::-1]
     return int(sets[np.lexsort((-first, np.bitwise_count(sets), inexplicable))[0]])
 
 
 class Partitioner(Protocol):
-    """The plug-in of :class:`Elbow`: any clustering into a given number of groups."""
+    """The component of :class:`Elbow` that clusters points into a given number of groups."""
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
-        """Groups [O] of the vectors [O, n], at most k of them, equal vectors together."""
+        """[O] groups of the vectors [O, n]: at most k groups, with equal vectors in one group."""
         ...
 
 
 @checks("clusterer")
 @dataclass(frozen=True)
 class Elbow(Clusterer):
-    """The paper's learner: observers as minimal message sets, partitioned into k = 1, 2, …
-    groups, k at the elbow of the disagreements.
+    """The paper's learner: observers are minimal message sets, partitioned into k = 1, 2, … groups.
+    k is at the elbow of the disagreements.
 
     Attributes:
-        partition: how the vectors are grouped.
-        few: what may be left where there is no elbow (:func:`xplain.learning.paper.elbow`).
-        max_types: largest k tried; None is the number of observers (the paper).
+        partition: clusters the vectors.
+        few: share of disagreements that may remain if there is no elbow
+            (:func:`xplain.learning.paper.elbow`).
+        max_types: largest k that is tried; None is the number of observers (the paper).
     """
 
     partition: Partitioner
@@ -187,7 +187,7 @@ class Elbow(Clusterer):
         """The partition at the elbow, with the curve of disagreements and the message sets.
 
         Raises:
-            TooLargeError: as :func:`~xplain.learning.paper.minimal_message_set`.
+            TooLargeError: see :func:`~xplain.learning.paper.minimal_message_set`.
         """
         seed, dataset = derived_seed(seed, "clusterer"), observed.dataset
         masks = minimal_message_sets(dataset, self.labeler, seed)
@@ -198,7 +198,7 @@ class Elbow(Clusterer):
             self.partition.partition(bits, k, derived_seed(seed, "partition", k) & 0xFFFFFFFF)
             for k in range(1, distinct + 1)
         ]
-        # More groups than distinct vectors cannot be told apart: the last partition stays.
+        # More groups than distinct vectors are impossible: the last partition stays.
         curve = disagreements(dataset, found)
         curve = np.concatenate([curve, np.full(longest - distinct, curve[-1])])
         k, rule = elbow(curve, self.few)
@@ -214,16 +214,16 @@ class KMeans:
     starts: Count = 10
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
-        """Groups [O] of the vectors [O, n]."""
+        """[O] groups of the vectors [O, n]."""
         from sklearn.cluster import KMeans as Lloyd
         from threadpoolctl import threadpool_limits
 
-        # Equal vectors are one point with a weight: the same answer at the size of the distinct.
+        # Equal vectors are one point with a weight: the same result in less time.
         distinct, where, weight = np.unique(
             vectors, axis=0, return_inverse=True, return_counts=True
         )
         model = Lloyd(min(k, len(distinct)), n_init=self.starts, random_state=seed)
-        with threadpool_limits(1):  # a few points: threads would cost more than the work
+        with threadpool_limits(1):  # a few points: threads would cost more than they save
             groups = model.fit_predict(distinct.astype(np.float64), sample_weight=weight)
         return np.asarray(groups[where.ravel()], dtype=np.int64)
 
@@ -236,7 +236,7 @@ class Agglomerative:
     linkage: Literal["average", "complete", "single"] = "average"
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
-        """Groups [O] of the vectors [O, n]."""
+        """[O] groups of the vectors [O, n]."""
         from scipy.cluster.hierarchy import fcluster, linkage
 
         distinct, where = np.unique(vectors, axis=0, return_inverse=True)

@@ -1,5 +1,5 @@
-"""Predictions of answers: P(answer 1) of observers about questions, and how well types and labelers
-predict answers that were held out."""
+"""Predictions of answers: P(answer 1) of observers to questions, and how well types and labelers
+predict held-out answers."""
 
 from __future__ import annotations
 
@@ -18,25 +18,28 @@ from xplain.learning.user_types import Single, TypeFinder, UserTypes
 from xplain.randomness import derived_seed, stream
 
 EDGE = 0.002
-"""P(f = 1) as answers tell it stays so far from 0 and 1."""
+"""Minimum distance of P(f = 1) from 0 and 1."""
 SURE = 1.96
-"""Standard errors of a 95 % interval."""
+"""Standard errors in half a 95 % interval."""
 
 
 def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[np.float64]:
-    """P(answer 1) of each row of ``questions``: [P].
+    """[P] P(answer 1) of each row of ``questions``.
 
-    Answers after messages are predicted by what people answered before, where the dataset has such
-    answers (:mod:`xplain.learning.landing`). Else, where the method predicts answers itself, that
-    is taken, or, where labelers tell what people think, its mean with theirs; else the types'
-    labelers, weighed for each observer by the shares of the types and the observer's own labels. Of
-    an observer without labels nothing is known but the shares.
+    The first method that applies is used:
+
+    1. Answers after messages are predicted from answers before them
+       (:mod:`xplain.learning.landing`), if the dataset has such answers.
+    2. The clustering's own predictions, if it makes any; their mean with the labelers' predictions
+       if labelers tell what people think.
+    3. The types' labelers, weighted for each observer by the shares of the types and the observer's
+       own labels. An observer without labels has the shares of the types.
 
     Args:
         dataset: the labels that the types were found in.
-        types: found.
-        questions: transitions and message sets, with the features and messages of ``dataset``, by
-            the names of observers, who may be new; its labels are not looked at.
+        types: the types.
+        questions: transitions and message sets, with the features and messages of ``dataset``, and
+            the names of observers, who may be new. Its labels are not used.
     """
     place = {name: o for o, name in enumerate(dataset.observers)}
     known = np.array([place.get(name, -1) for name in questions.observers], dtype=np.int64)
@@ -47,7 +50,7 @@ def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray
     result = np.einsum("pne,pne->p", weight, one)
     expected = types.clustering.expected
     if expected is not None:
-        everyone = np.vstack([expected, expected.mean(axis=0)])  # the last is of a new observer
+        everyone = np.vstack([expected, expected.mean(axis=0)])  # last row: a new observer
         plain = (transition >= 0) & (questions.message_set == 0)
         own = everyone[who, transition]
         if all(one.means_truth for one in types.labelers):
@@ -61,8 +64,8 @@ def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray
 
 
 def _posterior(dataset: Dataset, types: UserTypes) -> NDArray[np.float64]:
-    """[O + 1, N, E] P(type, error rate) of each observer by their own labels; the last row is of
-    somebody who gave none."""
+    """[O + 1, N, E] P(type, error rate) of each observer given their own labels; the last row is
+    for a person without labels."""
     one = _answered(types, dataset, dataset.transition)
     value = np.log(np.where(dataset.label[:, None, None] == 1, one, 1 - one))
     rate = np.ones(1) if types.answers is None else types.answers.prior
@@ -74,9 +77,9 @@ def _posterior(dataset: Dataset, types: UserTypes) -> NDArray[np.float64]:
 def _answered(
     types: UserTypes, asked: Dataset, transition: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """P(answer 1) by type and error rate, of questions about ``transition`` [P] of the dataset that
-    the types were learned from, or −1: [P, N, E]. Without an answer model, labelers predict answers
-    directly, and there is only one error rate."""
+    """[P, N, E] P(answer 1) by type and error rate, for questions about ``transition`` [P]: an
+    index into the dataset of the types, or −1. Without an answer model, labelers predict answers
+    directly, and there is one error rate."""
     one = _of_types(types.labelers, asked)
     if types.answers is None:
         return one[:, :, None]
@@ -95,8 +98,8 @@ def _of_types(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[np.float
 
 
 class Tenth(NamedTuple):
-    """One tenth of the held-out labels, sorted by their predicted P(1): the mean prediction, the
-    share of ones, its 95 % interval (Wilson's), and the number of labels."""
+    """One tenth of the held-out labels, sorted by predicted P(1): the mean prediction, the share of
+    ones with its 95 % interval (Wilson's), and the number of labels."""
 
     said: float
     ones: float
@@ -106,8 +109,8 @@ class Tenth(NamedTuple):
 
 
 def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Tenth, ...]:
-    """What was said of labels [P], P(label = 1) ``one`` [P], against what they are: by tenths of as
-    many labels each, ascending; fewer than ten where labels are fewer."""
+    """Compares predictions ``one`` [P] of P(label = 1) with the labels [P], in tenths of equal size
+    by ascending prediction; fewer than ten if there are fewer labels."""
     from scipy.stats import binomtest
 
     found = []
@@ -120,14 +123,15 @@ def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Ten
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Mean log P of held-out labels, in nats a label: the higher, the better predicted.
+    """Mean log P of held-out labels, in nats per label. Higher is better.
 
     Attributes:
-        types: by the types that were found in the rest.
-        one_type: by one labeler for everybody.
-        question_mean: by everybody's answers to the same question.
-        gain: [2] 95 % interval of ``types`` above the better of the others; observers are drawn.
-        calibration: of ``types``.
+        types: by the types that were found in the other labels.
+        one_type: by one labeler for all observers.
+        question_mean: by the mean of all observers' answers to the same question.
+        gain: [2] 95 % interval of ``types`` minus the better of the other two, by resampling
+            observers.
+        calibration: calibration of ``types``.
     """
 
     types: float
@@ -138,7 +142,7 @@ class HeldOut:
 
     @property
     def verdict(self) -> str:
-        """A sentence: do these answers support that there are types?"""
+        """A sentence that says whether these answers support several types."""
         low, high = self.gain
         than = "than one type and the questions' means do"
         if low > 0:
@@ -149,18 +153,18 @@ class HeldOut:
 
 
 def held_out(dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed: int) -> HeldOut:
-    """Predicts labels that the finder of types did not see.
+    """Predicts labels that the finder of types did not receive.
 
-    A share of the distinct (transition, message set) is put aside (``trainer.holdout``), or, where
-    nobody was told anything, of the labels: questions are then items, of which no other teaches.
-    At least one label is put aside, and one is kept.
+    A share of the distinct (transition, message set) is held out (``trainer.holdout``). Without
+    messages in the data a share of the labels is held out instead, because questions are then
+    independent items. At least one label is held out, and at least one is kept.
     """
     if dataset.message_set.any():
         test = split(dataset, trainer.holdout, derived_seed(seed, "held out"))
     else:
         drawn = stream(seed, "held out").random(len(dataset))
         test = drawn < trainer.holdout
-        test[drawn.argmin()], test[drawn.argmax()] = True, False  # one of either, at least
+        test[drawn.argmin()], test[drawn.argmax()] = True, False  # at least one of each
     rest, held = dataset.take(np.flatnonzero(~test)), dataset.take(np.flatnonzero(test))
     of_types, of_one = (
         log_likelihoods(rest, held, one.find(Observed(rest), seed))
@@ -179,9 +183,9 @@ def held_out(dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed
 
 
 def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[np.float64]:
-    """log P of each label of ``test``, by the types that were found in ``train``: [P]. Where the
-    method predicts answers itself, by that; else by the labeler of its observer's type. Where
-    labelers say what people think, as :func:`predicted`."""
+    """[P] log P of each label of ``test``, by the types that were found in ``train``. The
+    clustering's own predictions come first, then the labeler of the observer's type. If labelers
+    tell what people think, as in :func:`predicted`."""
     found, rows = types.clustering, np.arange(len(test))
     if types.landing is not None or all(one.means_truth for one in types.labelers):
         one = predicted(train, types, test)
@@ -193,15 +197,15 @@ def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[
 
 
 def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:
-    """log P of each label under one labeler: [P]."""
+    """[P] log P of each label by one labeler."""
     if not len(dataset):
         return np.zeros(0)
     return _log(_of_types((labeler,), dataset)[:, 0], dataset.label)
 
 
 def _of_means(dataset: Dataset, test: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """log P of the labels ``test`` by the mean of the others to the same question, with one more
-    answer of either kind."""
+    """[P] log P of the labels ``test``, by the mean of the other answers to the same question and
+    one pseudo-answer of either kind."""
     query = query_index(dataset)
     count = int(query.max()) + 1
     ones = np.bincount(query[~test], dataset.label[~test], count)

@@ -1,7 +1,7 @@
 """Learned user types in a file: arrays of numbers and text, never a pickle.
 
-Classifiers are kept in the format of skops, which builds none but known classes. A labeler of
-hypotheses is kept as a table of its probabilities.
+Classifiers are stored in the format of skops, which creates objects of known classes only. A
+labeler of hypotheses is stored as a table of its probabilities.
 """
 
 from __future__ import annotations
@@ -26,17 +26,16 @@ from xplain.learning.labelers import FittedLabeler, Labeler, MeasuredLabeler
 from xplain.learning.user_types import UserTypes, label_table
 
 TREE = "sklearn.tree._tree.Tree"
-"""A class that skops does not vouch for, because its arrays may be no tree: they are checked
-here."""
+"""A class that skops does not trust, because its arrays may form no tree. They are checked here."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableLabeler(MeasuredLabeler):
-    """A labeler of known transitions, as a table of what people of a type think.
+    """A labeler of known transitions: a table of what people of a type think.
 
     Attributes:
         rows: [U, F] float32 features.
-        values: [U, 2^n] P(label = 1); of other transitions nothing is known, ½.
+        values: [U, 2^n] P(label = 1); ½ for other transitions.
     """
 
     rows: NDArray[np.float32]
@@ -59,16 +58,16 @@ class TableLabeler(MeasuredLabeler):
 def _labeler(
     arrays: Mapping[str, NDArray[Any]], t: int, features: int, messages: int, trusted: Sequence[str]
 ) -> Labeler:
-    """The labeler of type t in a file of :meth:`LearnedTypes.save`.
+    """Reads the labeler of type t from a file of :meth:`LearnedTypes.save`.
 
     Args:
-        arrays: of the file, those of type t named ``t/…``.
-        t: number of the type.
-        features, messages: how many there are.
-        trusted: classes besides scikit-learn's own that skops may build, by full name.
+        arrays: arrays of the file; those of type t have names ``t/…``.
+        t: index of the type.
+        features, messages: their numbers.
+        trusted: classes outside scikit-learn that skops may create, by full name.
 
     Raises:
-        InputError: its arrays contradict each other, or skops may not build it.
+        InputError: the arrays contradict each other, or skops may not create the labeler.
     """
     figures = {key: arrays[key][t].item() for key in FIGURES}
     if f"{t}/table" in arrays:
@@ -97,7 +96,7 @@ def _labeler(
 
 
 def _is_sound(tree: Any, inputs: int) -> bool:
-    """True if a walk from the root of a scikit-learn tree ends inside of its arrays."""
+    """True if a walk from the root of a scikit-learn tree stays inside its arrays."""
     left, right, node = tree.children_left, tree.children_right, np.arange(tree.node_count)
     inner = left != -1
     ends = np.minimum(left, right)[inner] > node[inner], np.maximum(left, right) < len(node)
@@ -112,21 +111,21 @@ FIGURES = ("confidence", "accuracy", "n_train", "n_test")
 
 @dataclass(frozen=True)
 class LearnedTypes:
-    """User types as an :class:`~xplain.Explainer` wants them.
+    """User types in the form that :class:`~xplain.Explainer` needs.
 
-    A transition is a row of F features, as the labelers were trained on.
+    A transition is a row of F features, as in the labelers' training.
 
     Attributes:
-        labelers: one a type.
-        names: of the types.
+        labelers: one for each type.
+        names: names of the types.
         prior: [N] P(type) of the next user.
         messages: n names; bit j of a message set is message j.
         feature_names: F names.
-        sentences: what to say for each message, by its name; may be empty.
-        habits: how people err when they answer, as explainers use it; None if nobody learned it.
+        sentences: text of each message, by its name; may be empty.
+        habits: error model of people's answers, as explainers use it; None if unknown.
         wrong: [N] bitmasks of the facts that each type believes incorrectly; None if unknown.
-        about_everything: the labeler of somebody who believes every fact incorrectly, if known.
-        new: P(a user is of none of the types).
+        about_everything: the labeler of a person who believes every fact incorrectly, if known.
+        new: P(a user has none of the types).
     """
 
     labelers: tuple[Labeler, ...]
@@ -144,12 +143,12 @@ class LearnedTypes:
     def of(
         cls, types: UserTypes, dataset: Dataset, sentences: Mapping[str, str] | None = None
     ) -> LearnedTypes:
-        """The types that were learned from a dataset.
+        """Collects the types that were learned from a dataset.
 
         Args:
-            types: of :func:`xplain.learning.user_types.learn_types`.
-            dataset: what they were learned from.
-            sentences: what to say for each message.
+            types: result of :func:`xplain.learning.user_types.learn_types`.
+            dataset: the dataset that they were learned from.
+            sentences: text of each message.
         """
         everything = types.everything
         wrong = [own for labeler in types.labelers if (own := labeler.wrong) is not None]
@@ -168,11 +167,11 @@ class LearnedTypes:
         )
 
     def encode(self, transition: Mapping[str, float | str]) -> tuple[float, ...]:
-        """A transition as sessions take it, from its columns in the table of labels:
-        ``types.encode({"zone": "river", "load": 2})``.
+        """Converts a transition, given by its columns in the table of labels, to the form of
+        sessions: ``types.encode({"zone": "river", "load": 2})``.
 
         Raises:
-            InputError: a column is missing or unknown, or has a text that no label was given on.
+            InputError: a column is missing or unknown, or has a text that no labelled row has.
         """
         return encoded(transition, self.feature_names)
 
@@ -180,7 +179,7 @@ class LearnedTypes:
         """P(label is 1 | type, message set) of T rows of features.
 
         Raises:
-            InputError: the rows are not F finite numbers each.
+            InputError: a row does not consist of F finite numbers.
         """
         wanted = f"rows of {len(self.feature_names)} numbers: {', '.join(self.feature_names)}"
         try:
@@ -194,8 +193,8 @@ class LearnedTypes:
         return label_table(self.labelers, rows)
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
-        """See :meth:`label_table`, of somebody who believes every fact incorrectly; None where
-        facts are unknown."""
+        """See :meth:`label_table`, for a person who believes every fact incorrectly; None if facts
+        are unknown."""
         if self.about_everything is None:
             return None
         return self.about_everything.table(np.asarray(transitions, dtype=np.float64))
@@ -231,14 +230,14 @@ class LearnedTypes:
 
     @classmethod
     def load(cls, path: str | Path, trusted: Sequence[str] = ()) -> LearnedTypes:
-        """Reads a file of :meth:`save`. Nothing in it is run.
+        """Reads a file of :meth:`save`. No code in it is executed.
 
         Args:
-            path: of the file.
-            trusted: classes besides scikit-learn's own that skops may build, by full name.
+            path: path of the file.
+            trusted: classes outside scikit-learn that skops may create, by full name.
 
         Raises:
-            InputError: no such file, no file of :meth:`save`, or one that contradicts itself.
+            InputError: no such file, no file of :meth:`save`, or a file that contradicts itself.
         """
         try:
             with np.load(path, allow_pickle=False) as file:

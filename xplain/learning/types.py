@@ -1,4 +1,4 @@
-"""Types of observers, and the users as agents know them."""
+"""Types of observers, and the user types that agents know."""
 
 from __future__ import annotations
 
@@ -18,21 +18,19 @@ from xplain.learning.answers import AnswerModel
 
 @dataclass(frozen=True)
 class Clustering:
-    """A grouping of the observers: one cluster a type.
+    """A grouping of the observers: one cluster for each type.
 
     Attributes:
         assignment: [O] int64 cluster of each observer, numbered by first appearance.
-        method: how it was found, in a word.
-        rule: what chose the number of clusters.
-        curve: [K] disagreements for k = 1 … K; None where the method draws no such curve.
-        vectors: [O] int64 smallest message set of each observer; None where not computed.
-        posterior: P(number of types = k) by k; None where the method gives no posterior.
-        needs: [N] int64 messages that people of each type need to be told; None where the method
-            does not say.
-        expected: [O, T] P(answer 1) of each observer about each transition of the dataset, where
-            the method predicts answers itself; else None.
-        answers: how labels became answers, of the dataset's transitions and observers; None where
-            the method does not say.
+        method: name of the method.
+        rule: the rule that chose the number of clusters.
+        curve: [K] disagreements for k = 1 … K; None if the method has no such curve.
+        vectors: [O] int64 smallest message set of each observer; None if not computed.
+        posterior: P(number of types = k) by k; None if the method gives no posterior.
+        needs: [N] int64 messages that people of each type need; None if unknown.
+        expected: [O, T] P(answer 1) of each observer about each transition of the dataset; None if
+            the method does not predict answers itself.
+        answers: error model for the dataset's transitions and observers; None if unknown.
     """
 
     assignment: NDArray[np.int64]
@@ -50,25 +48,25 @@ class Clustering:
 
     @classmethod
     def by_facts(cls, facts: NDArray[np.int64], rule: str, **about: Any) -> Clustering:
-        """Observers who believe the same facts [O] incorrectly are of one type (a Dirichlet
-        process); ``about`` are the other attributes."""
+        """Makes one type of all observers who believe the same facts [O] incorrectly (a Dirichlet
+        process); ``about`` holds the other attributes."""
         _, first = np.unique(facts, return_index=True)
         return cls(facts, "dirichlet", rule, needs=facts[np.sort(first)], **about)
 
     @property
     def n_types(self) -> int:
-        """N: how many types were found."""
+        """N, the number of types."""
         return int(self.assignment.max()) + 1
 
     @property
     def shares(self) -> NDArray[np.float64]:
-        """Shares [N] of the observers by type."""
+        """[N] share of the observers in each type."""
         return np.bincount(self.assignment) / len(self.assignment)
 
     @property
     def new(self) -> float:
-        """P(the next person is of a new type): at least OPEN, and as often as observers were alone
-        of their type (Good 1953)."""
+        """P(the next person has a new type): the share of types' only members (Good 1953), at least
+        OPEN."""
         alone = int((np.bincount(self.assignment) == 1).sum())
         return max(OPEN, alone / (len(self.assignment) + 1))
 
@@ -81,10 +79,10 @@ class TraceTables(NamedTuple):
     """P(label is 1) of a trace's m transitions under every message set.
 
     Attributes:
-        learned: of N types that solvers plan with.
-        everyone: of one labeler for everybody; None where it looks at too many messages.
-        perfect: of M true types, what the oracle knows of each; None where there is no oracle.
-        everything: of one type, who believes every fact incorrectly; None where facts are unknown.
+        learned: of the N types that solvers plan with.
+        everyone: of one labeler for all observers; None if it tests too many messages.
+        perfect: of M true types: the oracle's knowledge of each; None if there is no oracle.
+        everything: of one type that believes every fact incorrectly; None if facts are unknown.
     """
 
     learned: LabelTable
@@ -94,8 +92,8 @@ class TraceTables(NamedTuple):
 
 
 def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:
-    """The table, or None where it would be too large: a labeler for everybody looks at what any
-    type looks at, and few runs ask for it."""
+    """The table, or None if it is too large. A labeler for all observers tests the messages of
+    every type, and few runs need its table."""
     try:
         return make()
     except TooLargeError:
@@ -107,20 +105,20 @@ TablesOf = Callable[[NDArray[np.float64], NDArray[np.int64]], TraceTables]
 
 @dataclass(frozen=True)
 class KnownTypes:
-    """The users as agents know them.
+    """The user types that agents know.
 
     Attributes:
-        names: N of the types.
-        matched_true_type: [N] for each the ``distinct`` number of the true type it stands for,
-            −1 unknown.
-        shares: [N] of the observers.
-        figures: of the learning stage, by name.
-        curve: disagreements for k = 1 … (empty where there are none).
-        rule: what decided the number of types.
-        tables: what follows for a trace, by the features [m, F] of its transitions [m, 3].
-        habits: how people err, as far as their answers tell.
-        wrong: [N, n] P(a user of the type believes a fact incorrectly); None if that is unknown.
-        new: P(a user is of none of the types).
+        names: N names.
+        matched_true_type: [N] ``distinct`` number of the true type that each type represents; −1 if
+            unknown.
+        shares: [N] shares of the observers.
+        figures: figures of the learning stage, by name.
+        curve: disagreements for k = 1 …; empty if there are none.
+        rule: the rule that chose the number of types.
+        tables: makes the tables of a trace from the features [m, F] of its transitions [m, 3].
+        habits: people's error model, learned from their answers.
+        wrong: [N, n] P(a user of the type believes a fact incorrectly); None if unknown.
+        new: P(a user has none of the types).
     """
 
     names: tuple[str, ...]
@@ -136,7 +134,7 @@ class KnownTypes:
 
 
 def shares_of(drawn: ArrayLike) -> dict[int, float]:
-    """P(number of types = k) by k, of numbers that were drawn."""
+    """P(number of types = k) by k, from drawn numbers of types."""
     number, times = np.unique(drawn, return_counts=True)
     return dict(zip(number.tolist(), (times / times.sum()).tolist(), strict=True))
 

@@ -1,5 +1,5 @@
-"""User types: which observers are of one type, one labeler for each type, and what agents know of
-the users (docs/method.md, section 4).
+"""User types: the type of each observer, one labeler for each type, and what agents know of users
+(docs/method.md, section 4).
 
     Observed ── find_types ── KnownTypes (label tables of any trace)
 
@@ -7,7 +7,7 @@ A component ``clusterer`` is a *type finder*, with one method::
 
     find(observed, seed) -> UserTypes
 
-It is made with the trainer of the run, ``labeler=``. A :class:`Clusterer` groups the observers, and
+It receives the trainer of the run, ``labeler=``. A :class:`Clusterer` groups the observers, and
 fits a labeler to the labels of each group.
 """
 
@@ -40,9 +40,9 @@ log = logging.getLogger(__name__)
 
 
 NOISY = 0.12
-"""Share of wrong answers from which on the types are doubtful. On random maps with 20 labels an
-observer (seeds 9300 to 9302) it was 0.04 to 0.07 where 5 % were wrong, and 0.15 to 0.35 where
-observers were polite, sticky, or answered at random."""
+"""Share of wrong answers from which the types are doubtful. On random maps with 20 labels from each
+observer (seeds 9300 to 9302) it was 0.04 to 0.07 if 5 % were wrong, and 0.15 to 0.35 if observers
+were polite, repeated themselves, or answered at random."""
 NOISY_TEXT = (
     "about %.0f %% of the answers are not what people think: the types may be wrong; compare "
     "explanations by them with solver=conformant and solver=say_all"
@@ -50,7 +50,7 @@ NOISY_TEXT = (
 
 
 def wrong_answers(types: UserTypes, dataset: Dataset) -> float:
-    """Share of the dataset's answers that are not what people think, as far as it was learned."""
+    """Estimated share of the dataset's answers that differ from what people think."""
     if types.answers is None:
         return 0.0
     return types.answers.wrong(dataset.transition, dataset.observer)
@@ -60,16 +60,16 @@ class TypeFinder(Protocol):
     """Finds user types: the interface of every component ``clusterer``."""
 
     def find(self, observed: Observed, seed: int) -> UserTypes:
-        """The types of the observers, with a labeler each.
+        """Finds the types of the observers, with one labeler for each type.
 
         Args:
-            observed: the labels of O observers. Their true types, where they are known, are for
-                scoring; only :class:`Perfect` reads them.
-            seed: of every draw.
+            observed: the labels of O observers. Their true types, if known, are for scoring; only
+                :class:`Perfect` reads them.
+            seed: seed of every draw.
 
         Raises:
-            InputError: the method needs what the data do not have.
-            TooLargeError: the data, or the messages, are too many for the method.
+            InputError: the data lack something that the method needs.
+            TooLargeError: too many data or messages for the method.
         """
         ...
 
@@ -86,11 +86,12 @@ class Clusterer(ABC):
 
     @abstractmethod
     def cluster(self, observed: Observed, seed: int) -> Clustering:
-        """Groups the observers: one cluster a type. As :meth:`TypeFinder.find`."""
+        """Groups the observers: one cluster for each type. Arguments and errors are those of
+        :meth:`TypeFinder.find`."""
 
     def find(self, observed: Observed, seed: int) -> UserTypes:
         """See :meth:`TypeFinder.find`."""
-        trainer = self.labeler.given(observed)  # once: what it works out of its task is kept
+        trainer = self.labeler.given(observed)  # once: the trainer caches results about its task
         clustering = replace(self, labeler=trainer).cluster(observed, seed)
         types = learn_types(observed.dataset, clustering, trainer, seed)
         landing = learned_landing(observed.dataset, trainer.thoughts(observed.dataset))
@@ -107,7 +108,11 @@ class Perfect(Clusterer):
     section 6)."""
 
     def cluster(self, observed: Observed, seed: int) -> Clustering:
-        """Raises InputError where the truth is not known."""
+        """The true types.
+
+        Raises:
+            InputError: the true types are unknown.
+        """
         if observed.behaviour is None:
             wanted = "needs simulated observers, whose type is known"
             raise InputError("clusterer", "perfect", wanted)
@@ -115,10 +120,10 @@ class Perfect(Clusterer):
 
 
 class Single(Clusterer):
-    """Everybody is of one type (the paper's baseline)."""
+    """One type for all observers (the paper's baseline)."""
 
     def cluster(self, observed: Observed, seed: int) -> Clustering:
-        """All O observers in cluster 0."""
+        """Puts all O observers into cluster 0."""
         everybody = np.zeros(len(observed.dataset.observers), dtype=np.int64)
         return Clustering(everybody, "single", "one type")
 
@@ -128,16 +133,15 @@ class UserTypes:
     """N learned user types.
 
     Attributes:
-        labelers: N of them.
-        clustering: the observers' types they were learned from.
-        names: N, for people.
+        labelers: N labelers.
+        clustering: the observers' types that the labelers were learned from.
+        names: N readable names.
         prior: [N] P(type) of the next user.
-        answers: how labels became answers, of the dataset's transitions and observers; None where
-            nobody learned it.
-        evidence: how well hypotheses predicted the answers; None where there are none.
-        everything: the labeler of somebody who believes every fact incorrectly; None where facts
-            are unknown.
-        landing: how often messages land; None where no answers tell it.
+        answers: error model for the dataset's transitions and observers; None if not learned.
+        evidence: how well hypotheses predicted the answers; None without hypotheses.
+        everything: the labeler of a person who believes every fact incorrectly; None if facts are
+            unknown.
+        landing: how often messages land; None if the answers do not show it.
     """
 
     labelers: tuple[Labeler, ...]
@@ -151,7 +155,7 @@ class UserTypes:
 
     @property
     def habits(self) -> Habits | None:
-        """How people err and take messages in, as far as their answers tell."""
+        """How people err and accept messages, learned from their answers."""
         own = None if self.answers is None else self.answers.habits
         if self.landing is None or not self.landing.missed:
             return own
@@ -170,23 +174,23 @@ def label_table(
     features: NDArray[np.float64],
     transitions: NDArray[np.int64] | None = None,
 ) -> LabelTable:
-    """P(label = 1) of m transitions, a type a labeler.
+    """P(label = 1) of m transitions; each labeler is one type.
 
     Args:
-        labelers: N ≥ 1 of them.
-        features: [m, F] of the transitions, as the labelers were trained on.
-        transitions: [m, 3] with these features, where they are known.
+        labelers: N ≥ 1 labelers.
+        features: [m, F] of the transitions, as in the labelers' training.
+        transitions: [m, 3] with these features, if known.
 
     Raises:
-        TooLargeError: a labeler looks at too many messages on these transitions.
+        TooLargeError: a labeler tests too many messages on these transitions.
     """
     return stacked([labeler.table(features, transitions) for labeler in labelers])
 
 
 @dataclass(frozen=True)
 class AskedOnce:
-    """Makes label tables like :func:`label_table`, but asks each labeler about each transition only
-    once, however many traces contain it. Asking may take longer than all later steps.
+    """Makes label tables like :func:`label_table`, but calls each labeler once for each transition,
+    however many traces contain it. These calls may take longer than all later steps.
 
     Attributes:
         tables: [2^n] by labeler and transition, for transitions of the traces only.
@@ -224,22 +228,22 @@ def learn_types(
     seed: int,
     known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes:
-    """One labeler from the pooled labels of each cluster (paper, section 4.1); everybody's for a
-    cluster without labels.
+    """Fits one labeler to the pooled labels of each cluster (paper, section 4.1). A cluster without
+    labels gets the labeler of all observers.
 
     Args:
         dataset: the labels.
-        clustering: of its observers.
+        clustering: clusters of its observers.
         trainer: fits the labelers.
-        seed: of every fit. It is one for all types, so that a labeler depends on its labels alone,
-            not on how clusters are numbered.
+        seed: seed of every fit. It is the same for all types, so a labeler depends only on its
+            labels, not on the numbering of clusters.
         known: labelers by their observers, fitted to this dataset with this trainer and seed: they
             are not fitted again.
     """
     clusters = [clustering.members(t) for t in range(clustering.n_types)]
     trainer, answers, evidence = trainer.with_errors(dataset, clustering.assignment)
     if answers is not None and {tuple(own.tolist()) for own in clusters} != {*(known or ())}:
-        known = None  # how people err was learned with other types
+        known = None  # the error model was learned with other types
     labelers = tuple(
         (known or {}).get(tuple(own.tolist()))
         or trainer.fit(dataset.of(own) if np.isin(own, dataset.observer).any() else dataset, seed)
@@ -254,23 +258,23 @@ def learn_types(
 def find_types(
     observed: Observed, trainer: LabelerTrainer, finder: TypeFinder, seed: int
 ) -> KnownTypes:
-    """The users as agents know them: the types that the trainer knows, or else those that the
-    finder finds in the labels, with a labeler each.
+    """Finds the user types that agents know, with one labeler each: the types that the trainer
+    knows, or those that the finder finds in the labels.
 
     Args:
-        observed: with its setting.
+        observed: labels with their setting.
         trainer: fits the labelers that types are compared with, or knows the types.
         finder: finds the types.
-        seed: of the run.
+        seed: seed of the run.
 
     Raises:
-        InputError: the labels are too few, or the types are unknown that the trainer should know.
+        InputError: too few labels, or the trainer should know the types and does not.
     """
     if (given := trainer.types_of(observed)) is not None:
         return given
-    trainer = trainer.given(observed)  # once: what it works out of its task is kept with it
+    trainer = trainer.given(observed)  # once: the trainer caches results about its task with it
     everyone = trainer.fit(observed.dataset, seed)
-    _require_tested([everyone])  # before the types: too few labels are refused at once
+    _require_tested([everyone])  # before the types: too few labels fail early
     types = finder.find(observed, seed)
     perfect = learn_perfect(observed, trainer, seed, types.by_observers)
     _require_tested(types.labelers)
@@ -308,8 +312,8 @@ def learn_perfect(
     seed: int,
     known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes | None:
-    """Types under perfect clustering, whose labelers are the paper's L_pc; None if the true types
-    of the observers are unknown. ``known`` as of :func:`learn_types`.
+    """Learns types under perfect clustering, whose labelers are the paper's L_pc; None if the true
+    types of the observers are unknown. ``known`` is that of :func:`learn_types`.
 
     Raises:
         XplainError: too few labels to hold some out.
@@ -320,8 +324,8 @@ def learn_perfect(
 
 
 def oracle_labelers(perfect: UserTypes | None, observed: Observed) -> tuple[Labeler, ...] | None:
-    """[M] the labeler of each true type under perfect clustering; None where that is unknown, or no
-    observer behaves like a type. Clusters are numbered as their observers come, in any order."""
+    """[M] the labeler of each true type under perfect clustering; None if it is unknown, or if no
+    observer behaves like a type. The order of the clusters does not matter."""
     if perfect is None or observed.setting is None:
         return None
     first = [np.flatnonzero(observed.behaviour == alike)[:1] for alike in observed.setting.distinct]
@@ -331,8 +335,8 @@ def oracle_labelers(perfect: UserTypes | None, observed: Observed) -> tuple[Labe
 
 
 def _match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]:
-    """[N] for each learned type the ``distinct`` number of most of its observers; −1 where the
-    observers' true types are unknown."""
+    """[N] ``distinct`` number of the true type of most observers of each learned type; −1 if the
+    true types are unknown."""
     matched = np.full(len(types.labelers), -1)
     alike = observed.behaviour
     if alike is not None:
@@ -349,11 +353,11 @@ def _figures(
     trainer: LabelerTrainer,
     seed: int,
 ) -> dict[str, float]:
-    """How well the types were found and the labels learned, by name.
+    """Measures how well the types were found and the labels learned, by name.
 
-    ``labeler_accuracy`` is the paper's, on held-out (transition, message set), ``fresh_accuracy``
-    what fresh questions would show (:func:`~xplain.learning.labelers.fresh_accuracy`).
-    Both are means over types.
+    ``labeler_accuracy`` is the paper's, on held-out (transition, message set). ``fresh_accuracy``
+    is the accuracy on new questions (:func:`~xplain.learning.labelers.fresh_accuracy`). Both are
+    means over types.
     """
     clustering = types.clustering
     fresh = [
@@ -382,7 +386,7 @@ def _mean_accuracy(labelers: Iterable[Any]) -> float:
 
 
 def _require_tested(labelers: Iterable[Any]) -> None:
-    """Raises XplainError where no label could be held out to measure a labeler's confidence."""
+    """Raises XplainError if no label could be held out to measure a labeler's confidence."""
     for labeler in labelers:
         if labeler.n_test == 0:
             raise XplainError(
@@ -393,8 +397,8 @@ def _require_tested(labelers: Iterable[Any]) -> None:
 
 
 def _everything(setting: Setting) -> Setting | None:
-    """The setting of one type, who believes every fact incorrectly; None if such a task has no way
-    to its goal, or facts are too many."""
+    """The setting of one type that believes every fact incorrectly; None if its task has no way to
+    the goal, or if facts are too many."""
     if setting.n_messages > DENSE:
         return None
     names = setting.message_names
@@ -407,13 +411,13 @@ class TrueLabels(LabelerTrainer):
     """A component ``labeler`` that uses true labels instead of a learned labeler.
 
     An experiment then plans with the labels of the users' own models, and with one type for each
-    true type: only the user's type remains unknown. A policy's cost above the clairvoyant's is what
-    not knowing the type costs; a learned labeler's, above that, what its errors cost. True labels
-    belong to the types of a setting, so no cluster of observers can have them, and the clusterer is
-    not asked: the observers give the types' shares alone.
+    true type: only the user's type remains unknown. A policy's cost minus the clairvoyant's is the
+    cost of not knowing the type. The additional cost with a learned labeler is the cost of its
+    errors. True labels belong to the types of a setting, so no cluster of observers can have them,
+    and the clusterer is not used: the observers only give the shares of the types.
 
-    Labels of a user who is one of the types are never impossible, so beliefs need no care, but
-    sharpen to certainty: a type that an answer contradicts is ruled out for good.
+    The labels of a user who has one of the types never have probability 0, so beliefs stay defined.
+    They can become certain: an answer that contradicts a type excludes it for good.
     """
 
     def __init__(self) -> None:
@@ -421,7 +425,7 @@ class TrueLabels(LabelerTrainer):
         super().__init__()
 
     def types_of(self, observed: Observed) -> KnownTypes:
-        """The true types with their true labels. The one labeler for everybody predicts the share
+        """The true types with their true labels. The labeler for all observers predicts the share
         of observers whose type gives the label.
 
         Raises:
@@ -452,5 +456,5 @@ class TrueLabels(LabelerTrainer):
         )
 
     def fit(self, *_: Any, **__: Any) -> NoReturn:
-        """Raises InputError: whoever fits labelers learns from data alone, without a setting."""
+        """Raises InputError: labelers are fitted to data alone, without a setting."""
         raise InputError("labeler", "truth", "a labeler that learns; true labels are simulated")

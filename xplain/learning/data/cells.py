@@ -1,7 +1,7 @@
 """Reads people's own tables, CSV or Parquet. Every cell is first a text, exactly as in the file.
 
-A column is read as numbers once, if nothing of its texts gets lost: ``007``, ``1E2``, and ``1.1``
-beside ``1.10`` stay texts.
+A column becomes numbers only if its texts lose nothing: ``007``, ``1E2``, and ``1.1`` beside
+``1.10`` stay texts.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ log = logging.getLogger(__name__)
 
 MISSING = ("", "NA", "N/A", "NaN", "nan", "null", "NULL", "<NA>", "#N/A")
 NUMBER = r"[+-]?(?:(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:e[+-]?\d+|E[+-]\d+)?|inf)"
-"""A number as programs write it. R and spreadsheets write a sign in 1E+05, so 1E2 is a name."""
+"""A number as programs write it. R and spreadsheets write a sign as in 1E+05, so 1E2 is a name."""
 SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 
 
 def check_format(path: Path, key: str) -> str:
-    """``csv`` or ``parquet``, by the end of the name; ``key`` is the key that the user set.
+    """Returns ``csv`` or ``parquet``, by the ending of the name; ``key`` is the user's key.
 
     Raises:
         InputError: another ending.
@@ -49,16 +49,16 @@ def check_format(path: Path, key: str) -> str:
 
 
 def read_cells(path: Path, key: str) -> pd.DataFrame:
-    """A table of texts; "" where one is missing. A column without a name is called as pandas calls
-    it, such as "Unnamed: 0".
+    """Reads a table of texts; a missing cell is "". A column without a name gets a name as in
+    pandas, such as "Unnamed: 0".
 
     Args:
         path: a CSV file (comma, semicolon, tab or bar; UTF-8 or UTF-16), or a Parquet file.
-        key: that the user set, for errors.
+        key: the user's key, for errors.
 
     Raises:
-        InputError: it cannot be read, two columns have one name, a row has more or fewer cells than
-            the header, or there are no rows. Rows without any text do not count.
+        InputError: the file cannot be read, two columns have the same name, a row has more or fewer
+            cells than the header, or there are no rows. Rows without any text do not count.
     """
     import pandas as pd
 
@@ -80,7 +80,7 @@ def read_cells(path: Path, key: str) -> pd.DataFrame:
 
 
 def _as_texts(table: pd.DataFrame) -> pd.DataFrame:
-    """All cells and names of columns as texts; "" where a cell is missing."""
+    """Converts all cells and column names to texts; a missing cell becomes ""."""
     cells = table.astype(object).where(table.notna(), "").astype(str).astype(object)
     return cells.set_axis(table.columns.map(str), axis=1)
 
@@ -92,7 +92,7 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
     content = gzip.decompress(content) if path.name.lower().endswith(".gz") else content
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = content.decode("utf-16" if wide else "utf-8-sig")
-    text = re.sub(r"^\ufeff*(sep=.\r?\n)?", "", text)  # Excel's
+    text = re.sub(r"^\ufeff*(sep=.\r?\n)?", "", text)  # written by Excel
     if not text.strip():
         raise ValueError("it is empty")
     if "\0" in text:
@@ -115,7 +115,7 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
             )
             if len(header) == 1:
                 allowed = f"the first line, {header[0]!r}, is no header; delete it"
-            if len(row) == len(header) + 1 and not rows and row[-1]:  # R's row names
+            if len(row) == len(header) + 1 and not rows and row[-1]:  # row names, written by R
                 begin = f"begin the header with a {SEPARATORS[separator]}"
                 allowed += f"; if each line begins with its number, {begin}"
             raise InputError(key, str(path), allowed)
@@ -127,13 +127,13 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
 
 
 def stripped(column: pd.Series[Any]) -> pd.Series[Any]:
-    """The texts of a column without spaces around them; each different text is looked at once."""
+    """The texts of a column without surrounding spaces. Each distinct text is processed once."""
     return column.map({cell: cell.strip() for cell in column.unique()})
 
 
 def as_numbers(words: pd.Series[Any]) -> NDArray[np.float64] | None:
-    """[rows] the numbers in a column of texts without spaces around them, true and false as 1 and
-    0, NaN where one is missing; None if some are no numbers."""
+    """[rows] the numbers in a column of stripped texts; true is 1, false is 0, a missing cell is
+    NaN. None if some texts are no numbers."""
     given = words[~words.isin(MISSING)].drop_duplicates()
     small = given.str.lower()
     if small.isin(["true", "false"]).all():
@@ -152,8 +152,8 @@ def as_numbers(words: pd.Series[Any]) -> NDArray[np.float64] | None:
 
 
 def one_hot(column: str, values: Any) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """A column of texts [P] as one 0/1 feature for each of its values, in alphabetical order:
-    [P, values], and their names."""
+    """Converts a column of texts [P] into one 0/1 feature for each value, in alphabetical order.
+    Returns the features [P, values] and their names."""
     import pandas as pd
 
     code, different = pd.factorize(np.asarray(values, dtype=object), sort=True)
@@ -161,11 +161,11 @@ def one_hot(column: str, values: Any) -> tuple[NDArray[np.float64], tuple[str, .
 
 
 def option(key: str, values: Iterable[str]) -> str:
-    """What to write on a command line so that a key is this list of texts."""
+    """The command-line option that sets a key to this list of texts."""
     return shlex.quote(f"{key}=[{','.join(map(_quote, values))}]")
 
 
 def _quote(value: str) -> str:
-    """A text as Hydra reads it; a word needs no quotation marks."""
+    """Quotes a text for Hydra; a word needs no quotation marks."""
     word = re.fullmatch(r"(?!(?i:null|true|false|nan|inf)$)[A-Za-z_]\w*", value, re.ASCII)
     return value if word else quoted(value, '"')

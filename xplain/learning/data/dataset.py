@@ -1,8 +1,8 @@
-"""Labels by observers: each has an observer, a transition, a message set and the label
+"""Labels of observers. Each label belongs to an observer, a transition and a message set
 (docs/method.md, section 2).
 
-Simulated observers and files of labels by real people give the same table. Its features come from
-the columns of such a file.
+Simulated observers and files of real people's labels give the same kind of table. The features of a
+file are its columns.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ class Dataset:
         return len(self.messages)
 
     def of(self, observers: NDArray[np.int64]) -> Dataset:
-        """The labels of some observers (by index); the tables of names stay."""
+        """Selects the labels of some observers (by index); tables of names are kept."""
         return self.take(np.flatnonzero(np.isin(self.observer, observers)))
 
     def take(self, rows: NDArray[np.int64]) -> Dataset:
-        """The labels ``rows`` [R], in this order; tables of names and features stay."""
+        """Selects the labels ``rows`` [R], in this order; tables of names and features are kept."""
         return replace(
             self,
             observer=self.observer[rows],
@@ -66,21 +66,21 @@ class Dataset:
 
 
 def numbered(rows: ArrayLike) -> dict[bytes, int]:
-    """The number of each of some rows [U, F], of which no two are equal. 0 and −0 are one."""
+    """Maps each row of distinct rows [U, F] to its index. 0 and −0 are equal."""
     return {row.tobytes(): u for u, row in enumerate(np.asarray(rows, np.float64) + 0.0)}
 
 
 def places(rows: ArrayLike, known: ArrayLike | Mapping[bytes, int]) -> NDArray[np.int64]:
-    """[P] where rows of features [P, F] stand among known ones [U, F], or those that are
-    :func:`numbered`; −1 where they do not."""
+    """[P] indices of rows of features [P, F] among known rows [U, F] (or a map of
+    :func:`numbered`); −1 if missing."""
     number = known if isinstance(known, Mapping) else numbered(known)
     found = [number.get(row.tobytes(), -1) for row in np.asarray(rows, np.float64) + 0.0]
     return np.array(found, dtype=np.int64)
 
 
 def query_index(dataset: Dataset) -> NDArray[np.int64]:
-    """The number of each label's query (transition, message set): [P], 0 … distinct queries − 1,
-    in the order of (transition, message set)."""
+    """[P] index of each label's query (transition, message set), 0 … distinct queries − 1, in the
+    order of (transition, message set)."""
     told = np.unique(dataset.message_set, return_inverse=True)[1]
     key = dataset.transition * (told.max(initial=0) + 1) + told
     return np.unique(key, return_inverse=True)[1].astype(np.int64)
@@ -89,21 +89,21 @@ def query_index(dataset: Dataset) -> NDArray[np.int64]:
 def inputs(
     features: NDArray[np.float64], message_sets: NDArray[np.int64], n_messages: int
 ) -> NDArray[np.float32]:
-    """The classifier's input, features [P, F] and one bit for each message: [P, F + n] float32."""
+    """[P, F + n] float32 input of the classifier: features [P, F] and one bit for each message."""
     return np.hstack([features, bits_of(message_sets, n_messages)]).astype(np.float32)
 
 
 def labelled_inputs(dataset: Dataset) -> NDArray[np.float32]:
-    """:func:`inputs` of each label: [P, F + n]."""
+    """[P, F + n] :func:`inputs` of each label."""
     return inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
 
 
 def encoded(
     transition: Mapping[str, float | str], feature_names: Sequence[str]
 ) -> tuple[float, ...]:
-    """The features of a transition, in order: F numbers.
+    """Returns the F features of a transition, in order.
 
-    Text is one 0/1 feature for each value (``zone=river``), as in
+    A text becomes one 0/1 feature for each value (``zone=river``), as in
     :mod:`xplain.learning.data.label_file`.
 
     Args:
@@ -133,13 +133,12 @@ def encoded(
 
 
 def align(dataset: Dataset, names: tuple[str, ...]) -> Dataset:
-    """The same labels with exactly these features, in this order.
+    """Returns the same labels with exactly these features, in this order.
 
-    A value of a text column that does not occur in the data (``action=left`` if ``action`` has
-    only other values) is a feature that is always 0.
+    A value of a text column that does not occur in the data is a feature that is always 0.
 
     Raises:
-        InputError: another feature is missing, or one is not among ``names``.
+        InputError: another feature is missing, or a feature is not among ``names``.
     """
     have = dict(zip(dataset.feature_names, dataset.features.T, strict=True))
     for name in have:
@@ -154,7 +153,7 @@ def align(dataset: Dataset, names: tuple[str, ...]) -> Dataset:
 
 
 def columns_of(dataset: Dataset) -> dict[str, NDArray[Any]]:
-    """Columns [T] of the transitions; one-hot features become text again."""
+    """Columns [T] of the transitions; one-hot features are converted back to text."""
     groups: dict[str, list[int]] = {}
     for j, name in enumerate(dataset.feature_names):
         groups.setdefault(name.split("=")[0], []).append(j)

@@ -1,15 +1,15 @@
 """Tables of labels, CSV or Parquet: one row for each label (docs/your-own-data.md).
 
-Columns: ``observer``; ``messages``, names joined by ``;``, empty for none (no such column: nobody
-was told anything); ``label``, 0 or 1; the other columns are features of the transition
-(:func:`read_table`). Numbers stay numbers, text becomes one 0/1 feature for each value
+Columns: ``observer``; ``messages``, names joined by ``;``, empty for none (without this column
+nobody received messages); ``label``, 0 or 1. The other columns are features of the transition
+(:func:`read_table`). Numbers stay numbers; text becomes one 0/1 feature for each value
 (``action=left``; :mod:`xplain.learning.data.cells`). Rows with equal features are the same
 transition.
 
-The rules: an observer with few labels, even one, is kept, with a warning. An observer who answers
-the same question in both ways is kept too, and both labels count, because people err.
-Anything missing, a label other than 0 or 1, fewer than two observers, labels that are all equal,
-or fewer than four distinct (transition, message set) is an error.
+An observer with few labels is kept, with a warning. If an observer answers the same question in
+both ways, both labels count, because people err. Errors are: a missing value, a label other than 0
+or 1, fewer than two observers, labels that are all equal, and fewer than four distinct (transition,
+message set).
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ log = logging.getLogger(__name__)
 
 COLUMNS = ("observer", "messages", "label")
 NEARLY_ALL = 0.9
-"""A column with more different values than this share of the rows tells no step from another."""
+"""A column with more distinct values than this share of the rows cannot describe a transition."""
 NOTHING = "none|nothing|nil|missing|no|no messages?|n/a|0|[.]|-|–|—|\\[\\]|{}|\\(\\)"
-"""Names that look as if nothing was told."""
+"""Names that look like an empty message set."""
 MAX_MASK = 62
-"""Most messages in a table; a message set is the bits of one integer."""
+"""Maximum number of messages in a table; a message set is the bits of one integer."""
 MIN_QUERIES = 4
-"""Least number of distinct (transition, message set); with fewer a split says nothing."""
+"""Minimum number of distinct (transition, message set); a split of fewer has no meaning."""
 
 
 def read_table(
@@ -65,16 +65,16 @@ def read_table(
 
     Args:
         path: ends in ``.csv``, ``.csv.gz`` or ``.parquet``.
-        messages: the allowed names, in order; None: those that occur, sorted.
-        features: columns that describe the transition; None: those that can. A column that is the
-            same in all rows of a person, or different in nearly every row, cannot.
+        messages: the allowed names, in order; None: all names in the table, sorted.
+        features: columns that describe the transition; None: all suitable columns. A column that is
+            constant for each person, or different in nearly every row, is not suitable.
         ignore: columns to leave out, if ``features`` is None.
-        under_way: accept a table that is too small to learn types from, because more will come.
-        like: names of the features that the table shall have, in their order; they say what is
-            number and what text.
+        under_way: accept a table that is too small to learn types from, because more labels will
+            follow.
+        like: names of the required features, in order; they also decide between number and text.
 
     Raises:
-        InputError: a rule of this module is broken; the line gives the column, the first bad value
+        InputError: a rule of this module is broken. The line gives the column, the first bad value
             and its row (1 is the first row of data).
     """
     table = _load(Path(path), features, ignore, like)
@@ -102,15 +102,16 @@ def read_table(
 
 
 def read_questions(path: str | Path, like: Dataset) -> tuple[pd.DataFrame, Dataset]:
-    """Reads questions whose answers are to be predicted, a row each: a table as of
-    :func:`read_table`, in which labels may be missing and observers be new.
+    """Reads questions to predict answers to, one in each row: a table as in :func:`read_table`.
+    Labels may be missing and observers may be new.
 
     Args:
-        path: of the table.
-        like: the labels that predictions are made from; its features and messages may occur.
+        path: path of the table.
+        like: the labels that predictions are made from; only its features and messages may occur.
 
     Returns:
-        The table as it is, and its rows in their order; all labels are 0, and mean nothing.
+        The unchanged table, and a dataset of its rows in order; all its labels are 0 and have no
+        meaning.
 
     Raises:
         InputError: the rows do not fit ``like``.
@@ -132,8 +133,7 @@ def read_questions(path: str | Path, like: Dataset) -> tuple[pd.DataFrame, Datas
 
 
 def write_table(dataset: Dataset, path: str | Path) -> None:
-    """Writes a table that :func:`read_table` can read. One-hot features become one column of text
-    again."""
+    """Writes a table for :func:`read_table`. One-hot features become one column of text again."""
     import pandas as pd
 
     distinct, mask = np.unique(dataset.message_set, return_inverse=True)
@@ -155,8 +155,8 @@ def write_table(dataset: Dataset, path: str | Path) -> None:
 def _load(
     path: Path, features: Sequence[str] | None, ignore: Sequence[str], like: Sequence[str]
 ) -> pd.DataFrame:
-    """The columns that count, :data:`COLUMNS` first; without the column of messages nobody was told
-    anything."""
+    """Loads the used columns, :data:`COLUMNS` first. Without a column of messages all message sets
+    are empty."""
     table = read_cells(path, "data")
     columns = [*table.columns]
     for name in ("observer", "label", *(features or ()), *ignore):
@@ -176,15 +176,16 @@ def _load(
 
 
 def _choose_features(table: pd.DataFrame, columns: Sequence[str], sure: set[str]) -> list[str]:
-    """The columns that can describe a transition; a line says which are left out, and why.
+    """Chooses the columns that can describe a transition. A log line gives the others with the
+    reason.
 
     Args:
-        table: all of it.
-        columns: those to choose from.
-        sure: columns that do.
+        table: the whole table.
+        columns: columns to choose from.
+        sure: columns that are always features.
 
     Raises:
-        InputError: none can.
+        InputError: no column is suitable.
     """
     people, left = table["observer"].nunique(), {}
     for name in (name for name in columns if name not in sure):
@@ -215,13 +216,13 @@ def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, .
 
 
 def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]:
-    """Which observers were asked, and which messages they were given before: these attributes of a
+    """Reads the observers and the messages that they received. Returns these attributes of a
     dataset."""
     who = stripped(table["observer"])
     _refuse_missing("observer", who == "")
     observer, observers = _factorized(who)
     seen: dict[str, str] = {}
-    for name in observers:  # invisible marks, numbers and accents written in two ways, and case
+    for name in observers:  # ignores invisible marks, case, and two encodings of one character
         plain = unicodedata.normalize("NFKC", name).casefold()
         plain = re.sub(r"[\u200b-\u200f\ufeff]|^0+(?=\d)|(?<=\d)\.0+$", "", plain)
         if (other := seen.setdefault(plain, name)) != name:
@@ -236,7 +237,7 @@ def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]
 
 
 def _refuse_missing(name: str, missing: Any, mend: str = "", key: str = "data") -> None:
-    """Raises InputError if a value is missing in some row; ``mend`` says what can be done."""
+    """Raises InputError if a value is missing in a row; ``mend`` is the suggested correction."""
     if missing.any():
         allowed = f"missing in {missing.sum()} rows, first in row {_row(missing)}{mend}"
         raise InputError(key, name, allowed)
@@ -264,7 +265,8 @@ def _message_sets(
 
 
 def _ask_about_names(names: Sequence[str]) -> None:
-    """Raises InputError for a name that looks like several, like none, or like another."""
+    """Raises InputError for a name that looks like several names, like no message, or like another
+    name."""
     one = f"if it is one message: {option('messages', names)}"
     for name in names:
         parts = [part.strip() for part in re.split(r"[,|+&/\\]", name)]
@@ -300,16 +302,16 @@ def _labels(column: pd.Series[Any]) -> NDArray[np.uint8]:
 def read_features(
     table: pd.DataFrame, like: Sequence[str] = (), key: str = "data"
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """The features [P, F] in all columns of a table, and their names; text columns are one-hot in
-    alphabetical order of their values.
+    """Reads the features [P, F] from all columns of a table, with their names. Text columns become
+    one-hot features in alphabetical order of their values.
 
     Args:
-        table: as of :func:`~xplain.learning.data.cells.read_cells`.
-        like: names of features; a column that they have as numbers, or as text, is one here.
-        key: that the user set, for errors.
+        table: a table of :func:`~xplain.learning.data.cells.read_cells`.
+        like: names of features; they decide whether a column is read as numbers or text.
+        key: the user's key, for errors.
 
     Raises:
-        InputError: a value is missing, infinite, or no number where ``like`` has numbers.
+        InputError: a value is missing or infinite, or no number although ``like`` has numbers.
     """
     import pandas as pd
 
@@ -343,7 +345,7 @@ def read_features(
 def _distinct(
     features: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The distinct rows, sorted, and the index of each row among them."""
+    """Returns the distinct rows, sorted, and the index of each row among them."""
     import pandas as pd
 
     table = pd.DataFrame(features)

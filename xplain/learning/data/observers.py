@@ -1,5 +1,5 @@
-"""Observers: simulated or real people. The user types are learned from their labels
-(docs/method.md, section 2)."""
+"""Observers, simulated or real people. User types are learned from their labels (docs/method.md,
+section 2)."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from xplain.randomness import stream
 
 @dataclass(frozen=True)
 class Observed:
-    """What observers gave, and what is known of them: all that types are learned from.
+    """The observers' labels and what is known about the observers. Types are learned from it alone.
 
     Attributes:
         dataset: the labels.
-        truth: [O] index of each observer's true type; None where nobody knows it.
-        setting: the domain, the true types and their models; None where there is only a table.
-        likely: fact sets (bitmasks) that the questions found likely beside the hypotheses.
+        truth: [O] index of each observer's true type; None if unknown.
+        setting: the domain, the true types and their models; None if there is only a table.
+        likely: further fact sets (bitmasks) that the questions found likely.
     """
 
     dataset: Dataset
@@ -39,7 +39,7 @@ class Observed:
     likely: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
-        """Raises InputError where the labels are not of the setting's features and messages."""
+        """Raises InputError if the labels do not have the setting's features and messages."""
         if self.setting is None:
             return
         domain, dataset = self.setting.domain, self.dataset
@@ -58,8 +58,8 @@ class Observed:
 
     @cached_property
     def hypotheses(self) -> Hypotheses | None:
-        """What people may believe incorrectly: the domain's, with the fact sets that the questions
-        found likely. None where there is only a table."""
+        """The hypotheses of the domain and the fact sets that the questions found likely; None if
+        there is only a table."""
         if self.setting is None:
             return None
         own = hypotheses_of(self.setting.domain, None)
@@ -67,26 +67,27 @@ class Observed:
 
     @property
     def behaviour(self) -> NDArray[np.int64] | None:
-        """[O] the ``distinct`` number of each observer's type: types that label everything alike
-        are one, for whoever clusters and whoever scores. None where the truth is unknown."""
+        """[O] the ``distinct`` number of each observer's type; None if true types are unknown.
+        Types that label everything alike count as one, for clustering and for scores."""
         if self.truth is None or self.setting is None:
             return self.truth
         return self.setting.distinct[self.truth]
 
 
 class Observers(Protocol):
-    """Where the labels come from: the interface of every component ``observers``."""
+    """A source of labels: the interface of every component ``observers``."""
 
     def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
-        """P labels of transitions of ``setting.domain``, with its features and its messages.
+        """Collects P labels of transitions of ``setting.domain``, with its features and its
+        messages.
 
         Args:
             setting: the domain and the true types.
-            queries: what observers are asked, where they can be asked.
-            seed: of every draw.
+            queries: the query design; unused if the observers cannot be asked.
+            seed: seed of every draw.
 
         Returns:
-            The labels, and what is known of who gave them, ``setting`` included.
+            The labels and what is known about the observers, including ``setting``.
 
         Raises:
             InputError: the labels, or the component's options, do not fit the setting.
@@ -97,11 +98,12 @@ class Observers(Protocol):
 @checks("observers")
 @dataclass(frozen=True)
 class SimulatedObservers:
-    """Observers of each type, who answer the queries. They are in the order of their types.
+    """Simulated observers of each type, who answer the queries. They are in the order of their
+    types.
 
     Attributes:
-        per_type: observers per type; a list has a number for each type.
-        points: labels per observer (fewer if the queries need fewer).
+        per_type: observers of each type; a list has a number for each type.
+        points: labels of each observer (fewer if the queries need fewer).
         label_noise: probability that a label is flipped, independently for each label.
     """
 
@@ -115,7 +117,7 @@ class SimulatedObservers:
             raise InputError("observers.per_type", self.per_type, "a number ≥ 1, or one a type")
 
     def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
-        """Labels of all observers and their true types.
+        """Returns the labels of all observers and their true types.
 
         Raises:
             InputError: ``per_type`` does not fit the types.
@@ -136,7 +138,7 @@ class SimulatedObservers:
 
         asked = queries.ask(setting, sizes, answer, seed)
         shown = np.concatenate([one.transitions for one in asked])
-        # Few transitions are shown often: rows of features take long to compare.
+        # Few distinct transitions occur often, and rows of features are slow to compare.
         keys = np.ravel_multi_index(tuple(shown.T), tuple(shown.max(axis=0) + 1))
         _, first, which = np.unique(keys, return_index=True, return_inverse=True)
         features = transition_features(setting.domain, shown[first])
@@ -172,14 +174,14 @@ class FileObservers:
     ignore: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Raises InputError where there is no such file."""
+        """Raises InputError if the file does not exist."""
         if not Path(self.path).is_file():
             raise InputError("observers.path", str(self.path), "no such file")
 
     def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
-        """The table, its features in the order of the domain's, so that labelers trained on it
-        can be asked about the domain's traces; ``queries`` and ``seed`` are not used, for these
-        people have been asked.
+        """Reads the table, with its features in the order of the domain's features. Labelers
+        trained on it can then predict the domain's traces. ``queries`` and ``seed`` are unused,
+        because these people have already answered.
 
         Raises:
             InputError: the file cannot be read, or its messages or features are not the domain's.
@@ -189,6 +191,6 @@ class FileObservers:
             dataset = read_table(self.path, setting.message_names, *own, like=like)
             return Observed(dataset, setting=setting)
         except InputError as error:
-            if error.key != "data":  # what the command that finds types calls its table
+            if error.key != "data":  # the key that the command to find types uses
                 raise
             raise InputError("observers.path", error.value, error.allowed) from error

@@ -1,6 +1,5 @@
-"""Queries: which transitions observers label, under which message sets; and traces of the robot,
-which most queries are taken from (docs/method.md, section 2).
-"""
+"""Queries: the transitions that observers label, with message sets. Most come from the robot's
+traces (docs/method.md, section 2)."""
 
 from __future__ import annotations
 
@@ -24,13 +23,13 @@ def sample_trace(
     rng: np.random.Generator,
     max_length: int,
 ) -> NDArray[np.int64]:
-    """One trace: [m, 3] transitions (s, a, s'), 1 ≤ m ≤ max_length.
+    """Draws one trace: [m, 3] transitions (s, a, s'), 1 ≤ m ≤ max_length.
 
     Args:
-        model: the robot's.
+        model: the robot's model.
         optimal: [S, A] its optimal actions; ties are broken at random.
-        starts: states to start from, equally likely.
-        rng: its stream.
+        starts: start states, equally likely.
+        rng: random stream.
         max_length: the trace is cut here if it reaches no terminal state before.
     """
     state = int(starts[rng.integers(len(starts))])
@@ -38,7 +37,7 @@ def sample_trace(
     while len(steps) < max_length and not model.terminal[state]:
         actions = optimal[state].nonzero()[0]
         action = int(actions[rng.integers(len(actions))])
-        # As choice(p=…) draws, in a third of its time.
+        # Draws like choice(p=…) in a third of the time.
         share = model.probability[state, action].cumsum()
         slot = (share / share[-1]).searchsorted(rng.random(), side="right")
         after = int(model.successor[state, action, slot])
@@ -54,11 +53,11 @@ def expected_visits(
     transitions: NDArray[np.int64],
     max_length: int,
 ) -> NDArray[np.float64]:
-    """Expected number of times that a trace of :func:`sample_trace` makes each transition: [T].
+    """[T] expected number of times that a trace of :func:`sample_trace` contains each transition.
 
     Args:
-        model, optimal, starts, max_length: as for :func:`sample_trace`.
-        transitions: [T, 3] all that a trace can make, each once.
+        model, optimal, starts, max_length: see :func:`sample_trace`.
+        transitions: [T, 3] all possible transitions, each once.
     """
     before, action, after = transitions.T
     leads = model.successor[before, action] == after[:, None]
@@ -74,20 +73,19 @@ def expected_visits(
 
 Answer = Callable[[int, NDArray[np.int64], NDArray[np.int64]], NDArray[np.uint8]]
 """``answer(observer, transitions [c, 3], message_sets [c])`` → labels [c], with that observer's
-errors. It is called for each screen of questions: an observer who is asked again may give another
-answer."""
+errors. It is called once for each screen of questions. An observer who is asked again may give
+another answer."""
 
 
 @dataclass(frozen=True)
 class Answered:
-    """The questions and the answers of one observer, in this order.
+    """The questions and the answers of one observer, in order.
 
     Attributes:
         transitions: [p, 3].
         message_sets: [p] bitmasks.
         labels: [p], 1 = explicable.
-        likely: fact sets (bitmasks) that the answers made likely, where the design found some that
-            were no hypotheses before.
+        likely: fact sets (bitmasks) that the answers made likely and that no hypothesis contained.
     """
 
     transitions: NDArray[np.int64]
@@ -104,17 +102,17 @@ class Queries(Protocol):
     ) -> list[Answered]:
         """Asks O observers; each question may depend on all earlier answers.
 
-        A design knows the domain. The types in ``setting`` are those of the observers, which it
-        must not use: it helps to find them.
+        A design knows the domain. It must not use the types in ``setting``, because they are to be
+        found.
 
         Args:
-            setting: the domain, its messages, and what the robot does.
-            sizes: [O] largest number of labels of each observer.
+            setting: the domain, its messages, and the robot's behaviour.
+            sizes: [O] maximum number of labels of each observer.
             answer: gives an observer's labels.
-            seed: of every draw.
+            seed: seed of every draw.
 
         Returns:
-            One for each observer: between 1 and ``sizes[o]`` questions with their answers.
+            For each observer, between 1 and ``sizes[o]`` questions with their answers.
         """
         ...
 
@@ -125,19 +123,19 @@ def asked_in_order(
     sizes: NDArray[np.int64],
     answer: Answer,
 ) -> list[Answered]:
-    """Asks each observer the first of their ``sizes`` [O] of one list of questions."""
+    """Asks observer o the first ``sizes[o]`` of one list of questions."""
     each = [(transitions[:size], message_sets[:size]) for size in sizes]
     return [Answered(*own, answer(o, *own)) for o, own in enumerate(each)]
 
 
 @dataclass(frozen=True)
 class RandomTraces:
-    """The paper's questions: transitions of the robot's traces, which start at random and follow an
-    optimal policy (ties broken at random). Each trace comes with one random message set.
+    """The paper's questions: transitions of the robot's traces. A trace starts at random, follows
+    an optimal policy (ties broken at random) and has one random message set.
 
     Attributes:
-        trace_length: where a trace is cut.
-        message_probability: that a message is in the message set of a trace.
+        trace_length: maximum length of a trace.
+        message_probability: probability that a message is in the message set of a trace.
     """
 
     trace_length: Count = 10
@@ -146,7 +144,7 @@ class RandomTraces:
     def draw(
         self, setting: Setting, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Transitions [count, 3] and the message set [count] of each; the last trace is cut."""
+        """Draws transitions [count, 3] and their message sets [count]; the last trace is cut."""
         weights = 1 << np.arange(setting.n_messages, dtype=np.int64)
         robot, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
         traces: list[NDArray[np.int64]] = []
@@ -163,12 +161,12 @@ class RandomTraces:
 @checks("queries")
 @dataclass(frozen=True)
 class Independent(RandomTraces):
-    """Each observer is asked about their own random traces (the paper, as it reads)."""
+    """Each observer labels different random traces (the paper's text)."""
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Exactly ``sizes`` questions, with one random stream for each observer."""
+        """Asks exactly ``sizes`` questions; each observer has a random stream."""
         asked = []
         for o, size in enumerate(sizes):
             questions = self.draw(setting, int(size), stream(seed, "queries", o))
@@ -179,13 +177,13 @@ class Independent(RandomTraces):
 @checks("queries")
 @dataclass(frozen=True)
 class Shared(RandomTraces):
-    """All observers are asked about the same random traces. This is best for a clusterer that
-    counts coinciding questions (the paper's). Without errors, observers of one type then give
-    identical data."""
+    """All observers label the same random traces. This is best for a clusterer that counts repeated
+    questions, as the paper's does: without errors, observers of one type then give identical
+    data."""
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """The first ``sizes`` questions of one battery."""
+        """Asks the first ``sizes`` questions of one common list."""
         battery = self.draw(setting, int(sizes.max()), stream(seed, "queries", "shared"))
         return asked_in_order(*battery, sizes, answer)
