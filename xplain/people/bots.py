@@ -1,7 +1,7 @@
 """Simulated people, in the bare flow and against a running server (``study bots``).
 
-They come over HTTP, with invitations of the stream "bot", which marks them in the data for ever.
-The plan that they need is read from the server's export, so the server may run anywhere.
+They use HTTP and invitations of the stream "bot", so their data is always marked. Their plan is
+read from the server's export, so the server may run anywhere.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from xplain.people.plan import LabQuestion
 from xplain.randomness import below
 
 WIDTH = {"width": "1280"}
-"""Of the window that a client without scripts says it has."""
+"""Window width that a client without scripts reports."""
 
 
 def _of_class(tag: str, name: str) -> str:
@@ -42,15 +42,15 @@ _LEAVING = f"[not(ancestor::{_of_class('details', 'leave')[2:]})]"
 
 @dataclass(frozen=True)
 class Page:
-    """What a participant sees of a page.
+    """The content of a page, as a participant sees it.
 
     Attributes:
-        stage: of the flow; "" on other pages.
+        stage: stage of the flow; "" on other pages.
         facts, messages: the sentences on the page.
-        new: the messages that are said on this page, for the first time or again.
-        fields: radio buttons and checkboxes by name, each its (value, words beside it).
-        steps: which transitions a clip shows.
-        hidden: the hidden fields of the form that goes on.
+        new: the messages that are given on this page, for the first time or again.
+        fields: radio buttons and checkboxes by name; each has (value, text) pairs.
+        steps: the transitions that a clip shows.
+        hidden: the hidden fields of the form.
         headings: texts of h1.
     """
 
@@ -65,7 +65,7 @@ class Page:
 
     @classmethod
     def of_html(cls, html: str) -> Page:
-        """Reads a page from its HTML, as a browser gets it."""
+        """Reads a page from its HTML."""
         tree = lxml.html.document_fromstring(html)
         fields: dict[str, list[tuple[str, str]]] = {}
         for one in tree.xpath(f"//input[@type='radio' or @type='checkbox']{_LEAVING}"):
@@ -96,7 +96,7 @@ class Page:
 
 
 def _text(element: Any) -> str:
-    """Its words, without tags that mark something as new, and without letters in a picture."""
+    """The text of an element, without "new" tags and without letters in a picture."""
     said = element.xpath(".//text()[not(parent::span[@class='tag'] or ancestor::svg)]")
     return " ".join("".join(said).split())
 
@@ -105,16 +105,16 @@ class Visitor(Protocol):
     """A simulated person."""
 
     def leaves(self, page: Page) -> bool:
-        """Whether this page is where they drop out."""
+        """True if they drop out at this page."""
         ...
 
     def fill(self, page: Page) -> tuple[Fields, float]:
-        """The fields that they fill in on a page, and how long it took them, in seconds."""
+        """Fills in a page. Returns the fields and the time that it took, in seconds."""
         ...
 
 
 class Cookies(RequestsCookieJar):
-    """Keeps cookies that are meant for https also from a server whose proxy speaks it."""
+    """A cookie jar that keeps https cookies also over http, for servers behind an https proxy."""
 
     def set_cookie(self, cookie: Any, *args: Any, **kwargs: Any) -> Any:
         """Stores the cookie for any protocol."""
@@ -123,7 +123,7 @@ class Cookies(RequestsCookieJar):
 
 
 def new_session() -> requests.Session:
-    """Goes straight to the server, through no proxy of the environment."""
+    """A session that ignores the proxies of the environment."""
     session = requests.Session()
     session.trust_env, session.cookies = False, Cookies()
     return session
@@ -131,13 +131,13 @@ def new_session() -> requests.Session:
 
 @dataclass
 class Browser:
-    """Goes on trying while the server is away.
+    """An HTTP client that tries again while the server is unavailable.
 
     Attributes:
-        url: of the server.
-        patience: seconds to go on trying.
+        url: address of the server.
+        patience: seconds to try.
         timings: (seconds, status) of every request.
-        session: with the cookies.
+        session: holds the cookies.
     """
 
     url: str
@@ -146,18 +146,18 @@ class Browser:
     session: requests.Session = field(default_factory=new_session)
 
     def get(self, path: str) -> tuple[int, str]:
-        """A page, redirects followed."""
+        """Requests a page and follows redirects."""
         return self.send("GET", path)
 
     def post(self, path: str, fields: Fields) -> tuple[int, str]:
-        """Sends a form, then follows where it leads."""
+        """Sends a form and follows redirects."""
         return self.send("POST", path, fields)
 
     def send(self, method: str, path: str, fields: Fields | None = None) -> tuple[int, str]:
-        """Status and text of the last answer.
+        """Returns status and text of the last response.
 
         Raises:
-            OSError: the server was away for longer than the patience.
+            OSError: the server was unavailable for longer than ``patience``.
         """
         until = time.monotonic() + self.patience
         while True:
@@ -185,14 +185,14 @@ def walk(
     """Walks from a page to the end of the flow.
 
     Args:
-        page: that is open.
-        answer: sends the fields of a page, and gives the next one.
-        person: who answers.
-        think: called with the seconds that a person would take before each answer.
+        page: the open page.
+        answer: sends the fields of a page and returns the next page.
+        person: the visitor who answers.
+        think: called before each answer, with the seconds that a person would take.
         look: called with every page.
 
     Returns:
-        The last stage; "left" for somebody who dropped out.
+        The last stage, or "left" after a drop-out.
     """
     look(page)
     while page.hidden:
@@ -215,11 +215,11 @@ def visit(
     invitation: str,
     think: Callable[[float], None] = lambda seconds: None,
 ) -> str:
-    """Takes part from the invitation to the end; see :func:`walk`.
+    """Goes from the invitation to the end; see :func:`walk`.
 
     Raises:
         Refusal: an answer was not accepted.
-        OSError: the server was away for longer than the browser's patience.
+        OSError: the server was unavailable for longer than the browser's ``patience``.
     """
 
     def answer(page: Page, fields: Fields) -> Page:
@@ -237,7 +237,7 @@ def visit(
 
 @dataclass(frozen=True, kw_only=True)
 class BotHabits:
-    """Assumptions about people. None is measured.
+    """Assumptions about people. None of them was measured.
 
     Attributes:
         mistake: probability of a wrong answer in a practice or a test.
@@ -260,9 +260,9 @@ class Bot(Generic[P, H]):
     its own random stream, so an additional page does not change the others.
 
     Args:
-        plan: for the sentences and the true labels.
-        habits: how they behave.
-        rng: their stream.
+        plan: has the sentences and the true labels.
+        habits: the assumed behaviour.
+        rng: random stream.
     """
 
     def __init__(self, plan: P, habits: H, rng: np.random.Generator) -> None:
@@ -271,25 +271,25 @@ class Bot(Generic[P, H]):
         self.corrected: set[tuple[str, int]] = set()
 
     def chance(self, probability: float) -> bool:
-        """Whether something of this probability happens."""
+        """True with this probability."""
         return bool(self.rng.random() < probability)
 
     def leaves(self, page: Page) -> bool:
-        """Whether this page is where they drop out."""
+        """True if they drop out at this page."""
         self.rng = self.streams(page.stage)
         return self.chance(self.habits.leaving)
 
     def practises(self, page: Page, right: int) -> Fields:
-        """Chooses the label of a practice step. A bot that makes an error is told so, and makes
-        only one."""
+        """Chooses the label of a practice step. After an error the page says so; a bot makes only
+        one."""
         errs = self.chance(self.habits.mistake) and (page.stage, right) not in self.corrected
         if errs:
             self.corrected.add((page.stage, right))
         return [("label", str(right ^ errs))]
 
     def asked(self, questions: tuple[LabQuestion, ...]) -> Fields:
-        """Answers each question that needs an answer: with the right answer, or with the first
-        allowed one if none is right."""
+        """Answers each required question: with the right answer, or with the first allowed one if
+        none is right."""
         return [
             (q.name, q.right or (q.options or (str(q.low) if q.kind == "number" else "–",))[0])
             for q in questions
@@ -297,7 +297,7 @@ class Bot(Generic[P, H]):
         ]
 
     def fill(self, page: Page) -> tuple[Fields, float]:
-        """The fields that they fill in on a page, and how long it took them, in seconds."""
+        """Fills in a page. Returns the fields and the time that it took, in seconds."""
         self.rng = self.streams(page.stage)
         answer = getattr(self, f"at_{page.stage}", lambda page: None)
         filled: tuple[Fields, float] | Fields = answer(page) or []
@@ -308,33 +308,33 @@ class Bot(Generic[P, H]):
         return [("agree", "1")]
 
     def at_ahead(self, page: Page) -> Fields:
-        """Sees why the step makes sense."""
+        """Answers that the step makes sense."""
         return self.practises(page, 1)
 
     def at_questions(self, page: Page) -> Fields:
-        """Says no more than is needed."""
+        """Answers only the required questions."""
         return self.asked(self.plan.asked)  # type: ignore[attr-defined]
 
 
 def answer(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> tuple[str, dict[str, Any]]:
-    """Kind and payload of a bot's answer to the page of a state, in the bare flow."""
+    """Kind and payload of a bot's answer to a state's page, in the bare flow."""
     kind, (filled, _) = flow.waits_for(state), bot.fill(Page.of_view(flow.view(state)))
     return kind, flow.read(state, kind, ImmutableMultiDict(filled))
 
 
 def take_part(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> S:
-    """Leads a bot through the bare flow, from a state to the end or to the page where it leaves."""
+    """Moves a bot through the bare flow, from a state to the end or to the page where it leaves."""
     while not state.over and not bot.leaves(Page.of_view(flow.view(state))):
         state = flow.advance(state, *answer(flow, bot, state))
     return state
 
 
 class Researcher:
-    """The researcher's page, used by a program.
+    """A program's access to the researcher's page.
 
     Args:
-        url: of the server.
-        key: that the server printed at its start.
+        url: address of the server.
+        key: key that the server printed at its start.
     """
 
     def __init__(self, url: str, key: str) -> None:
@@ -348,7 +348,7 @@ class Researcher:
         self.token = Page.of_html(html).hidden["token"]
 
     def invite(self, count: int, stream_name: str = "bot") -> list[str]:
-        """Makes ``count`` invitations of a stream; their tokens."""
+        """Creates ``count`` invitations of a stream. Returns their tokens."""
         fields = [("token", self.token), ("count", str(count)), ("stream", stream_name)]
         _, html = self.browser.post("/researcher/invitations", fields)
         return re.findall(r"\?invitation=([\w-]+)", html)
@@ -359,7 +359,7 @@ class Researcher:
         return self.browser.session.post(url, data={"token": self.token}, timeout=60).content
 
     def plan(self, kind: type[Plan]) -> Plan:
-        """The plan, from the server's export."""
+        """The plan in the server's export."""
         with zipfile.ZipFile(io.BytesIO(self.archive())) as archive:
             return kind.from_text(archive.read("study/plan.json").decode())
 
@@ -371,14 +371,14 @@ def crowd(
     pace: float,
     person_of: Callable[[int], Visitor],
 ) -> Counter[str]:
-    """Lets simulated people take part; returns how many ended at each stage.
+    """Runs simulated people. Returns the number that ended at each stage.
 
     Args:
-        researcher: makes the invitations.
-        count: bots.
-        at_once: how many of them at a time.
-        pace: seconds of waiting a simulated second of thinking; 0 = none.
-        person_of: the person with a number.
+        researcher: creates the invitations.
+        count: number of bots.
+        at_once: maximum number of bots at the same time.
+        pace: seconds to wait for each simulated second of thinking; 0 = no waiting.
+        person_of: returns the person with a number.
     """
     url = researcher.browser.url
 

@@ -1,6 +1,6 @@
-"""The researcher's page: what can be done, who is where, invitations, the data.
+"""The researcher's page: actions, the state of participants, invitations, and the data.
 
-Who has which type and condition stays hidden unless the server is told otherwise.
+Types and conditions of participants stay hidden by default.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ desk = APIRouter(prefix="/researcher")
 MOST_INVITATIONS = 500
 MOST_SHOWN = 500
 MOST_BATCHES = 20
-"""Batches of invitations that can be looked at again."""
+"""Number of batches of invitations that can be shown again."""
 
 
 def signed_in(visit: Visiting) -> Visit:
-    """A request of a researcher who is logged in, by a form of their own.
+    """A request of a logged-in researcher, with a valid form token.
 
     Raises:
-        HTTPException: it is none.
+        HTTPException: the request is not valid.
     """
     if not visit.genuine(visit.researcher):
         raise HTTPException(403, "Please log in first.")
@@ -46,13 +46,13 @@ Signed = Annotated[Visit, Depends(signed_in)]
 
 
 def moment(at: float) -> str:
-    """A time (seconds since 1970) for people."""
+    """Formats a time (seconds since 1970)."""
     return f"{datetime.fromtimestamp(at, UTC):%d %b %H:%M}"
 
 
 @desk.get("")
 def overview(visit: Visiting) -> Response:
-    """Everything at a glance, or the way in."""
+    """Shows the overview, or the login form."""
     site, here, request = visit.site, visit.researcher, visit.request
     if here is None:
         return visit.page("login.html")
@@ -88,7 +88,7 @@ def overview(visit: Visiting) -> Response:
 
 @desk.post("/login")
 def login(visit: Visiting) -> Response:
-    """Trades the key for a session of one's own."""
+    """Checks the key and opens a session for this browser."""
     site = visit.site
     if not site.keys.is_researcher(visit.field("key"), site.server.key):
         if not site.guess_limit.allows(visit.address):
@@ -102,7 +102,7 @@ def login(visit: Visiting) -> Response:
 
 @desk.post("/logout")
 def logout(visit: Signed) -> Response:
-    """Ends this browser's session, here and in the browser."""
+    """Ends this browser's session on the server and in the browser."""
     visit.site.sessions.discard(visit.researcher or "")
     reply = visit.lead("/researcher")
     visit.set_cookie(reply, RESEARCHER, "")
@@ -111,7 +111,7 @@ def logout(visit: Signed) -> Response:
 
 @desk.post("/invitations")
 def invitations(visit: Signed) -> Response:
-    """Makes invitations; the page that is led to shows them."""
+    """Creates invitations and redirects to the page that shows them."""
     count, stream = small(visit.field("count")), visit.field("stream")
     if not count or count > MOST_INVITATIONS or stream not in STREAMS:
         said = f"1 to {MOST_INVITATIONS} invitations: {', '.join(STREAMS)}."
@@ -125,14 +125,14 @@ def invitations(visit: Signed) -> Response:
 
 @desk.post("/pause")
 def pause(visit: Signed) -> Response:
-    """Lets nobody new in, or lets them in again."""
+    """Closes or opens the study for new participants."""
     visit.site.store.pause(visit.field("on") == "1")
     return visit.lead("/researcher")
 
 
 @desk.post("/preview")
 def preview(visit: Signed) -> Response:
-    """Makes this browser a pilot of a chosen type and condition."""
+    """Makes this browser a pilot with a chosen type and condition."""
     cell = small(visit.field("cell"))
     try:
         return visit.let_in(visit.site.store.enter_as_pilot(-1 if cell is None else cell))
@@ -142,7 +142,7 @@ def preview(visit: Signed) -> Response:
 
 @desk.post("/erase")
 def erase(visit: Signed) -> Response:
-    """Erases the data of the participant who gave their reference."""
+    """Erases the data of the participant with this reference."""
     try:
         visit.site.store.erase_by(visit.field("reference")[:100])
     except InputError as error:
@@ -153,8 +153,8 @@ def erase(visit: Signed) -> Response:
 
 @desk.post("/export")
 def export(visit: Signed) -> Response:
-    """An archive, made from a snapshot: the tables without anything that says who is who, or with
-    ``what=identifiers`` the completion codes, the platform's ids and the snapshot itself."""
+    """An archive made from a snapshot: the tables without identifiers, or with ``what=identifiers``
+    the completion codes, the platform's ids and the snapshot itself."""
     name = "identifiers" if visit.field("what") == "identifiers" else "study"
     store = visit.site.store
     with tempfile.TemporaryDirectory() as folder:

@@ -1,5 +1,5 @@
-"""What participants did, as tables with a codebook of every column; and whether their plan would
-decide all of it again."""
+"""Exports participants' data as tables with a codebook of every column, and checks that the plan
+leads to the same states again."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 OTHERS = "…"
-"""Ends a column of a codebook that stands for every column beginning with what is before it."""
+"""A codebook column that ends so represents every column with the same beginning."""
 _NUMBER = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 
 
 def replayed(flow: Flow[Any, S], people: Iterable[Participant[S]]) -> list[str]:
-    """Would this plan decide all of it again? Where not, a sentence for each difference between the
-    stored states and those that the same events lead to now."""
+    """Replays the events of everybody. Returns a sentence for each difference between a stored
+    state and the state that the same events lead to now."""
     differences = []
     for one in people:
         first, *later = [event for event in one.events if event.state]
@@ -53,20 +53,20 @@ def replayed(flow: Flow[Any, S], people: Iterable[Participant[S]]) -> list[str]:
 
 
 def codebook(package: str) -> list[dict[str, str]]:
-    """Every column of the tables of a flow: its table, name, type, unit and meaning. They stand in
-    a file beside the flow; those that every export has are beside this module."""
+    """Every column of the tables of a flow: its table, name, type, unit and meaning. They are in a
+    file beside the flow; the columns that all exports have are in a file beside this module."""
     books = [files(one).joinpath("codebook.csv") for one in (package, "xplain.people")]
     texts = [book.read_text(encoding="utf-8").splitlines() for book in books]
     return [row for lines in texts for row in csv.DictReader(lines)]
 
 
 def described(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.DataFrame:
-    """A table of rows with the columns of its codebook, in that order; those that one entry stands
-    for (:data:`OTHERS`) come last, in their own.
+    """Makes a table of rows with the columns of its codebook, in that order. Columns that one entry
+    represents (:data:`OTHERS`) come last, in their own order.
 
     Raises:
-        ValueError: a row has a column that the codebook does not describe, or lacks one that it
-            does: an export would lose it, or leave it unexplained.
+        ValueError: a row has a column that the codebook lacks, or lacks one that the codebook has.
+            An export would lose it or leave it unexplained.
     """
     import pandas as pd
 
@@ -82,35 +82,34 @@ def described(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.Data
 
 
 def defused(cell: Any) -> Any:
-    """A text that a spreadsheet would run as a formula, with an apostrophe before it; numbers
-    stay as they are."""
+    """Puts an apostrophe before a text that a spreadsheet would run as a formula. Numbers stay
+    unchanged."""
     if not isinstance(cell, str) or cell[:1] not in _FORMULAS or _NUMBER.fullmatch(cell):
         return cell
     return f"'{cell}"
 
 
 def seconds(first: Event, last: Event) -> tuple[float | None, str]:
-    """From an event to a later one, and by which of the server's clocks: the monotonic one, or the
-    wall clock where the machine was restarted in between. None where it cannot be, because the
-    wall clock was set back."""
+    """Time from an event to a later one, and the server's clock that measured it: the monotonic
+    one, or the wall clock if the machine restarted in between. The time is None if the wall clock
+    was set back."""
     clock = "monotonic" if first.boot == last.boot else "wall"
     took = getattr(last, clock) - getattr(first, clock)
     return (took, clock) if took >= 0 else (None, "impossible")
 
 
 Tables = Callable[[Any, list[Participant[Any]]], Mapping[str, Iterable[Row]]]
-"""Rows of every table by name, of the plan and its participants."""
+"""Returns the rows of every table by name, for a plan and its participants."""
 
 
 def write(
     folder: Path, package: str, plan: StoredPlan, people: list[Participant[Any]], tables: Tables
 ) -> str:
     """Writes the tables of a flow into a folder, with the events of everybody who did not withdraw,
-    the codebook and the plan; and SHA-256 of the file of events, to be published with a
-    preregistration.
+    the codebook and the plan.
 
     Returns:
-        The hash.
+        SHA-256 of the file of events, to be published with a preregistration.
     """
     book, rows = codebook(package), dict(tables(plan, people))
     rows["codebook"] = book
@@ -134,8 +133,8 @@ def write(
 
 
 def write_identifiers(people: Iterable[Participant[Any]], file: Path) -> None:
-    """Writes who is who, for paying people, apart from the tables that may be published: a row a
-    participant with the completion code and, where the server keeps them, the platform's ids."""
+    """Writes identifiers for payment into a separate file: a row for each participant with the
+    completion code and, if the server keeps them, the platform's ids."""
     import pandas as pd
 
     rows = [

@@ -1,12 +1,13 @@
 """A flow: the stages that lead a participant from the consent to the end, as a pure state machine.
 
-``flow.advance(state, kind, payload)`` is the whole of it. No clock, no storage, no web; what comes
-from elsewhere (a slot, a number, the orders of questions) is in the consent event. The same events
-give the same states, which is what the replay checks. A stage has one page: :meth:`Stage.view` is
-what it shows, :meth:`Stage.read` what it sends, :meth:`Stage.advance` what that leads to.
+``flow.advance(state, kind, payload)`` is the only transition. It uses no clock, no storage and no
+HTTP; values from elsewhere (a slot, a number, the orders of questions) are in the consent event.
+The same events give the same states, and the replay checks this. A stage has one page:
+:meth:`Stage.view` makes its content, :meth:`Stage.read` reads its form, and :meth:`Stage.advance`
+gives the next state.
 
-From anywhere a participant may get to an end: declined, withdrawn, timed_out, and a flow's own.
-From timed_out they may return to where they were.
+From every stage a participant may come to an end: declined, withdrawn, timed_out, and ends of a
+flow's own. After timed_out they may return to their stage.
 """
 
 from __future__ import annotations
@@ -23,24 +24,24 @@ from xplain.people.plan import LabQuestion, StoredPlan, Way
 from xplain.storage import decode
 
 Form = Any
-"""What a browser sent: a ``FormData`` of texts. Nothing in it is trusted."""
+"""A browser's form: a ``FormData`` of texts. It is not trusted."""
 Fields = list[tuple[str, str]]
 """Names and values of a form."""
 
 
 @dataclass(frozen=True)
 class State:
-    """Where a participant is. The first value is the start.
+    """The state of a participant. The default values are the start.
 
     Attributes:
-        ENDS: the stages that nothing follows, beside "done" and "erased".
-        stage: of the flow.
-        accepted: answers accepted so far, which is the number of the page that is open. Events of
+        ENDS: final stages beside "done" and "erased".
+        stage: stage of the flow.
+        accepted: number of accepted answers, which is also the number of the open page. Events of
             the server (a time-out, a return) have no number.
-        part: which half of the practice.
-        wrong: whether the last answer of a practice or a test was wrong.
-        left: the stage at which somebody was timed out.
-        cell: the number of the cell (:attr:`Flow.cells`) that a preview shows; None for people.
+        part: half of the practice.
+        wrong: True if the last answer of a practice or a test was wrong.
+        left: the stage in which the participant was timed out.
+        cell: index of the cell (:attr:`Flow.cells`) that a preview shows; None for people.
     """
 
     ENDS: ClassVar[tuple[str, ...]] = ("declined", "withdrawn", "timed_out")
@@ -54,12 +55,12 @@ class State:
 
     @property
     def over(self) -> bool:
-        """Whether nothing more can happen."""
+        """True if no event can follow."""
         return self.stage in ("done", "erased", *self.ENDS)
 
     @property
     def paused(self) -> bool:
-        """Whether they were silent for too long; they may go on where they were."""
+        """True if they were timed out; they may return to their stage."""
         return self.stage == "timed_out"
 
     @property
@@ -70,11 +71,11 @@ class State:
     @classmethod
     @lru_cache(maxsize=1024)  # a page asks for its state several times
     def from_text(cls, text: str) -> Self:
-        """The state that :attr:`text` was made from, equal to the last bit."""
+        """Reads a state from its :attr:`text`, exactly."""
         return decode(cls, json.loads(text))
 
     def to(self, **changes: Any) -> Self:
-        """The state after one more accepted event."""
+        """Returns the changed state after one more accepted event."""
         return replace(self, accepted=self.accepted + 1, **changes)
 
 
@@ -82,7 +83,7 @@ S = TypeVar("S", bound=State)
 
 
 class Conflict(Refused):
-    """An answer to a page that is not open, or another answer to one that was answered."""
+    """An answer to a page that is not open, or a second, different answer to a page."""
 
 
 class Full(Refused):
@@ -90,11 +91,11 @@ class Full(Refused):
 
 
 STREAMS = ("person", "pilot", "bot")
-"""Whose data it is; fixed by the invitation, and never mixed in an analysis."""
+"""Kinds of participants; fixed by the invitation, and never mixed in an analysis."""
 
 
 class Event(NamedTuple):
-    """A row of the log; what its columns mean is in the codebook."""
+    """A row of the log. The codebook explains its columns."""
 
     participant: str
     sequence: int
@@ -115,22 +116,22 @@ NOTHING = Event("", 0, "", 0, "", 0.0, 0.0, "", None, {}, None, 0)
 
 @dataclass(frozen=True)
 class Participant(Generic[S]):
-    """A participant, as their events so far have them.
+    """A participant, as their events describe them.
 
     Attributes:
-        id: as in every table.
-        number: 1, 2, … in the order in which people came.
+        id: the id in every table.
+        number: 1, 2, … in order of arrival.
         kind: class of the state.
         text: the state as JSON.
-        about: what is known since they came: ``stream`` and ``entry``.
-        identity: what they came with, and what they are paid by: the keyed hashes ``key`` and
-            ``session``, ``code``, and ``kept``, outside ids in clear. No export has it.
-        entered: by the server's wall clock.
+        about: data from the arrival: ``stream`` and ``entry``.
+        identity: identifiers, which no export contains: the keyed hashes ``key`` and ``session``,
+            the completion ``code``, and ``kept``, outside ids in clear.
+        entered: time of arrival by the server's wall clock.
         latest: their last event.
         shown: number of the last page that was rendered.
-        reported: how many events their pages reported.
-        erased: whether their data was erased.
-        events: in order, where they were asked for.
+        reported: number of events that their pages reported.
+        erased: True if their data was erased.
+        events: events in order, if they were requested.
     """
 
     id: str
@@ -147,7 +148,7 @@ class Participant(Generic[S]):
     events: tuple[Event, ...] = ()
 
     def after(self, event: Event) -> Self:
-        """The participant with one more event."""
+        """Returns the participant after one more event."""
         changes: dict[str, Any] = {
             "latest": event,
             "erased": self.erased or event.kind == "erase",
@@ -171,7 +172,7 @@ class Participant(Generic[S]):
 
     @property
     def stream(self) -> str:
-        """Whose data it is: person, pilot or bot."""
+        """The participant's stream: person, pilot or bot."""
         return str(self.about["stream"])
 
     def answers(self, kind: str) -> list[Event]:
@@ -179,7 +180,7 @@ class Participant(Generic[S]):
         return [e for e in self.events if e.source == "protocol" and e.kind == kind]
 
     def first(self, kind: str) -> Mapping[str, Any]:
-        """The payload of the first answer of a kind; empty where there is none."""
+        """The payload of the first answer of a kind; empty if there is none."""
         return next((event.payload for event in self.answers(kind)), {})
 
 
@@ -192,12 +193,12 @@ P = TypeVar("P")
 
 @dataclass(frozen=True)
 class Stage(Generic[F, S]):
-    """A page, and what its answer leads to.
+    """A page and the transition that its answer makes.
 
     Attributes:
-        WITHIN: the stage that this one comes in the middle of; "" for one in the order of them all.
-        name: of the stage, its template and its title.
-        kind: of the event that it waits for.
+        WITHIN: the stage that contains this one; "" for a stage of the main order.
+        name: name of the stage, its template and its title.
+        kind: kind of the event that it waits for.
     """
 
     WITHIN: ClassVar[str] = ""
@@ -206,43 +207,42 @@ class Stage(Generic[F, S]):
     kind: str
 
     def wanted(self, plan: Any) -> bool:
-        """Whether a plan has this stage in its order."""
+        """True if a plan has this stage in its order."""
         return not self.WITHIN
 
     def enter(self, flow: F, state: S) -> S:
-        """The state after the event that leads here."""
+        """The state after the stage is entered."""
         return state.to(stage=self.name)
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
-        """What the page shows, in plain values. What simulated people read as well: ``briefing``
-        and ``told``, sentences; ``fields``, of each field its (value, text)."""
+        """The content of the page, in plain values. Simulated people also read it: ``briefing`` and
+        ``told`` are sentences; ``fields`` has (value, text) pairs of each field."""
         return {}
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
-        """The payload of what was sent; what is missing or malformed becomes None."""
+        """Reads the payload from a form; a missing or malformed value becomes None."""
         return {}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """The state after the page's event.
 
         Raises:
-            Refused: the payload is not what the stage asks for.
+            Refused: the payload is not valid for the stage.
         """
         return flow.after(state)
 
 
 @dataclass(frozen=True)
 class Flow(ABC, Generic[P, S]):
-    """Stages in their order, with a plan, and what a server needs to run them: places, drawings,
-    and the texts of the researcher's page. All of it follows from the plan and the participants'
-    states.
+    """Stages in order, with a plan, and what a server needs to run them: places, drawings, and the
+    texts of the researcher's page. Everything follows from the plan and the participants' states.
 
     Attributes:
         PLAN: class of its plans.
-        PACKAGE: name of the package that has its templates and tables.
-        DATA: what an export holds, in words.
-        STATE: the class of its states.
-        STAGES: from the consent on.
+        PACKAGE: name of the package with its templates and tables.
+        DATA: description of the exported data.
+        STATE: class of its states.
+        STAGES: stages after the consent, in order.
         plan: the stored plan, with ``texts``.
     """
 
@@ -263,43 +263,43 @@ class Flow(ABC, Generic[P, S]):
 
     @abstractmethod
     def admit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """What the consent event must contain from outside the state, such as a place.
+        """Values from outside the state that the consent event must contain, such as a place.
 
         Args:
-            person: who consents.
-            people: everybody, in the order in which they came.
+            person: the participant who consents.
+            people: all participants, in order of arrival.
 
         Raises:
             Full: nobody can be admitted now.
         """
 
     def readmit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """What the return event of a participant who was silent for too long must contain."""
+        """Values that the return event of a timed-out participant must contain."""
         return {}
 
     @abstractmethod
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """What a consent that agrees changes in the state.
+        """Changes of the state when a participant agrees to take part.
 
         Raises:
             Refused: this participant cannot take part.
         """
 
     def forget(self) -> None:
-        """Clears the caches, because somebody's data was erased."""
+        """Clears the caches after an erasure."""
         State.from_text.cache_clear()
 
     # What a server shows -------------------------------------------------------------------------
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Parts of the plan that a researcher may look at, as a participant meets them."""
+        """Parts of the plan that a researcher can preview as a participant."""
         return ("a participant",)
 
     @abstractmethod
     def drawn(self, what: Any) -> tuple[Way | None, int, Sequence[str]]:
-        """What :func:`xplain.people.map_svg.picture` draws for what a template asks for (hashable):
-        the way, how much of it, and names of the items that are off the map."""
+        """The arguments of :func:`xplain.people.map_svg.picture` for a template's argument
+        (hashable): the way, the number of steps, and names of the items that are off the map."""
 
     @property
     def titles(self) -> dict[str, str]:
@@ -307,21 +307,21 @@ class Flow(ABC, Generic[P, S]):
         return {stage: self.words[stage] for stage in self.stages[:-1]}
 
     def about(self, state: S, blinded: bool) -> dict[str, str]:
-        """What the researcher's page says of a participant, by column.
+        """Columns of the researcher's page about a participant.
 
         Args:
-            state: of the participant.
-            blinded: whether that may tell who gets what.
+            state: the participant's state.
+            blinded: True if types and conditions must stay hidden.
         """
         step = self.step_of(state)
         return {"Stage": state.stage.replace("_", " ") + (f", {step}" if step else "")}
 
     @abstractmethod
     def step_of(self, state: S) -> str:
-        """How far they are within a stage of several pages; empty elsewhere."""
+        """Progress within a stage of several pages; "" in other stages."""
 
     def announcement(self) -> str:
-        """What a start of the server says of the plan."""
+        """Describes the plan at the start of the server."""
         return ""
 
     # Stages --------------------------------------------------------------------------------------
@@ -333,7 +333,7 @@ class Flow(ABC, Generic[P, S]):
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Names of the stages that the plan has, in order; done is the last."""
+        """Names of the plan's stages, in order; "done" is the last."""
         return (*(one.name for one in self.STAGES if one.wanted(self.plan)), "done")
 
     def stage(self, name: str) -> Stage[Any, S] | None:
@@ -341,21 +341,22 @@ class Flow(ABC, Generic[P, S]):
         return next((one for one in self.STAGES if one.name == name), None)
 
     def part(self, name: str) -> str:
-        """Which of the ordered stages a stage belongs to; an end to itself."""
+        """The main stage that contains a stage; an end contains itself."""
         here = self.stage(name)
         return here.WITHIN or name if here else name
 
     def asking(self, state: S) -> S:
-        """The state whose page an answer is to: of somebody who was timed out, the one before."""
+        """The state that an answer refers to: the previous state if the participant was timed
+        out."""
         return replace(state, stage=str(state.left), left=None) if state.paused else state
 
     def waits_for(self, state: S) -> str:
-        """The kind of event that goes on from here; "" from ends that nothing follows."""
+        """The kind of the next event; "" at final ends."""
         here = self.stage(state.stage)
         return here.kind if here else "return" if state.paused else ""
 
     def after(self, state: S, **changes: Any) -> S:
-        """The next stage that the plan has."""
+        """Moves to the plan's next stage."""
         names, state = [one.name for one in self.STAGES], replace(state, **changes)
         later = self.STAGES[names.index(state.stage) + 1 :]
         found = next((one for one in later if one.wanted(self.plan)), None)
@@ -365,8 +366,7 @@ class Flow(ABC, Generic[P, S]):
         """The state after an event.
 
         Raises:
-            Refused: the event does not fit the stage, or its payload is not what the stage asks
-                for.
+            Refused: the event does not fit the stage, or its payload is not valid.
         """
         here = self.stage(state.stage)
         if state.paused and kind == "return":
@@ -382,33 +382,33 @@ class Flow(ABC, Generic[P, S]):
         return here.advance(self, state, payload)
 
     def view(self, state: S) -> dict[str, Any]:
-        """What the participant sees now, in plain values. Nothing of the type, the condition, the
-        belief or the right answers is in it."""
+        """The content of the participant's page, in plain values. It does not contain the type, the
+        condition, the belief or the right answers."""
         here = self.stage(state.stage)
         view = {"stage": state.stage, "sequence": state.accepted, "wrong": state.wrong}
         return view | (here.view(self, state) if here else {})
 
     def read(self, state: S, kind: str, form: Form) -> dict[str, Any]:
-        """The payload of an event from what a browser sent."""
+        """Reads the payload of an event from a browser's form."""
         here = self.stage(state.stage)
         return here.read(self, state, form) if here and here.kind == kind else {}
 
 
 CANNOT_TELL = 2
-"""The answer of somebody who cannot tell whether a step makes sense: no evidence of anything."""
+"""The answer "I cannot tell whether the step makes sense". It is no evidence."""
 FACTS_AT_ONCE = 3
-"""Facts on one screen of a briefing."""
+"""Maximum number of facts on one screen of a briefing."""
 
 
 class Consent(Stage[F, S]):
-    """The consent, which is to the current text."""
+    """The consent to the current text."""
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
-        """Whether they agree, and the hash of the text that they read."""
+        """Reads the decision, and the hash of the text that was shown."""
         return {"agree": small(form.get("agree")), "text": form.get("text", "")[:64]}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """Moves to the next stage, or to a polite end."""
+        """Moves to the next stage, or to the end "declined"."""
         agreed = choice(payload.get("agree"), 2, flow.words["consent_missing"])
         if payload.get("text") != flow.plan.texts.consent_hash:
             raise Refused(flow.words["consent_changed"])
@@ -418,14 +418,14 @@ class Consent(Stage[F, S]):
 
 
 class Briefing(Stage[F, S]):
-    """Screens to read: the task, a few facts a screen, what participants are asked to do."""
+    """Screens to read: the task, a few facts on each screen, and the participants' job."""
 
     def facts(self, flow: F, state: S) -> Mapping[str, Sequence[str]]:
-        """Key of a heading in the words: sentences below it."""
+        """Sentences by the key of their heading."""
         return {}
 
     def screens(self, flow: F, state: S) -> list[tuple[str, tuple[str, ...]]]:
-        """Key of the heading, and the sentences, of each screen."""
+        """Key of the heading and the sentences of each screen."""
         facts = [
             (heading, tuple(sentences[first : first + FACTS_AT_ONCE]))
             for heading, sentences in self.facts(flow, state).items()
@@ -456,7 +456,7 @@ class OneLabel(Stage[F, S]):
         return {"label": small(form.get("label"))}
 
     def label(self, flow: F, payload: Mapping[str, Any]) -> int:
-        """1, 0 or CANNOT_TELL.
+        """Checks the label: 1, 0 or CANNOT_TELL.
 
         Raises:
             Refused: nothing was chosen.
@@ -465,10 +465,12 @@ class OneLabel(Stage[F, S]):
 
 
 class Practice(OneLabel[F, S]):
-    """One step twice: without the message that explains it (label 0), and with it (label 1)."""
+    """The same step twice: without the message that explains it (label 0), and with it (label
+    1)."""
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """Moves on to the other half, or to the next stage; stays until the label is right."""
+        """Moves to the other half or the next stage after a right label; stays after a wrong
+        one."""
         right = self.label(flow, payload) == state.part
         if right and state.part:
             return flow.after(state, wrong=False)
@@ -480,7 +482,7 @@ class LookingAhead(OneLabel[F, S]):
     any answer except 1."""
 
     def wanted(self, plan: Any) -> bool:
-        """Whether the task has such a step."""
+        """True if the task has such a step."""
         return plan.ahead is not None
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
@@ -500,15 +502,15 @@ class QuestionStage(Stage[F, S]):
     """The lab's own questions.
 
     Attributes:
-        of: the plan's field that has them.
-        missed: the end for participants who answer wrongly; "" lets them continue.
+        of: name of the plan's field with the questions.
+        missed: the end after a wrong answer; "" continues.
     """
 
     of: str = "asked"
     missed: str = ""
 
     def wanted(self, plan: Any) -> bool:
-        """Whether the plan has such questions."""
+        """True if the plan has such questions."""
         return bool(getattr(plan, self.of))
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
@@ -521,7 +523,7 @@ class QuestionStage(Stage[F, S]):
         return {one.name: one.read(form.get(one.name, "")) for one in asked}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """Checks that each question allows its answer, and moves on."""
+        """Checks each answer, and moves on."""
         asked: Sequence[LabQuestion] = getattr(flow.plan, self.of)
         for one in asked:
             if problem := one.problem(payload.get(one.name, ""), flow.words):
@@ -537,17 +539,17 @@ class QuestionStage(Stage[F, S]):
 
 
 def small(text: object) -> int | None:
-    """A whole number 0 … 999 in plain digits, else None."""
+    """Parses a whole number 0 … 999 in plain digits; None for any other text."""
     if isinstance(text, str) and 0 < len(text) <= 3 and text.isascii() and text.isdigit():
         return int(text)
     return None
 
 
 def choice(value: object, count: int, otherwise: str) -> int:
-    """An integer 0 … count − 1 (true booleans count as what they are).
+    """Checks an integer 0 … count − 1 (booleans are accepted).
 
     Raises:
-        Refused: anything else, with the words ``otherwise``.
+        Refused: any other value; the text is ``otherwise``.
     """
     if not isinstance(value, int) or not 0 <= value < count:
         raise Refused(otherwise)
@@ -555,10 +557,10 @@ def choice(value: object, count: int, otherwise: str) -> int:
 
 
 def choices(values: object, counts: Sequence[int], otherwise: str) -> tuple[int, ...]:
-    """One choice a place, each from 0 … its count − 1.
+    """Checks one choice for each place, from 0 to its count − 1.
 
     Raises:
-        Refused: as :func:`choice`, or another number of them.
+        Refused: an invalid choice, as in :func:`choice`, or another number of choices.
     """
     if not isinstance(values, list) or len(values) != len(counts):
         raise Refused(otherwise)

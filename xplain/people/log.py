@@ -1,8 +1,8 @@
 """The log of a study, a collection or the service: events in one SQLite file.
 
-Events are the only state. Each has what was decided with it, and the state that it led to; all else
-follows from them. One process has the file open to write. What is acknowledged is on the disk (WAL,
-``synchronous=FULL``), and an event that comes twice is stored once.
+Events are the only stored state. Each event holds the decision made with it and the state after it;
+everything else is computed from them. One process has the file open for writing. Acknowledged
+events are on the disk (WAL, ``synchronous=FULL``), and a repeated event is stored once.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ from xplain.people.plan import StoredPlan
 
 Plan = TypeVar("Plan", bound=StoredPlan)
 RELEASE = 30
-"""Seconds in which a server that was just killed lets go of the file."""
+"""Seconds that a killed server may take to release the file."""
 LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
-"""Of ids, invitations and completion codes: no vowels, so no words, and no digits,
-which look like a number."""
+"""Alphabet of ids, invitations and completion codes: no vowels, so no words, and no digits, which
+look like numbers."""
 FIXED = """CREATE TRIGGER event_fixed BEFORE UPDATE ON event
 BEGIN SELECT RAISE(ABORT, 'events are never changed'); END"""
-"""Left out for the moment in which somebody's events are overwritten, in the same transaction."""
+"""A trigger that forbids changes of events. It is dropped only within the transaction that erases a
+participant's data."""
 SCHEMA = f"""BEGIN IMMEDIATE;
 CREATE TABLE event (
     participant TEXT NOT NULL,          -- random id; "" for events of the server itself
@@ -60,17 +61,18 @@ NO_TIME = "wall = 0, monotonic = 0, boot = ''"
 NO_KIND = "state = iif(kind = 'erase', state, NULL), kind = iif(kind = 'erase', kind, 'erased')"
 PRAGMAS = (
     *("journal_mode=WAL", "synchronous=FULL"),
-    *("recursive_triggers=ON", "secure_delete=ON"),  # REPLACE meets the triggers; erased is gone
+    *("recursive_triggers=ON", "secure_delete=ON"),  # REPLACE fires triggers; erases bytes
 )
 
 
 def letters(count: int) -> str:
-    """A random text that nothing reads as a word or a number, and no mail program cuts."""
+    """A random text that does not read as a word or a number and that no mail program cuts."""
     return "".join(secrets.choice(LETTERS) for _ in range(count))
 
 
 def boot_id() -> str:
-    """Within one of these the monotonic clock can be compared."""
+    """The id of the machine's current boot; monotonic clock times with the same id can be
+    compared."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:
@@ -87,14 +89,14 @@ class Clock:
 
 
 class Log(Generic[S]):
-    """The events of one file, and what they say. Safe to call from several threads.
+    """The events of one file and the state that they describe. Safe to call from several threads.
 
     Attributes:
-        plan: that everything follows from, as text; "" before the start.
-        paused: whether nobody new is let in.
+        plan: the plan as text; "" before the start.
+        paused: True if no new participants are admitted.
         invited: stream of each invitation, by the keyed hash of its token.
-        people: participants by id, in the order in which they came.
-        keys: ids by the keyed hash of what their participants came with.
+        people: participants by id, in order of arrival.
+        keys: participant ids by the keyed hash of their invitation or platform id.
     """
 
     plan: str
@@ -109,13 +111,13 @@ class Log(Generic[S]):
         """Opens or creates the file.
 
         Args:
-            path: of the file.
+            path: path of the file.
             kind: class of the participants' states.
-            clock: of the events.
-            patience: seconds to wait for another process that has it open.
+            clock: clock of the events.
+            patience: seconds to wait for another process that has the file open.
 
         Raises:
-            XplainError: another process has it open, or it is broken.
+            XplainError: another process has the file open, or it is broken.
         """
         self.path, self.kind, self.clock = path, kind, clock or Clock()
         self._lock = threading.RLock()
@@ -156,7 +158,7 @@ class Log(Generic[S]):
             self._take(event)
 
     def _take(self, event: Event) -> None:
-        """Adds an event to what is known."""
+        """Updates the state in memory by an event."""
         who, told = event.participant, event.payload
         if not who:
             self.plan = told.get("plan", self.plan)
@@ -170,10 +172,10 @@ class Log(Generic[S]):
 
     @contextmanager
     def changes(self) -> Iterator[None]:
-        """A transaction: all changes are stored or none; they are on the disk when it ends without
-        an error."""
+        """A transaction: either all changes are stored or none. They are on the disk when it ends
+        without an error."""
         with self._lock:
-            if self._connection.in_transaction:  # a part of what is under way
+            if self._connection.in_transaction:  # part of an open transaction
                 yield
                 return
             before = self._connection.total_changes
@@ -182,7 +184,7 @@ class Log(Generic[S]):
                 yield
                 self._connection.execute("COMMIT")
             except BaseException:
-                with suppress(sqlite3.OperationalError):  # SQLite has done so itself
+                with suppress(sqlite3.OperationalError):  # SQLite has already rolled back
                     self._connection.execute("ROLLBACK")
                 if self._connection.total_changes != before:
                     self._load()
@@ -198,8 +200,8 @@ class Log(Generic[S]):
         browser: float | None = None,
         state: str | None = None,
     ) -> None:
-        """Appends an event, with the state that it leads to, unless its source sent it before;
-        without a number it is numbered here."""
+        """Appends an event and the state after it, unless its source already sent it. Without
+        ``number`` it gets the next number."""
         sql = "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?"
         (sequence,) = self._connection.execute(sql, (who,)).fetchone()
         text = json.dumps(payload, sort_keys=True, allow_nan=False)
@@ -212,7 +214,7 @@ class Log(Generic[S]):
             self._take(Event(*row[:-3], json.loads(text), state, stored.lastrowid or 0))
 
     def events(self, where: str = "TRUE", *values: Any) -> Iterator[Event]:
-        """Events in the order of their arrival, payloads decoded."""
+        """Events in order of arrival, with decoded payloads."""
         sql = f"SELECT {', '.join(Event._fields)} FROM event WHERE {where} ORDER BY number"
         with self._lock:
             rows = self._connection.execute(sql, values).fetchall()
@@ -220,7 +222,7 @@ class Log(Generic[S]):
             yield event._replace(payload=json.loads(str(event.payload)))
 
     def everybody(self) -> list[Participant[S]]:
-        """Everybody who was not erased, with their events, in the order in which they came."""
+        """All participants except erased ones, with their events, in order of arrival."""
         own: dict[str, list[Event]] = {}
         for event in self.events():
             own.setdefault(event.participant, []).append(event)
@@ -228,12 +230,12 @@ class Log(Generic[S]):
         return [replace(one, events=tuple(own[one.id])) for one in stayed]
 
     def snapshot(self, path: Path) -> None:
-        """A consistent copy of everything, for exports; ``path`` must not exist."""
+        """Writes a consistent copy of everything, for exports; ``path`` must not exist."""
         with self._lock:
             self._connection.execute("VACUUM INTO ?", (str(path),))
 
     def overwrite(self, who: str, what: str, which: str) -> None:
-        """Changes some of a participant's events, for good."""
+        """Overwrites some of a participant's events permanently."""
         self._connection.execute("DROP TRIGGER event_fixed")
         sql = f"UPDATE event SET {what} WHERE participant = ? AND {which}"
         self._connection.execute(sql, (who,))
@@ -241,9 +243,11 @@ class Log(Generic[S]):
         self._load()
 
     def erase(self, who: str, keep_key: bool = True) -> None:
-        """Erases everything that one participant did or said, and their outside ids. The erasure is
-        an event of its own. The random id and the number of events stay, and the keyed hash of what
-        they came with, so that their link makes nobody new."""
+        """Erases one participant's answers and outside ids.
+
+        The erasure is an event too. The random id and the number of events stay. The keyed hash of
+        their invitation or platform id stays too, so that their link creates no new participant.
+        """
         with self.changes():
             self.append(who, "server", "erase", {}, state='{"stage": "erased"}')
             self.overwrite(who, f"{NO_TIME}, {NO_KIND}, {OVERWRITTEN}", "source != 'identity'")
@@ -255,10 +259,10 @@ class Log(Generic[S]):
 
 
 def backup(database: Path, file: Path) -> None:
-    """Copies a database, which its server may have open, with the key beside it.
+    """Copies a database and its key. The server may have the database open.
 
     Raises:
-        InputError: it is no such database, its key is missing, or the file exists.
+        InputError: the file is no such database, its key is missing, or the target exists.
     """
     key = Path(f"{database}.key")
     if not database.is_file() or not key.is_file():
@@ -273,7 +277,7 @@ def backup(database: Path, file: Path) -> None:
 
 
 def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
-    """The plan in a database, which its server may have open; None where there is none yet.
+    """The plan in a database, which its server may have open; None if there is no plan yet.
 
     Raises:
         InputError: the file is no such database.
@@ -289,11 +293,11 @@ def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
 
 
 def read(path: Path, plan: type[Plan], state: type[S]) -> tuple[Plan, list[Participant[S]]]:
-    """The plan, and everybody who was not erased, with their events, in the order in which they
-    came, of a database that no server has open, or of a snapshot.
+    """Reads the plan and all participants except erased ones, with their events, in order of
+    arrival. The file is a snapshot, or a database that no server has open.
 
     Raises:
-        InputError: it is no such flow's database.
+        InputError: the file is not a database of such a flow.
     """
     if not path.is_file() or read_plan(path, plan) is None:
         raise InputError("database", str(path), f"a database in which {plan.OF} was started")

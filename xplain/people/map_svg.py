@@ -1,4 +1,4 @@
-"""The map and the robot's way on it as inline SVG; its drawings are in ``templates/map.svg``."""
+"""The map and the robot's way as inline SVG. The drawings are in ``templates/map.svg``."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from markupsafe import Markup
 from xplain.domains.base import Item, cell_name
 
 BADGE_LETTERS = 7
-# Okabe and Ito's colours, which people with any colour vision can tell apart; every item also has
-# a shape or a letter, and is named in the legend.
+# Okabe and Ito's colours, which suit any colour vision. Every item also has
+# a shape or a letter, and its name is in the legend.
 COLOURS = ("#0072B2", "#D55E00", "#00795A", "#A0447E", "#8A6500", "#5B21B6", "#5B5B5B", "#704214")
 
 Cell = tuple[int, int]
@@ -36,13 +36,13 @@ _DRAWN: Any = _ENVIRONMENT.get_template("map.svg").module
 
 
 def picture(plan: Any, path: Path | None, steps: int, gone: Sequence[str] = ()) -> Markup:
-    """The map after the first ``steps`` transitions, and the same in words for those who do not see
-    it; "" where the domain has no map.
+    """Draws the map after the first ``steps`` transitions, with a text version for screen readers;
+    "" if the domain has no map.
 
     Args:
-        plan: with the map (``scene``), ``icons`` by the names of items, and words.
+        plan: has the map (``scene``), ``icons`` by the names of items, and words.
         path: [m] the robot's way, (cell before, cell after).
-        steps: how much of the way is drawn; 0 shows the map alone.
+        steps: number of steps to draw; 0 shows the map alone.
         gone: names of items that are no longer on the map.
     """
     if plan.scene is None or path is None:
@@ -56,7 +56,7 @@ def picture(plan: Any, path: Path | None, steps: int, gone: Sequence[str] = ()) 
 
 
 def legend(plan: Any, way: bool = False) -> list[tuple[str, Markup]]:
-    """(name, small SVG) of everything on the map, and, where pages show one, of the robot's way."""
+    """(name, small SVG) of everything on the map, and of the robot's way if pages show it."""
     if plan.scene is None:
         return []
     words = plan.texts.words
@@ -69,8 +69,8 @@ def legend(plan: Any, way: bool = False) -> list[tuple[str, Markup]]:
 
 
 def about(plan: Any, sentence: str) -> Markup:
-    """The picture of what a sentence is about: of the item or icon whose name is the first in it;
-    "" where it names none."""
+    """The picture of the item or icon whose name comes first in a sentence; "" if it has no such
+    name."""
     shown = _looks(plan) if plan.scene else []
     names = {look[0].name for look in shown}
     shown += [
@@ -93,8 +93,8 @@ def _looks(plan: Any) -> list[tuple[Item, str | None, str]]:
 
 
 def _badges(ended: Sequence[Cell]) -> list[tuple[Cell, str]]:
-    """The numbers of the steps by the cell where they ended, which has room for the last few; two
-    dots stand for those before."""
+    """The step numbers by the cell where the steps ended. A cell has room for the last few; two
+    dots represent the earlier ones."""
     found = []
     for cell in dict.fromkeys(ended):
         shown = [str(number) for number, one in enumerate(ended, 1) if one == cell]

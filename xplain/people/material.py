@@ -1,4 +1,4 @@
-"""From the configuration, and a domain's own phrases, to what a plan stores and people read."""
+"""Makes the content of plans and pages from the configuration and a domain's own phrases."""
 
 from __future__ import annotations
 
@@ -40,34 +40,34 @@ from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import stream
 
 KEPT = {"transparency"}
-"""What is kept of a picture beside its pixels."""
+"""Metadata of a picture that are kept."""
 FORMATS = ("PNG", "JPEG", "WEBP", "GIF")
 MAX_IMAGE, MAX_SIDE = 2 << 20, 4096
-"""Bytes of one image, and pixels of its longer side."""
+"""Maximum bytes of one image, and maximum pixels of its longer side."""
 DRAWN_ROLES = 4
-"""Kinds of simulated people where nobody wrote down which there may be."""
+"""Number of random kinds of simulated people, if none are configured."""
 
 
 Transitions = NDArray[np.int64]
-"""Rows of a material, from 0."""
+"""Rows of a material, starting at 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """T transitions of a task: of a domain, or of a lab's own table. What people see and are told
-    of them, and how kinds of simulated people label them.
+    """T transitions of a task, from a domain or from a lab's own table, with the texts and pictures
+    that people see, and the labels of simulated people.
 
     Attributes:
-        name: of the task.
+        name: name of the task.
         facts: [n] what people may believe incorrectly, with its sentences.
         types: M kinds of simulated people.
         clips: [T] the transitions as pages show them; texts not yet in a lab's words.
-        features: [T, F] of them.
+        features: [T, F] features of the transitions.
         feature_names: F names.
         scene: the map, or None.
-        hypotheses: what people might believe incorrectly of the T transitions.
-        whole: the same of all transitions of a domain; None where these are all.
-        setting: the domain with its models, where traces are drawn from it.
+        hypotheses: what people might believe incorrectly, for the T transitions.
+        whole: the same for all transitions of a domain; None if there are no others.
+        setting: the domain with its models, if traces are drawn from it.
         transitions: [T, 3] of the domain; None for a table.
     """
 
@@ -85,7 +85,7 @@ class Material:
 
     @classmethod
     def of(cls, setting: Setting) -> Material:
-        """Every transition that the robot of a domain can make."""
+        """Takes every transition that the robot of a domain can make."""
         domain, every = setting.domain, setting.reachable
         return cls(
             name=domain.name,
@@ -101,7 +101,7 @@ class Material:
 
     @classmethod
     def asked(cls, domain: Domain, users: TypeSource, seed: int) -> Material:
-        """The transitions of a domain that differ in features, to ask people about."""
+        """Takes transitions of a domain with distinct features, to ask people about."""
         whole = hypotheses_of(domain, None)
         known = whole.told_apart_by_features()
         assert known.states is not None, "hypotheses of a domain know states"
@@ -126,7 +126,7 @@ class Material:
         )
 
     def labels(self, rows: Transitions) -> NDArray[np.uint8]:
-        """[M, m, 2^n] what each kind of people labels truly."""
+        """[M, m, 2^n] true labels of each kind of people."""
         if self.setting and self.transitions is not None:
             return self.setting.label_table(self.transitions[rows])
         known = self.hypotheses
@@ -153,7 +153,7 @@ class Material:
 def clips_of(
     domain: Domain, phrases: Sequence[str], transitions: NDArray[np.int64]
 ) -> tuple[Clip, ...]:
-    """What a domain tells of transitions [T, 3]: on its map, if it has one."""
+    """Describes transitions [T, 3] of a domain; on its map, if it has one."""
     begin, cells = transitions[:, 0].tolist(), domain.position
     situations, gone = (of_states(domain, what, begin) for what in ("situation", "gone"))
     changes = () if domain.scene else changes_of(domain, transitions)
@@ -166,7 +166,7 @@ def clips_of(
 
 
 def own_table(table: Path, facts: str | None, seed: int) -> Material:
-    """A lab's own transitions, and the sentences of the facts.
+    """Reads a lab's own transitions and the sentences of the facts.
 
     Raises:
         InputError: a table cannot be read, a fact has no sentences, or an image cannot be shown.
@@ -193,7 +193,7 @@ def own_table(table: Path, facts: str | None, seed: int) -> Material:
 
 
 def read_facts(path: str | None, names: Sequence[str]) -> tuple[Parameter, ...]:
-    """The sentences of facts, from a CSV table with the columns fact, message and belief.
+    """Reads the sentences of facts from a CSV table with the columns fact, message and belief.
 
     Raises:
         InputError: no such table, or a fact without a sentence in it.
@@ -220,7 +220,7 @@ def read_facts(path: str | None, names: Sequence[str]) -> tuple[Parameter, ...]:
 
 
 def drawn_roles(known: Hypotheses, seed: int) -> dict[str, int]:
-    """Some fact sets that behave differently, none of them empty, for simulated people."""
+    """Draws non-empty fact sets with different behaviour, for simulated people."""
     sets = np.unique(known.essential[known.essential > 0])
     chosen = stream(seed, "roles").permutation(sets)[:DRAWN_ROLES].tolist()
     return {"+".join(names_of(held, known.messages)): held for held in chosen}
@@ -242,7 +242,7 @@ def _picture(folder: Path, image: str, alt: str) -> Picture | None:
             if max(read.size) > MAX_SIDE:
                 raise ValueError(f"{read.width} × {read.height} pixels")
             upright, kind = ImageOps.exif_transpose(read), str(read.format)
-            # Written anew, a picture has nothing but its pixels: no place and no name in it.
+            # Saving the picture again removes all but its pixels, such as its place and author.
             content = io.BytesIO()
             upright.info = {key: upright.info[key] for key in upright.info.keys() & KEPT}
             upright.save(content, kind, quality=95)
@@ -253,7 +253,7 @@ def _picture(folder: Path, image: str, alt: str) -> Picture | None:
 
 
 def learned_types(cfg: DictConfig, domain: Domain) -> tuple[Setting, LearnedTypes]:
-    """The types of a domain, learned from simulated observers as the experiments learn them."""
+    """Learns the types of a domain from simulated observers, as experiments do."""
     users, observers, queries = (component(cfg, key) for key in ("users", "observers", "queries"))
     observed = observe(domain, users, observers, queries, cfg.seed)
     assert observed.setting is not None, "of simulated observers"
@@ -268,15 +268,15 @@ NOT_OF_THE_PLAN = ("consent", "database", "host", "port", "server", "outputs")
 
 
 def texts_of(kind: str, wording: Mapping[str, Any], in_words: InWords = str) -> Texts:
-    """What the pages say.
+    """Collects the texts of the pages.
 
     Args:
-        kind: study or collect, whose shipped texts name everything that can be said.
-        wording: of the configuration.
-        in_words: turns a domain's phrases into what people read.
+        kind: study or collect; its shipped texts define the possible keys.
+        wording: texts of the configuration.
+        in_words: turns a domain's phrases into texts for people.
 
     Raises:
-        InputError: the words of a page are missing.
+        InputError: the text of a page is missing.
     """
     shared, own = (
         yaml.safe_load((CONF / file).read_text(encoding="utf-8"))
@@ -296,11 +296,11 @@ def texts_of(kind: str, wording: Mapping[str, Any], in_words: InWords = str) -> 
 
 
 def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
-    """Turns a domain's phrases into what people read.
+    """Makes a function that turns a domain's phrases into texts for people.
 
     Args:
-        phrases: parts of phrases, and what they become; the longest that fits is taken.
-        on_a_map: whether (row, column) and "row r, column c", from 0, become a letter and a number
+        phrases: parts of phrases with their replacements; the longest match is used.
+        on_a_map: True if (row, column) and "row r, column c", from 0, become a letter and a number
             as on the map.
     """
     parts = sorted(phrases, key=len, reverse=True)
@@ -319,10 +319,10 @@ def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
 def worded(
     told: Sequence[Parameter], facts: Mapping[str, Mapping[str, str]], in_words: InWords
 ) -> tuple[Parameter, ...]:
-    """Parameters with the lab's own sentences.
+    """Gives parameters the lab's own sentences.
 
     Raises:
-        InputError: sentences for something that there is not, or none of people who believe a
+        InputError: sentences for an unknown parameter, or no sentence of people who believe a
             parameter incorrectly.
     """
     names = [one.name for one in told]
@@ -338,29 +338,29 @@ def worded(
 
 
 def named(scene: Scene, in_words: InWords) -> Scene:
-    """The map with its items' names in words, without items that show the value of a parameter:
-    a participant may believe another value."""
+    """The map with its items' names in words. Items that show the value of a parameter are left
+    out, because a participant may believe another value."""
     kept = [replace(item, name=in_words(item.name)) for item in scene.items if not item.shows]
     return replace(scene, items=tuple(kept))
 
 
 def fixed(cfg: DictConfig) -> dict[str, Any]:
-    """The resolved keys that make the plan."""
+    """The resolved keys that belong to the plan."""
     plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     return {key: value for key, value in plain.items() if key not in NOT_OF_THE_PLAN}
 
 
 def of_states(domain: Domain, method: str, states: Iterable[int]) -> Told:
-    """What a domain's optional method says of states; none where it has no such method."""
+    """Calls a domain's optional method for each state; none if the domain has no such method."""
     told = getattr(domain, method, None)
     return () if told is None else tuple(tuple(told(int(state))) for state in states)
 
 
 def ahead_of(step: Mapping[str, Any], scene: Scene | None, in_words: InWords) -> Ahead:
-    """The practice step whose reason comes later, as a lab's texts have it.
+    """The practice step whose reason comes later, from a lab's texts.
 
     Raises:
-        InputError: it is not on this map.
+        InputError: the step is not on this map.
     """
     way = tuple(((a, b), (c, d)) for (a, b), (c, d) in step["way"])
     walls = set(scene.walls) if scene else set()
@@ -378,17 +378,18 @@ def ahead_of(step: Mapping[str, Any], scene: Scene | None, in_words: InWords) ->
 def parts(
     kind: str, config: Mapping[str, Any], wording: Mapping[str, Any], task: Material, does: str
 ) -> tuple[dict[str, Any], InWords]:
-    """Fields of any plan, and what turns a domain's phrases into words.
+    """Makes the fields that all plans have, and the function that turns a domain's phrases into
+    words.
 
     Args:
-        kind: study or collect: whose texts name every word that is needed.
-        config: of the plan.
+        kind: study or collect; its shipped texts define the required keys.
+        config: configuration of the plan.
         wording: its texts.
-        task: what is shown.
+        task: the material.
         does: a sentence about the robot, with a place for the ``phrase``.
 
     Raises:
-        InputError: a text is missing, or is about something that does not exist.
+        InputError: a text is missing, or describes something that does not exist.
     """
     scene = task.scene
     in_words = phrases_of(wording["phrases"], scene is not None)

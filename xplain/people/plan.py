@@ -1,4 +1,4 @@
-"""Parts of any plan, and its stored form.
+"""Parts of all plans, and their stored form.
 
 A plan is a value. It is stored in the database at the first start and always read from there later.
 So neither a restart nor a change of code or configuration changes a running study.
@@ -23,15 +23,15 @@ from xplain.storage import decode, encode
 
 T = TypeVar("T")
 Told = tuple[tuple[str, ...], ...]
-"""Sentences of each of several transitions or states; or none."""
+"""Sentences of each transition or state; or none."""
 Way = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
-"""Of each transition the cells before and after it."""
+"""The cells before and after each transition."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """An image of a transition: its media type, its bytes in base 64, and what it shows, in words
-    for those who do not see it."""
+    """An image of a transition: its media type, its bytes in base 64, and a text version for screen
+    readers."""
 
     media: str
     content: str
@@ -43,12 +43,12 @@ class Clip:
     """A transition, as pages show it.
 
     Attributes:
-        phrase: what the robot does.
-        way: on the map: the cells before and after it; or none.
-        situation: what is so when it begins, as sentences.
-        gone: names of the items that are off the map when it begins.
-        changes: what it changes, for domains without a map.
-        picture: of a lab's own transitions, if there is one.
+        phrase: the robot's action.
+        way: the cells before and after it on the map; or none.
+        situation: sentences about the state before it.
+        gone: names of the items that are off the map before it.
+        changes: its effects, for domains without a map.
+        picture: an image, for a lab's own transitions.
     """
 
     phrase: str
@@ -59,7 +59,7 @@ class Clip:
     picture: Picture | None = None
 
     def worded(self, in_words: Callable[[str], str]) -> Clip:
-        """The clip with all of its texts in other words."""
+        """Returns the clip with all texts passed through ``in_words``."""
         situation, gone, changes = (
             tuple(map(in_words, told)) for told in (self.situation, self.gone, self.changes)
         )
@@ -68,11 +68,11 @@ class Clip:
 
 @dataclass(frozen=True)
 class Ahead:
-    """A step for the practice that looks odd and is right because of what comes later.
+    """A practice step that looks odd and is right because of later steps.
 
     Attributes:
-        steps: the step, and those that follow until the reason is seen, as sentences.
-        way: of these on the map.
+        steps: the step and the following ones up to the reason, as sentences.
+        way: their cells on the map.
     """
 
     steps: tuple[str, ...]
@@ -80,30 +80,30 @@ class Ahead:
 
 
 EDIT = "[EDIT"
-"""Begins what a lab has to fill in."""
+"""Start of a text that a lab has to fill in."""
 FORM = ("token", "sequence", "kind", "ms", "action", "method", "elements", "submit")
-"""Names that forms and their own fields have."""
+"""Reserved names of forms and their own fields."""
 _NUMBER = re.compile(r"([+-]?[0-9]{1,9})([.]0*)?")
 
 
 @pydantic.dataclasses.dataclass(frozen=True, config={"strict": True, "extra": "forbid"})
 class LabQuestion:
-    """One question of the lab's own to the participant.
+    """A question from the lab to the participant.
 
-    One definition of a kind of answer: :attr:`attributes` is what the browser checks, and
-    :meth:`read` and :meth:`problem` what the server checks.
+    A kind of answer is defined once: :attr:`attributes` is checked by the browser, :meth:`read` and
+    :meth:`problem` are used by the server.
 
     Attributes:
         name: the column in the data.
-        label: what the participant reads.
-        kind: of the answer.
-        choices: of a choice.
+        label: the text of the question.
+        kind: kind of the answer.
+        choices: the answers of a choice.
         low, high: bounds of a number, ends of a scale.
-        max_length: of a text, in characters as browsers count them (UTF-16 units).
-        ends: what the two ends of a scale mean; or none.
-        required: whether it has to be answered.
-        right: the one answer of people who read the question; others end here if it is asked before
-            the briefing. "" is none.
+        max_length: maximum length of a text, in characters as browsers count them (UTF-16 units).
+        ends: meanings of the two ends of a scale; or none.
+        required: True if an answer is needed.
+        right: the right answer for people who read the question. Before the briefing, others end
+            here. "" means that there is no right answer.
     """
 
     name: str
@@ -118,7 +118,7 @@ class LabQuestion:
     right: str = ""
 
     def __post_init__(self) -> None:
-        """Raises InputError: what the kind needs is not there."""
+        """Raises InputError if something is missing that the kind needs."""
         key = f"questions.{self.name}"
         if self.name in FORM:
             wanted = f"another name; forms have {', '.join(FORM)}"
@@ -134,19 +134,19 @@ class LabQuestion:
 
     @property
     def options(self) -> tuple[str, ...]:
-        """What can be chosen, of a choice or a scale."""
+        """The possible answers of a choice or a scale."""
         if self.kind == "scale":
             return tuple(str(point) for point in range(self.low, self.high + 1))
         return self.choices
 
     @property
     def needed(self) -> bool:
-        """Whether it has to be answered."""
+        """True if an answer is needed."""
         return self.required or bool(self.right)
 
     @property
     def attributes(self) -> dict[str, str | int]:
-        """HTML attributes of its field."""
+        """HTML attributes of the question's field."""
         found: dict[str, str | int] = {"required": "required"} if self.needed else {}
         if self.kind == "number":
             found |= {"type": "number", "min": self.low, "max": self.high}
@@ -155,8 +155,8 @@ class LabQuestion:
         return found
 
     def read(self, text: str) -> str:
-        """An answer as it is stored: without blanks around it, lines end in a line feed, and of
-        whole numbers without ".0"."""
+        """Normalises an answer: no surrounding blanks, lines end in a line feed, whole numbers have
+        no ".0"."""
         text = text.replace("\r\n", "\n").translate(_NO_TEXT).strip()
         whole = _NUMBER.fullmatch(text) if self.kind == "number" else None
         return str(int(whole[1])) if whole else text
@@ -179,15 +179,15 @@ class LabQuestion:
 
 
 _NO_TEXT = dict.fromkeys({*range(32)} - {*map(ord, "\t\n")})
-"""Characters that no text has and some programs end at, such as NUL; left out."""
+"""Control characters such as NUL, at which some programs cut a text; they are removed."""
 
 
 def typed(kind: type[T], key: str, given: Mapping[str, Any]) -> T:
-    """A value of a class whose fields pydantic checks strictly.
+    """Makes a value of a class whose fields pydantic checks strictly.
 
     Raises:
-        InputError: an unknown key, or a value of another type, such as ``yes`` in YAML, which is no
-            text but a truth value.
+        InputError: an unknown key, or a value of another type; ``yes`` in YAML, for example, is a
+            boolean and not a text.
     """
     try:
         text = json.dumps(given, allow_nan=False, default=str)
@@ -205,10 +205,10 @@ def typed(kind: type[T], key: str, given: Mapping[str, Any]) -> T:
 
 
 def lab_questions(*given: Sequence[Mapping[str, Any]]) -> list[tuple[LabQuestion, ...]]:
-    """The lab's own questions of several pages.
+    """Makes the lab's own questions of several pages.
 
     Raises:
-        InputError: a question that cannot be, or two of one name: an answer would be lost.
+        InputError: an invalid question, or two questions with one name (an answer would be lost).
     """
     pages = [
         tuple(typed(LabQuestion, f"questions.{one.get('name')}", one) for one in page)
@@ -223,12 +223,12 @@ def lab_questions(*given: Sequence[Mapping[str, Any]]) -> list[tuple[LabQuestion
 
 @dataclass(frozen=True)
 class Texts:
-    """What the pages say, from config; paragraphs as tuples.
+    """The texts of the pages, from the configuration; paragraphs are tuples.
 
     Attributes:
-        title, contact, consent, introduction, task: as their names say.
-        debriefing: shown wherever a part ends.
-        words: everything else, by key.
+        title, contact, consent, introduction, task: texts for these parts.
+        debriefing: shown at every end.
+        words: all other texts, by key.
     """
 
     title: str
@@ -241,26 +241,26 @@ class Texts:
 
     @property
     def consent_hash(self) -> str:
-        """SHA-256 of the consent text: what exactly was agreed to."""
+        """SHA-256 of the consent text, to prove which text was agreed to."""
         return hashlib.sha256("\n".join(self.consent).encode()).hexdigest()
 
 
 @dataclass(frozen=True, kw_only=True)
 class StoredPlan:
-    """What any plan has. It is stored as JSON, in which floats survive to the last bit.
+    """The fields of all plans. A plan is stored as JSON, with exact floats.
 
     Attributes:
         OF: what it is the plan of.
-        seed: of all that is drawn.
+        seed: seed of every draw.
         domain: name of the task.
-        texts: what the pages say.
+        texts: texts of the pages.
         asked: the lab's own questions at the end.
-        facts: [n], as people meet them.
+        facts: [n] facts, as people read them.
         scene: the map, or None.
-        icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
+        icons: {name of an item on the map: path of its icon in a box of 24}; may be incomplete.
         shown: the transitions that pages show.
-        ahead: of the practice; None where the texts have no such step.
-        config: the configuration that it was made from, for the record.
+        ahead: the practice step with a later reason; None if the texts have no such step.
+        config: the configuration that made the plan, as a record.
     """
 
     OF: ClassVar[str]
@@ -278,18 +278,18 @@ class StoredPlan:
 
     @property
     def changes(self) -> Told:
-        """What each of the shown transitions changes; none on a map."""
+        """Effects of each of the shown transitions; none on a map."""
         changes = tuple(clip.changes for clip in self.shown)
         return changes if any(changes) else ()
 
     @property
     def shows_way(self) -> bool:
-        """Whether pages show the robot's way on the map."""
+        """True if pages show the robot's way on the map."""
         return False
 
     @property
     def unedited(self) -> bool:
-        """Whether the consent or the introduction still has places that a lab has to fill in."""
+        """True if the consent or the introduction still has parts that a lab has to fill in."""
         return any(EDIT in text for text in (*self.texts.consent, *self.texts.introduction))
 
     @property
@@ -305,15 +305,15 @@ class StoredPlan:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of :attr:`text`; names the plan in the data."""
+        """SHA-256 of :attr:`text`; identifies the plan in the data."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """Reads what :attr:`text` wrote.
+        """Reads a plan from its :attr:`text`.
 
         Raises:
-            InputError: the plan of something else.
+            InputError: the plan is of another kind.
         """
         value = json.loads(text)
         if value.pop("of", None) != cls.OF:

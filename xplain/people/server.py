@@ -1,4 +1,4 @@
-"""The settings of a server of pages, what it signs with, and how many requests it takes."""
+"""The settings of a server of pages, its signatures, and its limits of requests."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from xplain.errors import InputError
 
 @dataclass
 class RateLimit:
-    """A token bucket a key; the least recently seen keys are forgotten first.
+    """A token bucket for each key. The least recently used keys are removed first.
 
     Attributes:
-        per_second: tokens gained.
-        burst: tokens at most.
+        per_second: tokens gained each second.
+        burst: maximum number of tokens.
         clock: seconds, monotonic.
-        most: keys remembered.
+        most: maximum number of keys.
     """
 
     per_second: float
@@ -50,75 +50,77 @@ class RateLimit:
 
 
 OWNER, SESSION = "participant", "researcher session"
-"""What a cookie is good for."""
+"""Purposes of a cookie."""
 _FORM, _RESEARCHER = "form", "researcher"
-"""Purposes of a form's token, and of the key that is typed in. Nothing is signed with the latter:
-half of it is shown."""
+"""Purposes of a form's token and of the researcher's key. The second one signs nothing, because
+half of its signature is shown."""
 
 
 @dataclass(frozen=True)
 class Keys:
-    """Cookies and form tokens that only this server can make, each good for one purpose.
+    """Signs cookies and form tokens, each for one purpose.
 
     Attributes:
-        secret: of the server; it never leaves it.
+        secret: the server's secret; it never leaves the server.
     """
 
     secret: bytes = field(repr=False)
 
     def cookie(self, who: str, purpose: str = OWNER) -> str:
-        """What a browser holds: a participant's id or a researcher's session, signed."""
+        """The signed cookie with a participant's id or a researcher's session."""
         return self._signer(purpose).sign(who).decode()
 
     def owner(self, cookie: str, purpose: str = OWNER) -> str | None:
-        """Whose cookie it is; None if it is forged, or was made for another purpose."""
+        """The owner of a cookie; None if it is forged or has another purpose."""
         try:
             return self._signer(purpose).unsign(_bytes(cookie)).decode()
         except BadSignature:
             return None
 
     def form(self, who: str) -> str:
-        """The token in every form of a participant, visitor or researcher: a signature alone."""
+        """The token in every form of a participant, visitor or researcher: a signature without the
+        id."""
         return self._signer(_FORM).get_signature(who).decode()
 
     def owns_form(self, who: str, token: str) -> bool:
-        """Whether this token was made for that participant, visitor or researcher."""
+        """True if this token belongs to that participant, visitor or researcher."""
         return self._signer(_FORM).verify_signature(_bytes(who), _bytes(token))
 
     @property
     def mark(self) -> str:
-        """What this server's cookies and replies to answers are marked with."""
+        """The mark of this server's cookies and of its replies to answers."""
         return self._signer("mark").derive_key().hex()[:12]
 
     @property
     def researcher(self) -> str:
-        """What the researcher types in to see who is where; the same at every start."""
+        """The key for the researcher's page; the same at every start."""
         return self._signer(_RESEARCHER).derive_key().hex()[:32]
 
     def is_researcher(self, typed: str, configured: str = "") -> bool:
-        """Whether this is the researcher's key, compared in constant time."""
+        """True if this is the researcher's key; compares in constant time."""
         return hmac.compare_digest(_bytes(typed), _bytes(configured or self.researcher))
 
     def _signer(self, purpose: str) -> Signer:
-        """HMAC-SHA256 with a key of this purpose's own, compared in constant time."""
+        """HMAC-SHA256 with a separate key for this purpose; compares in constant time."""
         return Signer(
             self.secret, salt=purpose, key_derivation="hmac", digest_method=hashlib.sha256
         )
 
 
 def _bytes(text: str) -> bytes:
-    """Encodes text from a browser, which may contain anything, such as half a surrogate pair."""
+    """Encodes text from a browser, which may contain invalid characters such as half a surrogate
+    pair."""
     return text.encode(errors="replace")
 
 
 ENDINGS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full")
-"""What a code of its own can be set for, beside the end that all who finish come to."""
+"""Ends that can have their own completion code, besides the normal end."""
 LEAST_KEY, LEAST_SECRET = 12, 32
-"""Characters of a key that researchers type, bytes of a secret that signs links."""
+"""Minimum characters of the researcher's key, and minimum bytes of a secret that signs links."""
 LOOPBACK = ("127.0.0.1", "localhost", "::1", "0.0.0.0", "::")
-"""Hosts whose links open on the server's own computer alone."""
+"""Hosts whose links work only on the server's own computer."""
 GUESSES = 10
-"""Wrong keys of researchers, a minute and an address, that are answered."""
+"""Wrong researcher's keys per minute that each address may send."""
 
 
 def _need(right: bool, key: str, value: object, allowed: str) -> None:
@@ -128,34 +130,35 @@ def _need(right: bool, key: str, value: object, allowed: str) -> None:
 
 @pydantic.dataclasses.dataclass(frozen=True, config={"strict": True, "extra": "forbid"})
 class Server:
-    """How the pages are served; no part of the study's plan.
+    """How the pages are served; not part of the study's plan.
 
     Attributes:
-        entry: who may come in: "invitation"; "platform", with ids in the link, which can be made
-            up; "signed", with ids that the platform or the lab has signed; "open", as pilots.
-        id_names: of the parameters by which a platform's address tells a person's id, and, if it
-            does, the study's and the session's.
-        studies: of the platform, whose people may come in; none for any.
-        ids: a file of persons' ids, one a line, read whenever somebody comes; nobody else may come
-            in. "" for anybody of the studies.
+        entry: who may come in: "invitation"; "platform", by ids in the link, which can be invented;
+            "signed", by ids that the platform or the lab has signed; "open", as pilots.
+        id_names: names of the link's parameters with the person's id and, if present, the ids of
+            study and session.
+        studies: ids of the platform's studies whose people may come in; none allows any.
+        ids: a file of persons' ids, one on each line, read at every arrival; only these people may
+            come in. "" allows anybody of the studies.
         signed_by: with "signed": a file with the platform's public key (PEM, or its JSON Web Key
-            Set), or with a secret of the lab's of 32 bytes or more.
-        signed_name: parameter of the link that holds the signed token (a JSON Web Token).
-        keep_ids: whether a platform's ids are stored in clear; else only keyed hashes.
-        completion_url: where finished participants may go, "" for nowhere. ``{code}`` in it is
-            replaced by the completion code, ``{id}`` by the person's id.
-        completion_code: one for all who finish (platforms want that), "" for one a participant.
-        codes: ``{how a part ended: code}``, as ``completion_code``, for the other endings.
-        address: as the outside world types it, with its path, such as
-            ``https://lab.example.org/robots``; "" takes it from each request.
+            Set), or with a secret of the lab of 32 bytes or more.
+        signed_name: the link's parameter with the signed token (a JSON Web Token).
+        keep_ids: True stores a platform's ids in clear, False only as keyed hashes.
+        completion_url: address for finished participants, "" for none. ``{code}`` in it is replaced
+            by the completion code, ``{id}`` by the person's id.
+        completion_code: one code for all who finish (platforms need that); "" makes one for each
+            participant.
+        codes: ``{end: code}``, as ``completion_code``, for the other ends.
+        address: the public address with its path, such as ``https://lab.example.org/robots``; ""
+            takes it from each request.
         frames: addresses of pages that may show this one in a frame, such as a survey's.
-        key: that researchers type in, of 12 characters or more; "" for one made by the server.
-        demo: whether people may come in although the consent text is not edited: a pilot.
-        blinded: whether the researcher's page keeps to itself who has which type and condition.
-        https: whether the outside world sees https.
-        proxies: how many proxies in front add X-Forwarded-For.
+        key: the researcher's key, of 12 characters or more; "" for one made by the server.
+        demo: True admits people as pilots although the consent text is not edited.
+        blinded: True hides types and conditions on the researcher's page.
+        https: True if the public address uses https.
+        proxies: number of proxies in front that add X-Forwarded-For.
         requests_per_second, burst: limit of a participant.
-        visitors_per_second, visitor_burst: limit of an address, for those without a cookie.
+        visitors_per_second, visitor_burst: limit of an address, for visitors without a cookie.
     """
 
     entry: tuple[Literal["invitation", "platform", "signed", "open"], ...] = ("invitation",)
@@ -181,14 +184,14 @@ class Server:
     visitor_burst: float = 300.0
 
     def __post_init__(self) -> None:
-        """Raises InputError: keys that contradict each other, or a file that cannot be read."""
+        """Raises InputError if keys contradict each other, or if a file cannot be read."""
         entry, studies = set(self.entry), list(self.studies)
         names = "the names of a person's id, and if there are any of a study's and a session's"
         _need(1 <= len(self.id_names) <= 3, "id_names", list(self.id_names), names)
         _need(not studies or len(self.id_names) > 1, "studies", studies, "none: id_names has none")
         listed = "ids of the studies whose people may come in, or server.ids=FILE with theirs"
         _need("platform" not in entry or bool(studies or self.ids), "studies", [], listed)
-        # Somebody paid whose link is incomplete would become a pilot, and lose their data.
+        # A paid person with an incomplete link would become a pilot, and their data would be lost.
         paid = "open" in entry and bool({"platform", "signed"} & entry)
         _need(not paid, "entry", list(self.entry), "open without platform and signed")
         signs = "with server.entry=[signed] a file with the key, else none"
@@ -209,19 +212,19 @@ class Server:
 
     @property
     def path(self) -> str:
-        """The path of the address: every route, link and cookie begins with it; "" for none."""
+        """The path of the address, a prefix of every route, link and cookie; "" for none."""
         return urlsplit(self.address).path.rstrip("/")
 
     @property
     def from_platform(self) -> bool:
-        """Whether a platform's ids lead in, signed or not."""
+        """True if people come in by a platform's ids, signed or not."""
         return bool({"platform", "signed"} & {*self.entry})
 
     def listed(self) -> set[str]:
-        """The ids of people who may come in, of the file ``ids``.
+        """The ids in the file ``ids``.
 
         Raises:
-            InputError: it cannot be read.
+            InputError: the file cannot be read.
         """
         try:
             lines = Path(self.ids).read_text(encoding="utf-8-sig").splitlines()
@@ -230,13 +233,13 @@ class Server:
             raise InputError("server.ids", self.ids, f"a file of ids ({error})") from None
 
     def lets_in(self, ids: Sequence[str]) -> bool:
-        """Whether somebody with these values of ``id_names`` may come in."""
+        """True if a person with these values of ``id_names`` may come in."""
         whole = bool(ids) and all(0 < len(one) <= 100 for one in ids)
         of_study = not self.studies or ids[1] in self.studies
         return whole and of_study and (not self.ids or ids[0] in self.listed())
 
     def verify(self, token: str) -> dict[str, str]:
-        """The ids in a signed token that has not expired; none of a token that is not genuine.
+        """The ids in a signed token that has not expired; none if the token is not genuine.
 
         Raises:
             InputError: the file with the key cannot be used.

@@ -1,4 +1,4 @@
-"""What the pages share: the flow and its store as pages show them, a request, and its answers."""
+"""Shared by all pages: the flow with its store, a request, and its responses."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from xplain.people.server import GUESSES, SESSION, Keys, RateLimit, Server
 from xplain.people.store import Store
 
 MAX_BODY = 64 * 1024
-"""Bytes of a request; the largest honest one has a few thousand."""
+"""Maximum bytes of a request; the largest valid one has a few thousand."""
 MAX_FIELDS = 200
-"""Fields of a form."""
+"""Maximum number of fields in a form."""
 PARTICIPANT, VISITOR, RESEARCHER = "participant", "visitor", "researcher"
-"""Cookies of somebody who was let in, of somebody who was not yet, and of a researcher."""
+"""Cookie names of an admitted participant, of a visitor before that, and of a researcher."""
 POLICY = (
     "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; img-src 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors "
@@ -44,11 +44,11 @@ RIGHT_TO_LEFT = ("ar", "arc", "ckb", "dv", "fa", "he", "ks", "ps", "sd", "ug", "
 
 
 class Site:
-    """A flow and its store, as pages show them.
+    """A flow and its store, for the pages.
 
     Attributes:
-        sessions: of the researchers who are logged in, until the server ends.
-        invitations: made lately, ``{name: tokens}``: shown again where the page is reloaded.
+        sessions: logged-in researchers, until the server stops.
+        invitations: recent invitations, ``{name: tokens}``; shown again when the page is reloaded.
     """
 
     def __init__(self, store: Store, server: Server) -> None:
@@ -61,7 +61,7 @@ class Site:
         self.guess_limit = RateLimit(GUESSES / 60, GUESSES)
         self.sessions: set[str] = set()
         self.invitations: dict[str, list[str]] = {}
-        # A character takes nine bytes on its way, at most: the page's limit holds in any language.
+        # A character takes at most nine bytes, so the page's limit holds in any language.
         questions = self.flow.plan.lab_questions
         self.most = MAX_BODY + 9 * sum(question.max_length for question in questions)
         self.templates = environment(self.flow)
@@ -73,12 +73,12 @@ class Site:
             self.headers["Strict-Transport-Security"] = "max-age=31536000"
 
     def say(self, key: str) -> str:
-        """The words of a key; what is no key is said as it is."""
+        """The text of a key; an unknown key is returned unchanged."""
         return self.words.get(key, key)
 
     def code(self, found: Participant[Any]) -> str:
-        """What a participant shows to be paid: one for each way in which a part can end, so that
-        nobody who did not finish has the code of those who did."""
+        """A participant's completion code. Each end has another code, so that only people who
+        finished have the code for it."""
         stage, own = found.state.stage, found.identity["code"]
         configured = self.server.codes.get(stage, "")
         if stage == "done":
@@ -87,14 +87,14 @@ class Site:
         return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
 
     def back(self, found: Participant[Any], code: str) -> str:
-        """Where a participant may go at the end; "" for nowhere."""
+        """The address of a participant's link at the end; "" for none."""
         person = found.identity.get("kept", {}).get(self.server.id_names[0], "")
         address = self.server.completion_url.replace("{code}", code)
         return address.replace("{id}", quote(person, safe=""))
 
 
 def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
-    """The templates of a flow, and what every one of them may use."""
+    """The templates of a flow, and the functions that all of them may use."""
     folders = [jinja2.PackageLoader(name) for name in (flow.PACKAGE, "xplain.people")]
     found = jinja2.Environment(
         loader=jinja2.ChoiceLoader(folders), autoescape=True, trim_blocks=True, lstrip_blocks=True
@@ -117,24 +117,24 @@ def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
 
 
 def direction(language: str) -> str:
-    """In which direction a language is written: "rtl" or "ltr"."""
+    """The writing direction of a language: "rtl" or "ltr"."""
     return "rtl" if language.lower().split("-")[0] in RIGHT_TO_LEFT else "ltr"
 
 
 @jinja2.pass_context
 def checked(page: jinja2.runtime.Context, name: str, value: object) -> Markup:
-    """The attribute of a choice that was made in a refused form."""
+    """The attribute of a choice that was selected in a refused form."""
     return Markup(" checked" if str(value) in page["typed"].getlist(name) else "")
 
 
 @dataclass(frozen=True)
 class Visit:
-    """A request, and its answers.
+    """A request and its responses.
 
     Attributes:
-        site: that it came to.
+        site: the site that received it.
         request: its headers.
-        body: what was sent.
+        body: its body.
     """
 
     site: Site
@@ -143,7 +143,7 @@ class Visit:
 
     @cached_property
     def form(self) -> ImmutableMultiDict[str, str]:
-        """The fields of the form that was sent. Nothing in it is trusted."""
+        """The fields of the sent form. They are not trusted."""
         text = self.body.decode(errors="replace")
         try:
             fields = parse_qsl(text, keep_blank_values=True, max_num_fields=MAX_FIELDS)
@@ -152,26 +152,27 @@ class Visit:
         return ImmutableMultiDict(fields)
 
     def field(self, name: str) -> str:
-        """The text of a field; "" for none."""
+        """The text of a field; "" if it is missing."""
         return str(self.form.get(name, ""))
 
     def cookie(self, name: str) -> str:
-        """What the browser sent; "" for nothing. No other server on this host uses its name."""
+        """The value of a cookie; "" if it is missing. The name is unique among servers on this
+        host."""
         return self.request.cookies.get(f"{name}_{self.site.keys.mark}", "")
 
     def set_cookie(
         self, reply: Response, name: str, value: str, same_site: Literal["lax", "strict"] = "lax"
     ) -> None:
-        """Adds a cookie that scripts cannot read; "" takes it away."""
+        """Sets a cookie that scripts cannot read; "" removes it."""
         server, request = self.site.server, self.request
-        # Whoever comes past the proxy is not below its path, and would get no cookie of it back.
+        # A request that bypasses the proxy is outside its path and would not return the cookie.
         below = request.scope["raw_path"].startswith(f"{server.path}/".encode())
         outside = below or "x-forwarded-prefix" in request.headers
         reply.set_cookie(
             f"{name}_{self.site.keys.mark}",
             value,
             httponly=True,
-            # In another page's frame a browser sends only cookies that are meant for it.
+            # In another page's frame a browser sends only cookies with SameSite=None.
             samesite="none" if server.frames else same_site,
             secure=server.https or bool(server.frames),
             path=f"{server.path}/" if outside else "/",
@@ -180,23 +181,23 @@ class Visit:
 
     @property
     def owner(self) -> str | None:
-        """The participant whose cookie came along, if the cookie is genuine."""
+        """The participant id in the cookie, if the cookie is genuine."""
         return self.site.keys.owner(self.cookie(PARTICIPANT))
 
     @property
     def researcher(self) -> str | None:
-        """The session of the researcher who is logged in."""
+        """The session of the logged-in researcher."""
         found = self.site.keys.owner(self.cookie(RESEARCHER), SESSION)
         return found if found in self.site.sessions else None
 
     @property
     def host(self) -> str:
-        """The host name of the server, as the browser typed it, without a port."""
+        """The server's host name in the request, without a port."""
         return re.sub(r":\d*$", "", self.request.headers.get("host", "")).strip("[]")
 
     @property
     def address(self) -> str:
-        """The address of the browser, as the outermost trusted proxy saw it."""
+        """The browser's address, as the outermost trusted proxy saw it."""
         hops = ",".join(self.request.headers.getlist("x-forwarded-for")).split(",")
         count = min(self.site.server.proxies, len(hops))
         peer = self.request.client.host if self.request.client else ""
@@ -204,39 +205,39 @@ class Visit:
 
     @property
     def participant(self) -> Participant[Any]:
-        """The participant whose cookie came along."""
+        """The participant of the cookie."""
         return self.site.store.participant(self.owner or "")
 
     def genuine(self, who: str | None) -> bool:
-        """Whether the form that was sent carries the token of this participant or visitor."""
+        """True if the sent form has the token of this participant or visitor."""
         return bool(who) and self.site.keys.owns_form(str(who), self.field("token"))
 
     def page(self, template: str, status: int = 200, **values: Any) -> Response:
-        """A page."""
+        """Renders a page."""
         made = self.site.templates.get_template(template).render(values)
         return HTMLResponse(made, status)
 
     def error(self, status: int, text: str) -> Response:
-        """A page that says what is wrong, by the key of its words or in words."""
+        """Renders a page with an error: a key of the words, or a text."""
         said, known = self.site.say(text), self.owner is not None
         return self.page("error.html", status, text=said, number=status, known=known)
 
     def lead(self, path: str) -> Response:
-        """Leads on to another page."""
+        """Redirects to another page."""
         return RedirectResponse(f"{self.site.server.path}{path}", 303)
 
     def let_in(self, who: str) -> Response:
-        """Makes this browser that of a participant."""
+        """Sets the cookie that makes this browser a participant's."""
         reply = self.lead("/study")
         self.set_cookie(reply, PARTICIPANT, self.site.keys.cookie(who))
         return reply
 
 
 async def visit(request: Request) -> Visit:
-    """The request that came.
+    """Reads the request.
 
     Raises:
-        HTTPException: it is too large.
+        HTTPException: the request is too large.
     """
     site, body = request.app.state.site, bytearray()
     async for part in request.stream():

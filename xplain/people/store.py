@@ -1,4 +1,4 @@
-"""How participants come in and go on: what the server of a study or a collection knows and does."""
+"""How participants enter and continue: the server logic of a study or a collection."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from xplain.people.flow import STREAMS, Conflict, Flow, Participant, People, Sta
 from xplain.people.log import OVERWRITTEN, Clock, Log, letters
 
 MAX_TAB_EVENTS = 5000
-"""Events of a participant's pages that are kept; a study page makes a few dozen."""
+"""Maximum number of stored page events of a participant; a study page makes a few dozen."""
 LATEST = 8
-"""Participants whose events are taken once more at a start: enough to notice changed code."""
+"""Number of participants whose events are replayed at a start: enough to detect changed code."""
 
 
 class Unknown(Exception):
@@ -32,12 +32,12 @@ class Gone(Exception):
 
 
 class Store(Log[Any]):
-    """A flow at work. Safe to call from several threads."""
+    """A running flow. Safe to call from several threads."""
 
     def __init__(
         self, path: Path, flow: Flow[Any, Any] | None = None, clock: Clock | None = None
     ) -> None:
-        """Opens or creates the database, to run a flow in it; None only to erase somebody.
+        """Opens or creates the database of a flow. Without a flow, data can only be erased.
 
         Raises:
             XplainError: another process has it open, it belongs to another plan, or it is broken.
@@ -53,7 +53,7 @@ class Store(Log[Any]):
             on_error.pop_all()
 
     def _check(self, flow: Flow[Any, Any]) -> None:
-        """Begins with the plan of a flow, or goes on with it."""
+        """Stores the plan of a flow, or compares it with the stored one."""
         if not self.plan:
             with self.changes():
                 self.append("", "server", "plan", {"plan": flow.plan.text})
@@ -67,10 +67,10 @@ class Store(Log[Any]):
             )
 
     def _secret(self) -> bytes:
-        """The server's secret, in a file of its own beside the database, for its owner only.
+        """The server's secret, in a separate file beside the database that only its owner can read.
 
         Raises:
-            InputError: something was started in the database, and its secret is lost.
+            InputError: the database has data, and its secret is lost.
         """
         file = self.path.with_name(self.path.name + ".key")
         if not file.exists() or not file.stat().st_size:
@@ -82,13 +82,13 @@ class Store(Log[Any]):
         return file.read_bytes()
 
     def reference(self, who: str) -> str:
-        """What a participant is given to have their data erased: nobody can make it from the id,
-        which published data have."""
+        """The participant's reference for the erasure of their data. It cannot be computed from the
+        id, which published data contain."""
         return self.keyed("reference", who)[:16]
 
     def keyed(self, *parts: str) -> str:
-        """A hash of texts that are only compared (invitations, ids given by others). Nobody without
-        the server's secret can make or reverse it."""
+        """A keyed hash of texts that are only compared (invitations, outside ids). Without the
+        server's secret it can be neither made nor reversed."""
         message = "\x1f".join(parts).encode(errors="replace")
         return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
 
@@ -96,10 +96,11 @@ class Store(Log[Any]):
         """Erases the data of one participant.
 
         Args:
-            reference: as the participant was given it; what is no hexadecimal digit is left out.
+            reference: the participant's reference; characters that are no hexadecimal digits are
+                ignored.
 
         Raises:
-            InputError: no such participant, or erased before.
+            InputError: no such participant, or the data is already erased.
         """
         given = "".join(re.findall(r"[0-9a-f]", reference.lower()))
         who = next((one.id for one in self.present() if self.reference(one.id) == given), None)
@@ -112,7 +113,7 @@ class Store(Log[Any]):
     # Entry -------------------------------------------------------------------------------------
 
     def invite(self, count: int, stream: str) -> list[str]:
-        """New invitation tokens, shown once: only their keyed hashes are stored."""
+        """Creates invitation tokens. They are shown once; only their keyed hashes are stored."""
         one_of("stream", stream, STREAMS)
         tokens = [letters(18) for _ in range(count)]
         with self.changes():
@@ -121,7 +122,7 @@ class Store(Log[Any]):
         return tokens
 
     def enter_invited(self, token: str) -> str:
-        """The participant of an invitation, made at its first use.
+        """The participant of an invitation, created at its first use.
 
         Raises:
             Unknown: no such token.
@@ -135,15 +136,15 @@ class Store(Log[Any]):
             return self._resume(who) if who else self._enter(self.invited[key], "invitation", key)
 
     def enter_from_platform(self, ids: Mapping[str, str], keep: bool) -> str:
-        """The participant of a recruiting platform's ids, made at their first use. A person is one
-        participant, whatever study or session the link names.
+        """The participant with a recruiting platform's ids, created at their first use. A person is
+        one participant, also if links name different studies or sessions.
 
         Args:
-            ids: of a person, of a study and of a session, by their names; the last two may lack.
-            keep: whether they are stored in clear.
+            ids: ids of the person, the study and the session, by name; the last two are optional.
+            keep: True stores them in clear.
 
         Raises:
-            Unknown: this person consented before, in another session.
+            Unknown: this person consented earlier, in another session.
             Gone: their data was erased.
         """
         person, _, session = (*ids.values(), "", "")[:3]
@@ -160,10 +161,10 @@ class Store(Log[Any]):
             return self._resume(who)
 
     def enter_as_pilot(self, cell: int | None = None) -> str:
-        """A new pilot, without an invitation.
+        """Creates a pilot without an invitation.
 
         Args:
-            cell: of the plan, that the researcher chose for a preview; None leaves it to chance.
+            cell: cell of the plan that the researcher chose for a preview; None chooses at random.
 
         Raises:
             Refused: the flow has no such cell.
@@ -189,22 +190,22 @@ class Store(Log[Any]):
         return who
 
     def pause(self, on: bool) -> None:
-        """Lets nobody new in, or lets them in again. People who have begun continue."""
+        """Closes or opens the study for new participants. People who have begun continue."""
         with self.changes():
             self.append("", "server", "pause", {"paused": on})
 
     # The participant's way ---------------------------------------------------------------------
 
     def present(self) -> list[Participant[Any]]:
-        """Everybody who was not erased, in the order in which they came."""
+        """All participants except erased ones, in order of arrival."""
         with self._lock:
             return [one for one in self.people.values() if not one.erased]
 
     def participant(self, who: str) -> Participant[Any]:
-        """The participant with this id. Asking is a sign of life.
+        """The participant with this id. The call counts as activity.
 
         Raises:
-            Unknown: there is none.
+            Unknown: no such participant.
         """
         with self._lock:
             one = self.people.get(who)
@@ -214,15 +215,15 @@ class Store(Log[Any]):
         return one
 
     def show(self, one: Participant[Any], state: State) -> None:
-        """Notes that the page of a participant's state was rendered for the first time."""
-        if one.shown < state.accepted:  # most repeats are reloads
+        """Records the first rendering of the page of a participant's state."""
+        if one.shown < state.accepted:  # most repetitions are reloads
             with self.changes():
                 self.append(one.id, "shown", "shown", {"stage": state.stage}, state.accepted)
 
     def report(
         self, who: str, tab: str, items: Sequence[tuple[int, str, float, dict[str, Any]]]
     ) -> None:
-        """Keeps a page's own events (number, kind, ms, payload); repeats are dropped.
+        """Stores a page's own events (number, kind, ms, payload), without repetitions.
 
         Raises:
             Unknown, Refused: too many.
@@ -241,19 +242,19 @@ class Store(Log[Any]):
         payload: Mapping[str, Any],
         browser: float | None = None,
     ) -> State:
-        """Accepts an answer, once.
+        """Accepts an answer once.
 
         Args:
             who: the participant.
-            sequence: of the answer, ``state.accepted`` of the page that it was given on. What was
-                accepted before under this number is acknowledged again. Leaving is accepted from
-                any page.
-            kind, payload: for the flow. An answer of somebody who was timed out brings them
-                back, where a place is free.
+            sequence: number of the answer: ``state.accepted`` of its page. An answer that was
+                already accepted under this number is acknowledged again. Withdrawal is accepted
+                from any page.
+            kind, payload: the flow's event. The answer of a timed-out participant brings them back
+                if a place is free.
             browser: the page's ``performance.now``, ms.
 
         Returns:
-            The state to go on with. This content is on the disk when this returns.
+            The state after the answer. The answer is then on the disk.
 
         Raises:
             Unknown, Refused.
@@ -287,7 +288,7 @@ class Store(Log[Any]):
             return self._accept(one, kind, payload, browser)
 
     def asked(self, found: Participant[Any], sequence: int) -> State:
-        """The state of a participant whose page had this number; the present one if none had."""
+        """The state of a participant whose page had this number; the current state if none had."""
         here: State = self.flow.asking(found.state)
         if not 0 <= sequence < here.accepted:
             return here
@@ -307,7 +308,7 @@ class Store(Log[Any]):
         source, number = ("protocol", one.state.accepted) if numbered else ("server", None)
         self.append(one.id, source, kind, payload, number, browser, after.text)
         if after.stage == "declined":
-            # Kept is that they came and declined, and when.
+            # Only their arrival and refusal are kept, with times.
             shown = "(source = 'shown' OR source LIKE 'tab:%')"
             self.overwrite(one.id, f"{OVERWRITTEN}, kind = 'erased'", shown)
             outside = ["width", "session", "kept"] + ["key"] * (one.about["entry"] == "platform")
@@ -316,8 +317,9 @@ class Store(Log[Any]):
         return after
 
     def time_out_stale(self) -> int:
-        """Gives the places of everybody silent for too long to others; returns how many. They may
-        come back while places are free. Nobody's time runs before they have agreed to take part."""
+        """Times out participants who were inactive for too long, so that others can have their
+        places. Returns their number. They may return while places are free. Participants are timed
+        out only after consent."""
         with self.changes():
             stale = [
                 one
@@ -331,15 +333,14 @@ class Store(Log[Any]):
         return len(stale)
 
     def _current(self) -> People:
-        """All participants present, after those who were silent for too long are timed out and lose
-        their places."""
+        """All participants, after inactive ones are timed out."""
         self.time_out_stale()
         return self.present()
 
     def _silent(self, one: Participant[Any]) -> float:
-        """Seconds without a sign of life."""
+        """Seconds without activity."""
         latest = one.latest
-        # Who sets the wall clock times nobody out: it is asked across restarts alone.
+        # A change of the wall clock times nobody out: it is used only across restarts.
         clock = "monotonic" if latest.boot == self.clock.boot else "wall"
         silent: float = getattr(self.clock, clock)() - getattr(latest, clock)
         return min(silent, self.clock.monotonic() - self._signs.get(one.id, -math.inf))

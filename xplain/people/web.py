@@ -1,4 +1,4 @@
-"""The application: what every request passes through, and the pages of participants."""
+"""The web application: checks on every request, and the pages of participants."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from xplain.people.site import VISITOR, Site, Visit, Visiting
 from xplain.people.store import Gone, Store, Unknown
 
 MAX_ITEMS = 50
-"""Events in a page's report."""
+"""Maximum number of events in a page's report."""
 LEAST_FREE = 64 << 20
-"""Bytes on the disk below which the server calls itself not well."""
+"""Free bytes on the disk below which the server reports itself as unhealthy."""
 MARKED = ("/study", "/events")
-"""Replies to what is sent there are an acknowledgement only with the server's mark: a proxy in
-between may answer anything."""
+"""Paths whose replies count as an acknowledgement only with the server's mark, because a proxy may
+answer anything."""
 FREE = ("/alive", "/researcher/login")
-"""Take nothing from anybody's limit; the login has one of its own, of wrong keys."""
+"""Paths that no limit of requests applies to; the login has a separate limit of wrong keys."""
 TEXTS = {404: "no_page", 405: "not_here", 413: "too_much"}
-"""What is said of errors that name no words of their own."""
+"""Texts of errors that have none of their own."""
 TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
 log = logging.getLogger(__name__)
 pages = APIRouter()
@@ -46,7 +46,7 @@ pages = APIRouter()
 
 @pages.get("/")
 def entrance(visit: Visiting) -> Response:
-    """Where invitations and recruiting platforms lead; changes nothing yet."""
+    """The page behind invitations and links of recruiting platforms. Changes nothing yet."""
     visitor, site, given = visit.cookie(VISITOR), visit.site, visit.request.query_params
     if not (len(visitor) == 32 and visitor.isascii() and visitor.isalnum()):
         visitor = secrets.token_hex(16)
@@ -65,7 +65,7 @@ def entrance(visit: Visiting) -> Response:
 
 @pages.post("/enter")
 def enter(visit: Visiting) -> Response:
-    """Admits, or leads back to where the participant was."""
+    """Admits a person, or redirects to the participant's current page."""
     visitor, server, store = visit.cookie(VISITOR), visit.site.server, visit.site.store
     if not visitor:
         raise HTTPException(403, "no_cookies")
@@ -100,14 +100,15 @@ def enter(visit: Visiting) -> Response:
 
 @pages.get("/study")
 def show(visit: Visiting) -> Response:
-    """The page where the participant is."""
+    """The participant's current page."""
     return page_of(visit, visit.participant)
 
 
 def page_of(
     visit: Visit, found: Participant[Any], problem: str = "", status: int = 200, kept: bool = False
 ) -> Response:
-    """The page where somebody is; of a refused form the page that it is of, with what was typed."""
+    """The participant's current page; after a refused form, the same page with the entered
+    values."""
     site = visit.site
     state: State = site.flow.asking(found.state) if kept else found.state
     if not state.paused:
@@ -132,8 +133,8 @@ def page_of(
 
 @pages.post("/study")
 def answer(visit: Visiting) -> Response:
-    """Accepts an answer, once, and leads on. Says 303 (204 to scripts, which then go on by
-    themselves) only when the answer is on the disk."""
+    """Accepts an answer once and redirects. The status is 303 (204 for scripts, which then continue
+    by themselves) only after the answer is on the disk."""
     found, site, store = visit.participant, visit.site, visit.site.store
     if not visit.genuine(found.id):
         raise HTTPException(403, "not_yours")
@@ -147,7 +148,7 @@ def answer(visit: Visiting) -> Response:
         if kind == "time_out":
             raise Refused("not_understood")
         if kind not in ("withdraw", "return") and sequence > found.shown:
-            raise Conflict("other_page")  # nobody has seen the page of this answer
+            raise Conflict("other_page")  # the page of this answer was never shown
         payload = site.flow.read(store.asked(found, sequence), kind, visit.form)
         store.submit(found.id, sequence, kind, payload, ms if 0 <= ms < 1e10 else None)
     except Full as error:
@@ -175,7 +176,7 @@ def consent(visit: Visiting) -> Response:
 
 @pages.get("/picture/{number}")
 def picture(visit: Visiting, number: str) -> Response:
-    """An image that belongs to the plan, of a transition."""
+    """An image of a transition in the plan."""
     shown, _ = visit.site.flow.plan.shown, visit.participant
     at = int(number) if re.fullmatch("[0-9]{1,5}", number) else len(shown)
     if at >= len(shown) or shown[at].picture is None:
@@ -184,7 +185,8 @@ def picture(visit: Visiting, number: str) -> Response:
 
 
 class PageEvent(BaseModel, strict=True):
-    """One event of a page: its number there, the page's clock, the browser's wall clock (ms)."""
+    """One event of a page: its number on the page, the page's clock, the browser's wall clock
+    (ms)."""
 
     n: int = Field(ge=0, lt=100_000)
     kind: TAB_KINDS
@@ -194,7 +196,7 @@ class PageEvent(BaseModel, strict=True):
 
 
 class Report(BaseModel, strict=True):
-    """A page's own events, and its form's token."""
+    """A page's own events, and the token of its form."""
 
     token: str
     tab: str = Field(pattern=r"^[a-z0-9]{8,32}$")
@@ -203,7 +205,7 @@ class Report(BaseModel, strict=True):
 
 @pages.post("/events")
 def events(visit: Visiting) -> Response:
-    """A page's own events: seen, hidden, a label clicked. Changes no state."""
+    """Stores a page's own events: visible, hidden, a label clicked. Changes no state."""
     found, site = visit.participant, visit.site
     try:
         report = Report.model_validate_json(visit.body)
@@ -219,7 +221,7 @@ def events(visit: Visiting) -> Response:
 
 @pages.get("/alive")
 def alive(request: Request) -> Response:
-    """Whether answers can be stored: the server runs, and its disk has space."""
+    """Reports whether answers can be stored: the server runs, and its disk has space."""
     free = shutil.disk_usage(request.app.state.site.store.path.parent).free
     well = free >= LEAST_FREE
     said = "alive" if well else f"disk full: {free} bytes left"
@@ -230,7 +232,7 @@ def alive(request: Request) -> Response:
 
 
 def create_app(store: Store, server: Server) -> FastAPI:
-    """The application for one open store."""
+    """Creates the application for one open store."""
     site = Site(store, server)
     app = FastAPI(openapi_url=None)
     app.state.site = site
@@ -250,11 +252,11 @@ def create_app(store: Store, server: Server) -> FastAPI:
 
     @app.middleware("http")
     async def guard(request: Request, go_on: Callable[[Request], Awaitable[Response]]) -> Response:
-        """Limits, headers, and a page whatever goes wrong, with the traceback in the log."""
+        """Applies limits and headers. After any error returns a page and logs the traceback."""
         came, path = Visit(site, request), request.scope["path"].removeprefix(server.path)
         fixed, who = path.startswith("/static/"), came.owner or came.researcher
         limit = site.participant_limit if who else site.visitor_limit
-        # Whether a proxy in front takes the path of the address off or not.
+        # A proxy in front may or may not remove the path of the address.
         request.scope.update(root_path=server.path, path=f"{server.path}{path}")
         try:
             if path in FREE or fixed or limit.allows(who or came.address):
@@ -268,7 +270,7 @@ def create_app(store: Store, server: Server) -> FastAPI:
         reply.headers.update(site.headers)
         if path in MARKED and reply.status_code not in (429, 500):
             reply.headers["Study-Mark"] = site.keys.mark
-        # Pages are never stored: back and reload ask the server again.
+        # Browsers never cache pages: back and reload ask the server again.
         kept = fixed and reply.status_code == 200
         reply.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
         return reply

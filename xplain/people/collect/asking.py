@@ -1,9 +1,8 @@
-"""Where a participant is, which clip comes next, and what the answers so far say.
+"""The state of a participant, the choice of the next clip, and the evidence of the answers so far.
 
-Questions are those of :class:`xplain.questions.questionnaire.Questionnaire`, or of one list for
-everybody. Among them are an obvious step, and some of the first questions a second time. At the end
-some messages may be given that stay valid on later pages, to see whether people believe and
-remember them.
+Questions come from :class:`xplain.questions.questionnaire.Questionnaire`, or from one list for all.
+They include an obvious step, and some of the first questions are repeated. At the end some messages
+may be given that stay valid on later pages, to see whether people believe and remember them.
 """
 
 from __future__ import annotations
@@ -23,32 +22,33 @@ from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import stream
 
 FINISHED = ("beliefs", "questions", "done")
-"""Stages of those who have answered every clip."""
+"""Stages after the last clip."""
 QUESTION, REPEAT, ATTENTION = "question", "repeat", "attention"
 TOLD, LATER, AGAIN = "told", "later", "again"
-"""Purposes of the clips at the end: a message that holds from now on, its step later with nothing
-said, and with the message said again."""
+"""Purposes of the clips at the end: a message that stays valid, its step later without the message,
+and the step with the message given again."""
 HEEDED = (TOLD, LATER, AGAIN)
 STATED = ("accurate", "inaccurate", "unsure")
-"""What somebody may say of a fact, by the number in the payload."""
+"""Possible statements about a fact; the payload has their index."""
 KEPT = 1e-6
-"""Fact sets with a smaller posterior are left out of what is written down."""
+"""Fact sets with a smaller posterior are not stored."""
 ALTERNATIVES, AS_MUCH = 200, 0.9
-"""Questions that are weighed; those that tell so much of what the best one tells are as good."""
+"""Number of questions that are compared, and the share of the best question's information from
+which a question counts as equally good."""
 SHARED = 1e-3
-"""… and of what the next participant's prior takes from others."""
+"""Fact sets with a smaller share are left out of the next participant's prior."""
 
 
 @dataclass(frozen=True)
 class AskedClip:
-    """A few transitions under one message set, and their labels once they are given.
+    """A few transitions under one message set, with their labels after the answer.
 
     Attributes:
-        purpose: QUESTION, REPEAT, ATTENTION (which has no transitions, one label), or of HEEDED.
+        purpose: QUESTION, REPEAT, ATTENTION (no transitions, one label), or one of HEEDED.
         transitions: rows of the hypotheses.
         told: bitmask of the messages shown.
-        labels: one a transition, which may be CANNOT_TELL; empty before the answer.
-        bits: how much a question's answer was expected to tell.
+        labels: one for each transition, possibly CANNOT_TELL; empty before the answer.
+        bits: expected information of a question's answer.
     """
 
     purpose: str
@@ -59,12 +59,12 @@ class AskedClip:
 
     @property
     def size(self) -> int:
-        """Steps on the page."""
+        """Number of steps on the page."""
         return max(len(self.transitions), 1)
 
     @property
     def judged(self) -> AskedClip:
-        """The clip without the transitions of which they cannot tell whether they make sense."""
+        """The clip without the transitions labelled CANNOT_TELL."""
         pairs = zip(self.transitions, self.labels, strict=True)
         kept = [pair for pair in pairs if pair[1] != CANNOT_TELL]
         transitions, labels = zip(*kept, strict=True) if kept else ((), ())
@@ -73,16 +73,16 @@ class AskedClip:
 
 @dataclass(frozen=True)
 class CollectState(core.State):
-    """Where a participant is. The first value is the start.
+    """The state of a participant. The default values are the start.
 
     Attributes:
-        number: the participant's, which seeds their questions; None before consent.
-        role: index of the role whose briefing they got; None for people as they are.
-        others: {fact set: its share among those asked before}.
+        number: the participant's number, which seeds their questions; None before consent.
+        role: index of the role of their briefing; None without a briefing.
+        others: {fact set: its share among earlier participants}.
         answered: clips with their labels.
-        clip: the one on the page.
+        clip: the clip on the page.
         belief: {fact set, or "none": its posterior}, after the last question.
-        stated: of each fact an index into STATED.
+        stated: for each fact an index into STATED.
     """
 
     number: int | None = None
@@ -100,25 +100,25 @@ class CollectState(core.State):
         return self.number
 
     def questions(self) -> list[AskedClip]:
-        """The answered clips that are questions: what is learned from."""
+        """The answered clips that are questions; types are learned from them."""
         return [clip for clip in self.answered if clip.purpose == QUESTION]
 
     @property
     def left_out(self) -> str:
-        """The reason why this person's labels are not learned from; "" if they are."""
+        """The reason to leave this person's labels out of learning; "" if they are used."""
         if self.stage not in FINISHED:
             return self.stage if self.over else "unfinished"
         return "inattentive" if self.attentive is False else ""
 
     @property
     def attentive(self) -> bool | None:
-        """False if the person called the obvious step sensible; None before they saw it."""
+        """False if the person found that the obvious step makes sense; None before they saw it."""
         seen = [clip.labels[0] for clip in self.answered if clip.purpose == ATTENTION]
         return None if not seen else seen[0] != 1
 
     @property
     def consistency(self) -> float | None:
-        """Share of the labels of repeated clips that are as before; None where none is."""
+        """Share of equal labels in repeated clips; None without repeated clips."""
         first = {(c.transitions, c.told): c.labels for c in reversed(self.questions())}
         pairs = [
             pair
@@ -131,16 +131,16 @@ class CollectState(core.State):
 
 
 class ClipTask(NamedTuple):
-    """What one clip is for: a question, a second look at the question ``again``, attention, or the
-    message number ``again`` of those that hold from then on."""
+    """The purpose of one clip: a question, a repetition of question number ``again``, attention, or
+    message number ``again`` among those that stay valid."""
 
     purpose: str
     again: int = -1
 
 
 def schedule(plan: CollectPlan, number: int) -> tuple[ClipTask, ...]:
-    """What the clips of one participant are for, in order: questions, the obvious step amid them,
-    and near the end some of the first questions again; then messages that hold from then on."""
+    """The purposes of one participant's clips, in order: questions with the obvious step among
+    them; near the end some of the first questions again; then messages that stay valid."""
     asked = questions_of(plan)
     rng = stream(plan.seed, "schedule", number)
     tasks = [ClipTask(QUESTION)] * asked
@@ -155,8 +155,8 @@ def schedule(plan: CollectPlan, number: int) -> tuple[ClipTask, ...]:
 
 
 def shared(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """What people asked before believe incorrectly, in the form of the next person's prior: the
-    mean of their posteriors, rounded, so that it does not depend on their order."""
+    """The mean posterior of earlier participants, as a prior for the next one. It is rounded, so it
+    does not depend on their order."""
     total: dict[str, float] = {}
     for belief in beliefs:
         some = 1 - belief.get("none", 0.0)
@@ -167,8 +167,7 @@ def shared(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def prior(plan: CollectPlan, others: Mapping[str, float]) -> NDArray[np.float64]:
-    """The prior [C] over fact sets; part of it comes from other people's answers, if there are
-    any."""
+    """[C] prior over fact sets; part of it comes from other people's answers, if there are any."""
     known = plan.hypotheses
     if not others or not plan.design.from_others:
         return known.prior
@@ -180,8 +179,7 @@ def prior(plan: CollectPlan, others: Mapping[str, float]) -> NDArray[np.float64]
 
 
 def belief(asking: Questionnaire) -> dict[str, float]:
-    """The posterior {facts of a class, or "none": probability}; what is less than KEPT is left
-    out."""
+    """The posterior {facts of a class, or "none": probability}, without values below KEPT."""
     known = asking.hypotheses
     facts, first = np.unique(known.classes, return_index=True)
     weight = asking.classes
@@ -190,15 +188,15 @@ def belief(asking: Questionnaire) -> dict[str, float]:
 
 
 def questions_of(plan: CollectPlan) -> int:
-    """Questions a participant; the last one may be shorter than a clip."""
+    """Number of questions for each participant; the last one may be shorter than a clip."""
     return -(-plan.rules.points // plan.design.clip)
 
 
 def clip(
     plan: CollectPlan, state: CollectState, tasks: Sequence[ClipTask], asking: Questionnaire
 ) -> AskedClip:
-    """The clip for the next of the tasks, after all that was answered. Two clips of the same step
-    never follow each other while there are others."""
+    """The clip for the next task, given all answers. Two clips of the same step never follow each
+    other while there are others."""
     step, questions = len(state.answered), state.questions()
     task, following = tasks[step], tasks[step + 1 : step + 2]
     if task.purpose == REPEAT:
@@ -217,7 +215,7 @@ def clip(
         for one in questions:
             listed.remove((one.transitions[0], one.told))
         last = {t for one in state.answered[-1:] for t in one.transitions}
-        many = Counter(transition for transition, _ in listed)  # or one alone would be left
+        many = Counter(transition for transition, _ in listed)  # spreads the steps
         about, told = max(listed, key=lambda q: (q[0] not in last, q[0] not in near, many[q[0]]))
         return AskedClip(QUESTION, (about,), told)
     if asking.clip == 1:
@@ -233,7 +231,7 @@ def _varied(
     plan: CollectPlan, before: Sequence[AskedClip], near: set[int], asking: Questionnaire
 ) -> tuple[int, int]:
     """The best question about a step unlike all earlier steps, if it is about as informative as the
-    best question; else the best question about a step unlike the neighbouring ones."""
+    best question. Otherwise the best question about a step unlike the neighbouring ones."""
     phrases, every = plan.hypotheses.phrases, asking.alternatives(ALTERNATIVES)
     unknown = _unknown(before)
     found = [one for one in every if ((one[0],), one[1]) not in unknown] or every
@@ -246,14 +244,14 @@ def _varied(
 
 
 def _unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int]]:
-    """Questions that the person could not answer. Such an answer is no evidence, so these questions
-    would stay the best ones for ever."""
+    """Questions that the person could not answer. Such an answer is no evidence, so they would
+    otherwise always remain the best questions."""
     return {(one.transitions, one.told) for one in before if CANNOT_TELL in one.labels}
 
 
 def _heeded(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:
-    """Chooses a message that stays valid from now on, with the step that most likely makes sense
-    because of it and made none before; or shows such a step once more."""
+    """Chooses a message that stays valid, with a step that most likely makes sense only because of
+    it; or shows such a step again."""
     before = [clip for clip in state.answered if clip.purpose == TOLD]
     if task.purpose != TOLD:
         first = before[task.again]

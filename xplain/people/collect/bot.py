@@ -1,7 +1,7 @@
-"""Simulated observers. They read what a page says, answer according to their incorrect beliefs,
-make errors now and then, lose attention, and leave.
+"""Simulated observers. They read the page, answer according to their incorrect beliefs, and
+sometimes make errors, lose attention, or leave.
 
-The same observer takes part in the bare flow, over HTTP, and in a real browser.
+The same observer can use the bare flow, HTTP, or a real browser.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ class Habits(bots.BotHabits):
     """Assumptions about observers.
 
     Attributes:
-        error: probability of the wrong label, step by step.
-        lapse: probability that a page is clicked through: its labels are tosses of a coin.
-        forgetting: probability that a message is not taken in.
-        losing: probability that a message which holds from then on is gone after a page, each anew.
-        seconds: to read and judge a step; σ of its logarithm is 0.4.
+        error: probability of a wrong label for each step.
+        lapse: probability that all labels of a page are random.
+        forgetting: probability that a message on a page is missed.
+        losing: probability that a message that stays valid is forgotten after a page, for each
+            page.
+        seconds: time to read and judge a step; σ of its logarithm is 0.4.
     """
 
     error: Probability = 0.05
@@ -48,10 +49,10 @@ class Observer(bots.Bot[CollectPlan, Habits]):
     """One simulated observer.
 
     Args:
-        plan: for the sentences, and the labels of people of each role.
+        plan: has the sentences, and the labels of people of each role.
         held: bitmask of the facts that they believe incorrectly; a briefing changes it.
-        habits: how they behave.
-        rng: their stream.
+        habits: the assumed behaviour.
+        rng: random stream.
     """
 
     def __init__(
@@ -63,13 +64,13 @@ class Observer(bots.Bot[CollectPlan, Habits]):
         self._told: set[str] = set()
 
     def at_task(self, page: Page) -> None:
-        """Takes over what the screens of a briefing say, if anything."""
+        """Learns the facts of a briefing, if there is one."""
         self._told |= {*page.facts}
         if page.facts:
             self.held = next(r.held for r in self.plan.roles if self._told <= {*r.briefing})
 
     def at_practice(self, page: Page) -> Fields:
-        """Answers that the step makes sense only under the one sentence."""
+        """Answers that the step makes sense under one of the two sentences only."""
         return self.practises(page, int(list(page.messages) == [self.plan.example.speaks_for]))
 
     def at_clips(self, page: Page) -> tuple[Fields, float]:
@@ -77,8 +78,8 @@ class Observer(bots.Bot[CollectPlan, Habits]):
         return self.labels(page.steps, self.heard(page.messages))
 
     def at_listening(self, page: Page) -> tuple[Fields, float]:
-        """Gives a label for each step; messages that they believe stay known until they lose
-        them."""
+        """Gives a label for each step. Messages that they accept stay known until they are
+        forgotten."""
         self.known |= self.heard(page.messages)
         answer = self.labels(page.steps, self.known)
         for j in indices(self.known if self.habits.losing else 0):
@@ -86,20 +87,20 @@ class Observer(bots.Bot[CollectPlan, Habits]):
         return answer
 
     def at_beliefs(self, page: Page) -> Fields:
-        """Says what they believe about each fact."""
+        """States their belief about each fact."""
         facts = [int(name.removeprefix("fact_")) for name in page.fields]
         return [(f"fact_{j}", str(self.held >> j & 1)) for j in facts]
 
     def heard(self, told: Sequence[str]) -> int:
-        """Which of the messages on a page they take in, as a bitmask."""
+        """The messages on a page that they notice, as a bitmask."""
         sentences, missing = [fact.message for fact in self.plan.facts], self.habits.forgetting
-        # Nobody who misses nothing draws for it.
+        # No draw without forgetting, so that the stream stays the same.
         heard = [said for said in told if not (missing and self.chance(missing))]
         return sum(1 << sentences.index(sentence) for sentence in heard)
 
     def labels(self, transitions: Sequence[int], right: int) -> tuple[Fields, float]:
-        """Labels of a clip's transitions by somebody who has these facts (a bitmask) right, and the
-        seconds that it took; none stands for the obvious step."""
+        """Labels of a clip's transitions by a person who believes the facts ``right`` (a bitmask)
+        correctly, and the time in seconds. No transitions mean the obvious step."""
         known = self.plan.hypotheses
         row = int(known.row(np.array(self.held & ~right)))
         true = [int(known.labels[row, t]) for t in transitions] or [0]
@@ -112,7 +113,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
 
 
 def bot(plan: CollectPlan, habits: Habits, seed: int, number: int) -> Observer:
-    """The simulated observer with a number; the roles take turns."""
+    """The simulated observer with a number. Consecutive numbers have different roles."""
     held = plan.roles[number % len(plan.roles)].held
     return Observer(plan, held, habits, stream(seed, "bots", number))
 
@@ -124,15 +125,15 @@ def take_part(
     others: Mapping[str, float],
     role: int | None = None,
 ) -> CollectState:
-    """One observer in the bare flow, to the end or to where they leave.
+    """Runs one observer in the bare flow, to the end or until they leave.
 
     Args:
-        collection: the plan at work.
-        person: who answers.
-        number: of the participant.
-        others: what those asked before believe incorrectly
-        (:func:`xplain.people.collect.asking.shared`).
-        role: whose briefing they get, if any.
+        collection: the running collection.
+        person: the observer.
+        number: the participant's number.
+        others: incorrect beliefs of earlier participants
+            (:func:`xplain.people.collect.asking.shared`).
+        role: role of their briefing, if any.
     """
     consent = {"number": number, "role": role, "others": others}
     state = collection.after(CollectState(), **collection.admitted(consent))
@@ -147,14 +148,14 @@ def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[Col
         person = bot(plan, habits, seed, number)
         others = shared([state.belief for state in states])
         role = number % len(plan.roles) if plan.assigned else None
-        # Each simulated collection draws questions and their order anew.
+        # Each simulated collection draws its own questions and their order.
         states.append(take_part(collection, person, seed * 10_000 + number, others, role))
     return states
 
 
 def truth_of(plan: CollectPlan, people: int) -> NDArray[np.int64]:
-    """[people] the facts that each simulated observer believes incorrectly; roles that behave alike
-    are one."""
+    """[people] the facts that each simulated observer believes incorrectly. Roles that behave alike
+    count as one."""
     known = plan.hypotheses
     held = np.array([plan.roles[i % len(plan.roles)].held for i in range(people)])
     return known.essential[known.row(held)]

@@ -42,32 +42,32 @@ from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derived_seed, stream
 
 QUESTIONNAIRES = 512
-"""Kept at a time: more than people answer at once."""
+"""Maximum number of questionnaires in memory: more than the number of people who answer at once."""
 
 
 class TaskStage(Briefing["Collection", CollectState]):
-    """The robot's task, without the facts that people are asked about; and an assigned briefing."""
+    """The robot's task, without the facts that people are asked about, and an assigned briefing."""
 
     def facts(self, flow: Collection, state: CollectState) -> Mapping[str, Sequence[str]]:
-        """The briefing, if there is one."""
+        """The facts of the briefing, if there is one."""
         return {"told_to_you": flow.briefing(state).get("briefing", ())}
 
 
 class CollectPractice(Practice["Collection", CollectState]):
-    """An action that makes no sense under one sentence, and sense under another."""
+    """The practice: an action makes no sense under one sentence, and makes sense under another."""
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
-        """One of the sentences at a time."""
+        """Shows one of the two sentences."""
         example = flow.plan.example
         told = example.speaks_for if state.part else example.against
         return {"part": state.part, "told": [told], "action": example.action}
 
 
 class ClipStage(Stage["Collection", CollectState]):
-    """A few steps in a row under some messages, one clip after the other.
+    """Clips: a few consecutive steps under some messages, one clip after the other.
 
     Attributes:
-        LASTING: whether messages hold on the pages that follow, too.
+        LASTING: True if messages stay valid on later pages.
     """
 
     LASTING: ClassVar = False
@@ -103,7 +103,7 @@ class ClipStage(Stage["Collection", CollectState]):
         return self._next(flow, state)
 
     def _next(self, flow: Collection, state: CollectState) -> CollectState:
-        """The next clip, or the end of the clips."""
+        """Moves to the next clip, or to the end of the clips."""
         step, known = len(state.answered), flow.questionnaire(state)
         state = replace(state, belief=asking.belief(known))
         tasks = asking.schedule(flow.plan, state.person)
@@ -116,17 +116,17 @@ class ClipStage(Stage["Collection", CollectState]):
 
 
 class Listening(ClipStage):
-    """Steps under messages that hold from then on, and later without them."""
+    """Clips with messages that stay valid on later pages, and later clips without messages."""
 
     LASTING: ClassVar = True
 
     def wanted(self, plan: CollectPlan) -> bool:
-        """Whether the plan has messages that stay valid on later pages."""
+        """True if the plan has messages that stay valid on later pages."""
         return plan.rules.listening > 0
 
 
 class BeliefStage(Stage["Collection", CollectState]):
-    """People state what they thought about each fact."""
+    """A page on which people state their belief about each fact."""
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """Shows the facts in the participant's order."""
@@ -142,7 +142,7 @@ class BeliefStage(Stage["Collection", CollectState]):
     def advance(
         self, flow: Collection, state: CollectState, payload: Mapping[str, Any]
     ) -> CollectState:
-        """Moves on when all facts are answered."""
+        """Moves on after all facts are answered."""
         counts = [len(STATED)] * len(flow.plan.facts)
         return flow.after(
             state, stated=choices(payload.get("stated"), counts, flow.words["answer_all"])
@@ -151,10 +151,10 @@ class BeliefStage(Stage["Collection", CollectState]):
 
 @dataclass(frozen=True)
 class Collection(Flow[CollectPlan, CollectState]):
-    """A plan with its questionnaire at work.
+    """A running plan with its questionnaires.
 
-    The questionnaires of the latest participants are kept, so that an answer is added to those
-    before and not all of them are taken anew. Nothing that is computed depends on it.
+    The questionnaires of recent participants are cached, so a new answer is added without
+    processing the earlier answers again. The results do not depend on the cache.
     """
 
     PLAN = CollectPlan
@@ -174,14 +174,13 @@ class Collection(Flow[CollectPlan, CollectState]):
 
     @classmethod
     def of(cls, plan: CollectPlan) -> Collection:
-        """Makes the collection from its plan alone."""
+        """Creates the collection from its plan."""
         return cls(plan)
 
     def admit(self, person: Participant[CollectState], people: People) -> dict[str, Any]:
-        """The participant's number, the role whose briefing they get, and what those asked before
-        believe incorrectly: the posteriors of the finished ones of the same stream, whose numbers
-        are kept.
-        """
+        """Returns the participant's number, the role of their briefing, and the beliefs of earlier
+        participants: the posteriors of finished ones in the same stream, whose numbers are
+        stored."""
         own = [one for one in people if one.stream == person.stream]
         kept = {
             one.number: one.state.belief
@@ -193,7 +192,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         consent = {"number": number, "role": None, "after": [*kept], "others": shared}
         if not self.plan.assigned:
             return consent
-        # The role that fewest have who have not left; ties at random.
+        # The role with the fewest participants still present; ties at random.
         there = [one.state.role for one in own if one.state.stage not in ("withdrawn", "timed_out")]
         counts = [there.count(role) for role in range(len(self.plan.roles))]
         fewest = [role for role, count in enumerate(counts) if count == min(counts)]
@@ -201,7 +200,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         return consent | {"role": int(rng.choice(fewest))}
 
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Stores the number, the briefing's role, and what others believe incorrectly."""
+        """Stores the number, the briefing's role, and the beliefs of earlier participants."""
         return {key: payload[key] for key in ("number", "role", "others")}
 
     def forget(self) -> None:
@@ -212,7 +211,8 @@ class Collection(Flow[CollectPlan, CollectState]):
         self.found.clear()
 
     def drawn(self, what: tuple[int, ...]) -> tuple[Way | None, int, Sequence[str]]:
-        """The transitions of a clip; without any, the robot at a place where it covers nothing."""
+        """The transitions of a clip. Without transitions, the robot at a place where it hides
+        nothing."""
         shown, scene = self.plan.shown, self.plan.scene
         if scene is None:
             return None, 0, ()
@@ -223,7 +223,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         return next((way for way in ways if way[0][0] not in taken), ways[0]), 0, ()
 
     def step_of(self, state: CollectState) -> str:
-        """How many clips are done, and of how many."""
+        """The number of finished clips and of all clips."""
         return f"page {len(state.answered) + 1}" if state.clip else ""
 
     def briefing(self, state: CollectState) -> dict[str, Any]:
@@ -232,18 +232,18 @@ class Collection(Flow[CollectPlan, CollectState]):
 
     @cached_property
     def found(self) -> dict[tuple[str, ...], Any]:
-        """The types found in the labels of some people, kept by their ids."""
+        """Cache: the types found in the labels of some people, by their ids."""
         return {}
 
     @cached_property
     def blank(self) -> Questionnaire:
-        """The questionnaire before anybody was asked."""
+        """The questionnaire before the first answer."""
         known, own = self.plan.hypotheses, self.plan.design
         return Questionnaire(known, own.error, None, own.clip, none=own.none, misread=own.misread)
 
     @cached_property
     def kept(self) -> Any:
-        """A cached function: the questionnaire of a person with a number, a prior of others and
+        """A cached function that returns a questionnaire for a participant number, a prior and
         answers."""
 
         @lru_cache(QUESTIONNAIRES)
@@ -267,7 +267,7 @@ class Collection(Flow[CollectPlan, CollectState]):
 
 
 def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int, str]]]]:
-    """The facts in an order of the participant's own, each with its two sentences, of which the
+    """The facts in a random order for each participant, each with its two sentences, of which the
     first is not always the true one: [(fact, [(index into STATED, sentence), …])]."""
     rng = stream(plan.seed, "beliefs", number)
     found = []
@@ -280,7 +280,7 @@ def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int
 
 def _clip(plan: CollectPlan, clip: AskedClip) -> dict[str, Any]:
     told = [plan.facts[j].message for j in indices(clip.told)]
-    if clip.purpose == ATTENTION:  # with a picture where other pages have one
+    if clip.purpose == ATTENTION:  # with a picture if other pages have one
         picture = [t for t, one in enumerate(plan.shown) if one.picture][:1]
         shown = {"told": told, "steps": [plan.attention], "transitions": (), "situation": ()}
         return shown | {"illustrated": picture}

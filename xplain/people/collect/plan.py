@@ -1,4 +1,5 @@
-"""The plan of a collection: everything a participant may meet, fixed before the first one comes."""
+"""The plan of a collection: everything that participants may see, fixed before the first one
+comes."""
 
 from __future__ import annotations
 
@@ -13,12 +14,12 @@ from xplain.questions.designs import Adaptive
 
 @dataclass(frozen=True)
 class Example:
-    """The practice: an action that does not occur later, once under each of two messages.
+    """The practice: an action that does not occur later, shown once under each of two messages.
 
     Attributes:
-        action: what the robot does.
+        action: the robot's action.
         against: a sentence under which the action makes no sense.
-        speaks_for: one under which it does.
+        speaks_for: a sentence under which it makes sense.
     """
 
     action: str
@@ -32,13 +33,13 @@ class CollectRules:
     """Numbers of the protocol.
 
     Attributes:
-        people: planned, which the researcher's page shows; the page stays open when more come.
-        points: labels a person, those for consistency and attention not counted.
-        timeout_minutes: without a sign of life, after which a participant's part pauses.
+        people: planned number of people, shown on the researcher's page; more people may come.
+        points: labels of each person, without those for consistency and attention.
+        timeout_minutes: minutes without activity after which a participant is paused.
         repeats: questions asked a second time, for consistency.
-        attention: whether an obvious step is among them.
-        listening: messages told at the end that hold from then on: asked about at once, later
-            with nothing said, and once more when they are said again.
+        attention: True if an obvious step is among the questions.
+        listening: number of messages at the end that stay valid. Each has three questions: at once,
+            later without the message, and with the message given again.
     """
 
     people: Annotated[int, Range(2)]
@@ -49,7 +50,7 @@ class CollectRules:
     listening: Whole = 0
 
     def __post_init__(self) -> None:
-        """Raises InputError: no points, or too many of them repeated."""
+        """Raises InputError if there are no points, or too many repeats."""
         most = whole_number("points", self.points, 1) // 4
         if self.repeats > most:
             raise InputError("rules.repeats", self.repeats, f"at most a quarter of points: {most}")
@@ -57,13 +58,14 @@ class CollectRules:
 
 @dataclass(frozen=True)
 class CollectRole:
-    """Somebody who believes certain facts incorrectly: simulated people are one of several, and
-    with assigned briefings real ones are told what one knows, to see whether it is found again.
+    """A kind of people who believe certain facts incorrectly. Simulated people have one of several
+    roles. A briefing can give real people the knowledge of a role, to see whether their answers
+    reveal it.
 
     Attributes:
-        name: of the user type.
+        name: name of the user type.
         held: bitmask of the facts that it believes incorrectly.
-        briefing: one sentence a fact, as this type knows it.
+        briefing: one sentence for each fact, as this type believes it.
     """
 
     name: str
@@ -77,15 +79,15 @@ class CollectPlan(StoredPlan):
 
     Attributes:
         example, rules: see their types.
-        roles: of simulated people.
-        assigned: whether each participant is told what one of the roles knows.
+        roles: roles of simulated people.
+        assigned: True if each participant gets the briefing of a role.
         hypotheses: what people might believe incorrectly, with phrases.
-        whole: the same of all transitions, also those that nobody is asked about because others
-            have the same features: what types are learned with. None where these are all.
-        subject: who does what the phrases say; "" where they are whole sentences.
-        questions: the list that everybody is asked, as (transition, message set); empty where
-            each question depends on the answers before.
-        design: of these adaptive questions; of a list, how its answers are weighed.
+        whole: the same for all transitions, including those left out of the questions because
+            others have the same features; types are learned with it. None if there are no others.
+        subject: subject of the phrases; "" if phrases are whole sentences.
+        questions: the list of questions for all people, as (transition, message set); empty if each
+            question depends on earlier answers.
+        design: the design of adaptive questions; for a list, it evaluates the answers.
         shown: [T] the transitions.
         attention: the obvious step that does not make sense.
     """

@@ -1,4 +1,4 @@
-"""From configuration to the plan of a collection."""
+"""Makes the plan of a collection from a configuration."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from xplain.randomness import derived_seed, run_seed
 
 
 def collect_plan(cfg: DictConfig) -> CollectPlan:
-    """The plan that a configuration describes.
+    """Makes the plan that a configuration describes.
 
     Raises:
         XplainError: the configuration cannot be used; the text says what to change.
     """
     run_seed(cfg.seed)
     config = fixed(cfg)
-    rules = CollectRules(points=config["points"], **config["rules"])  # refused before the work
+    rules = CollectRules(points=config["points"], **config["rules"])  # errors come early
     design = instantiate(cfg.queries)
     if not isinstance(design, Adaptive | Battery):
         raise InputError("queries", config["queries"]["_target_"], "battery or adaptive")
@@ -45,7 +45,7 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
             "briefing", "assigned", "none for one's own transitions: they name no types"
         )
     plan = assemble(material_of(cfg), design, rules, config)
-    # What is stored is what runs, from the first participant on.
+    # The stored plan is the one that runs, also for the first participant.
     return CollectPlan.from_text(plan.text)
 
 
@@ -61,10 +61,10 @@ def material_of(cfg: DictConfig) -> Material:
 def assemble(
     material: Material, design: Adaptive | Battery, rules: CollectRules, config: Mapping[str, Any]
 ) -> CollectPlan:
-    """A plan from its parts.
+    """Makes a plan from its parts.
 
     Raises:
-        XplainError: a part contradicts another.
+        XplainError: two parts contradict each other.
     """
     known, wording = material.hypotheses, config["wording"]
     assert known is not None, "people are asked by hypotheses"

@@ -1,8 +1,8 @@
 """Tables from a snapshot of the database: ``collect export``.
 
-``labels.csv`` is what ``xplain discover`` reads, with the ``hypotheses.npz`` that the questions
-were chosen by; ``observers.csv`` and ``clips.csv`` say who gave the labels, and how. People, pilots
-and bots never share a table of labels.
+``labels.csv`` is the input of ``xplain discover``, with the ``hypotheses.npz`` that the questions
+were chosen by. ``observers.csv`` and ``clips.csv`` describe who gave the labels, and how. People,
+pilots and bots never share a table of labels.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from xplain.people.flow import CANNOT_TELL, STREAMS, Event, Participant, People
 from xplain.people.log import read
 
 CONCENTRATION = 1.0
-"""Of the process over types; that of ``clusterer=dirichlet``."""
+"""α of the Dirichlet process over types, as in ``clusterer=dirichlet``."""
 SURE = 0.95
-"""Posterior above which it is known what somebody believes incorrectly."""
+"""Posterior above which a person's incorrect beliefs count as known."""
 
 
 def dataset_of(plan: CollectPlan, people: Mapping[str, CollectState]) -> Dataset:
-    """The labels of the questions of these people, as :mod:`xplain.learning.data.label_file` writes
-    them. Second looks and the obvious step are no questions,
-    and "I cannot tell" is no label."""
+    """The labels of these people's questions, in the form of
+    :mod:`xplain.learning.data.label_file`. Repetitions and the obvious step are no questions, and
+    "I cannot tell" is no label."""
     known = plan.hypotheses
     assert known.features is not None, "a plan's hypotheses have features"
     rows = [
@@ -73,8 +73,8 @@ class FoundType:
     Attributes:
         wrong: names of the facts that it believes incorrectly.
         members: positions of its people.
-        posterior: mean probability that one of them, judged alone, believes exactly these
-        incorrectly.
+        posterior: mean probability that a member, judged alone, believes exactly these facts
+            incorrectly.
     """
 
     wrong: tuple[str, ...]
@@ -87,13 +87,13 @@ class KnownSoFar:
     """What is known after N people.
 
     Attributes:
-        types: the largest first.
-        error: share of wrong answers that was learned.
-        unsure: people of whom no fact set has a posterior above SURE.
-        unlike: mean probability that no hypothesis fits somebody.
+        types: the types, largest first.
+        error: learned share of wrong answers.
+        unsure: number of people without a fact set above SURE.
+        unlike: mean probability that no hypothesis fits a person.
         evidence: how well hypotheses predicted the answers.
-        new_types: that another ten people are expected to bring.
-        next_new: probability that the next person is of a type not seen so far.
+        new_types: expected number of new types in another ten people.
+        next_new: probability that the next person has a new type.
     """
 
     types: tuple[FoundType, ...]
@@ -106,16 +106,16 @@ class KnownSoFar:
 
 
 def fact_sets(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[NDArray[np.int64], float]:
-    """Clusters people with the Dirichlet process over fact sets that ``discover`` runs with the
-    same hypotheses. Returns the facts [N] that each person's type believes incorrectly, and the
-    share of wrong answers."""
+    """Clusters people by the Dirichlet process over fact sets, as ``discover`` does with the same
+    hypotheses. Returns the facts [N] that each person's type believes incorrectly, and the share of
+    wrong answers."""
     asked = _asked(plan, people)
     found, data = asked.partition(CONCENTRATION), asked.dataset
     return found.facts, found.answers.wrong(asked.place[data.transition], data.observer)
 
 
 def _asked(plan: CollectPlan, people: Sequence[CollectState]) -> KnownAnswers:
-    """The labels of these people, and what hypotheses know of them."""
+    """The labels of these people about transitions that the hypotheses contain."""
     data = dataset_of(plan, {str(o): state for o, state in enumerate(people)})
     return KnownAnswers.of(KnownTransitions.of(plan.hypotheses), data)
 
@@ -146,15 +146,15 @@ def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar
 
 
 def glance(collection: Collection, people: People) -> dict[str, Any]:
-    """Figures for the researcher's page: labels so far, the types found in them, and what more
-    people would bring. They are about people, or about bots while there are no people."""
+    """Figures for the researcher's page: labels so far, the types found in them, and the expected
+    new types in more people. They are about people, or about bots if there are no people yet."""
     plan, found = collection.plan, collection.found
     whose = "person" if any(one.stream == "person" for one in people) else "bot"
     states = {one.id: one.state for one in people if one.stream == whose}
     kept = {who: state for who, state in states.items() if not state.left_out}
     key = tuple(kept)
     if key not in found:
-        found.clear()  # people only get more
+        found.clear()  # old results are never needed again
         found[key] = found_types(plan, list(kept.values()))
     left_out = [state.left_out for state in states.values()]
     return {
@@ -170,9 +170,9 @@ def glance(collection: Collection, people: People) -> dict[str, Any]:
 
 
 def compared(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dict[str, int]]:
-    """By fact, of the people ("of") who had an opinion at the end: how many said that they believed
-    it incorrectly ("said"), of how many their answers say so ("inferred"), and of how many both are
-    the same ("agree")."""
+    """For each fact, counts people with an opinion at the end ("of"): how many said that they
+    believed it incorrectly ("said"), for how many the answers show it ("inferred"), and for how
+    many both agree ("agree")."""
     found = {
         fact.name: dict.fromkeys(("said", "inferred", "agree", "of"), 0) for fact in plan.facts
     }
@@ -189,39 +189,41 @@ def compared(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dic
 
 
 def expected_new(types: int, people: int, more: int) -> tuple[float, float]:
-    """What more people bring, after ``types`` were seen in ``people`` (Ewens' sampling formula).
+    """Predicts the new types in more people, after ``types`` were found in ``people`` (Ewens'
+    sampling formula).
 
-    The concentration α is the one under which so many types are expected, Σ α / (α + i) over
-    i < people; but at least one under which about half a type beside the first is, or one type
-    alone would rule out every other for ever.
+    The concentration α is the value with this expected number of types: Σ α / (α + i) over i <
+    people. Its minimum expects about half a type besides the first, since otherwise a single type
+    would exclude every other for ever.
 
     Returns:
-        The probability that the next person is of a new type, and the number of new types
-        expected in ``more`` people.
+        The probability that the next person has a new type, and the expected number of new types in
+        ``more`` people.
     """
 
     def expected(alpha: float) -> float:
         return float((alpha / (alpha + np.arange(people))).sum())
 
-    if types >= people:  # everybody is unlike everybody else: nothing is known to come to an end
+    if types >= people:  # every person has a type of their own, so no end is in sight
         return 1.0, float(more)
     low = 0.5 / np.log1p(people)
-    # brentq needs a sign change: expected(low) may exceed one type already.
+    # brentq needs a sign change, and expected(low) may already exceed one type.
     alpha = low if expected(low) >= types else brentq(lambda a: expected(a) - types, low, 1e6)
     new = alpha / (alpha + people + np.arange(more))
     return float(new[0]), float(new.sum())
 
 
 FAST = 1.0
-"""Seconds a step below which nobody has read it."""
+"""Seconds per step below which a page cannot have been read."""
 Person = Participant[CollectState]
 
 
 def export(database: Path, folder: Path) -> str:
-    """Writes all tables of a database (better: of a snapshot) into a folder; SHA-256 of the events.
+    """Writes all tables of a database (better: of a snapshot) into a folder. Returns the SHA-256 of
+    the events.
 
     Raises:
-        InputError: it is no collection's database.
+        InputError: the file is not a collection's database.
     """
     plan, people = read(database, CollectPlan, CollectState)
     digest = write(folder, Collection.PACKAGE, plan, people, tables)
@@ -237,7 +239,8 @@ def export(database: Path, folder: Path) -> str:
 
 
 def tables(plan: CollectPlan, people: list[Person]) -> dict[str, Iterable[Row]]:
-    """Rows of every table but the labels, by name. Answers of people who withdrew are left out."""
+    """Rows of every table except the labels, by name. Answers of people who withdrew are left
+    out."""
     stayed = [one for one in people if one.state.stage != "withdrawn"]
     return {
         "observers": [_observer(plan, one) for one in people],
@@ -246,7 +249,7 @@ def tables(plan: CollectPlan, people: list[Person]) -> dict[str, Iterable[Row]]:
 
 
 def _timed(one: Person) -> list[tuple[Event, Event | None]]:
-    """Each answer to a clip, and when its page was first shown."""
+    """Each answer to a clip, with the event that first showed its page."""
     shown = {e.source_sequence: e for e in one.events if e.source == "shown"}
     return [(answer, shown.get(answer.source_sequence)) for answer in one.answers("labels")]
 
@@ -318,14 +321,14 @@ def _clips(plan: CollectPlan, one: Person) -> Iterator[Row]:
 
 # How people listened ---------------------------------------------------------------------------
 #
-# On most pages messages hold for that page alone. At the end (``rules.listening``) they hold from
-# then on: a step that made no sense is shown with the message that explains it, some pages later
-# with nothing said, and then with the message said again. A label of 0 at first was a message
-# missed, a label that falls back one forgotten, unless the person erred: an exact filter over
-# (facts believed incorrectly, habits, messages known now) weighs it, as in an explanation.
+# On most pages a message is valid for that page alone. At the end (``rules.listening``) messages
+# stay valid: a step that made no sense is shown with the message that explains it, some pages
+# later without the message, and then with the message again. A first label of 0 means a missed
+# message, a later 0 a forgotten one, unless the person made an error. An exact filter over
+# (facts believed incorrectly, habits, known messages) computes this, as in an explanation.
 
 FACT_SETS = 64
-"""The likeliest of a person, by their answers to all questions; others are left out."""
+"""Maximum number of fact sets of a person: the most likely ones given all answers."""
 
 
 @dataclass(frozen=True)
@@ -333,10 +336,10 @@ class Asked:
     """The pages of one person.
 
     Attributes:
-        known: labels of people who believe some facts incorrectly.
-        held: [N] fact sets that may be the person's, as bitmasks.
-        prior: [N] how likely each is before any answer.
-        clips: all pages but the obvious step, in order, with their labels.
+        known: labels of people by the facts that they believe incorrectly.
+        held: [N] fact sets that the person may have, as bitmasks.
+        prior: [N] their probabilities before any answer.
+        clips: all pages except the obvious step, in order, with their labels.
     """
 
     known: Hypotheses
@@ -345,7 +348,7 @@ class Asked:
     clips: Sequence[AskedClip]
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
-        """[F] how likely each habit is to be the person's."""
+        """[F] posterior of each habit."""
         weight = np.outer(self.prior, habits.prior).ravel()
         lasting = [clip for clip in self.clips if clip.purpose in HEEDED]
         for clip in self.clips:
@@ -358,8 +361,8 @@ class Asked:
     def _through(
         self, clips: Sequence[AskedClip], weight: NDArray[np.float64], habits: Habits
     ) -> NDArray[np.float64]:
-        """The weights [N F] of (fact set, habit), times what pages tell on which what is said holds
-        from page to page; nothing is known before."""
+        """[N F] weights of (fact set, habit) after these pages. Messages stay valid from page to
+        page; at first none is known."""
         told = sorted({j for clip in clips for j in indices(clip.told)})
         relevant = np.tile(np.array(told, np.int64), (len(weight), 1))
         accept, lose = (np.tile(rate, len(self.held)) for rate in (habits.accept, habits.forget))
@@ -378,15 +381,15 @@ class Asked:
 
 
 def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
-    """The people of a stream whose labels count, but for those whom no hypothesis fits.
+    """The people of a stream whose labels are used, except those whom no hypothesis fits.
 
     Args:
-        database: of a collection that no server has open, or a snapshot.
+        database: a collection's database that no server has open, or a snapshot.
         stream: "person", "pilot" or "bot"; never mixed.
 
     Raises:
-        InputError: it is no collection's database, there is no such stream, or nothing was told
-            that holds from page to page.
+        InputError: the file is not a collection's database, there is no such stream, or no messages
+            stay valid from page to page.
     """
     one_of("stream", stream, STREAMS)
     plan, people = read(database, CollectPlan, CollectState)
@@ -401,7 +404,7 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
 
 
 def asked_of(plan: CollectPlan, state: CollectState) -> Asked:
-    """The pages of somebody who came to the end of them."""
+    """The pages of a person who reached their end."""
     known = plan.hypotheses
     before = np.bincount(known.classes, prior(plan, state.others))
     shares = {int(facts): share for facts, share in state.belief.items() if facts != "none"}

@@ -1,1 +1,2 @@
-"""The method over HTTP, for pages and robots of others: what to say now, and what to ask next."""
+"""The method over HTTP, for other people's pages and robots: the next messages, and the next
+question."""

@@ -1,7 +1,7 @@
-"""The service's addresses: sessions (a trace explained) and questionnaires (what to ask next).
+"""The service's routes: explanation sessions and questionnaires.
 
 Errors are problem+json (RFC 9457) with ``key``, ``value`` and ``allowed``. GET never writes. A
-request that is sent again is replied to as before.
+repeated request gets the same reply.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from xplain.errors import XplainError
 from xplain.people.service.talks import Conflict, Talks, Unknown
 
 LARGEST = 1 << 20
-"""Bytes of a request."""
+"""Maximum bytes of a request."""
 Person = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:@-]{0,99}$")]
 Column = float | Annotated[str, Field(max_length=200, pattern=r"^[^\\x00]*$")]
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -42,7 +42,7 @@ Kind = Literal["session", "questionnaire"]
 
 
 def problem(status: int, detail: str, **about: Any) -> JSONResponse:
-    """An error as RFC 9457 has it."""
+    """An error as in RFC 9457."""
     body = {"title": HTTPStatus(status).phrase, "status": status, "detail": detail, **about}
     return JSONResponse(body, status, media_type="application/problem+json")
 
@@ -71,13 +71,14 @@ PROBLEMS: dict[Any, Callable[[Request, Exception], JSONResponse]] = {
 
 
 class OnlyJson:
-    """Reads every body as JSON, as beacons send it as text, and at most LARGEST bytes of it."""
+    """Reads every body of at most LARGEST bytes as JSON, also if it is sent as text (as beacons
+    do)."""
 
     def __init__(self, app: Any) -> None:
         self.app = app
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        """See ASGI."""
+        """See the ASGI specification."""
         size, kind = 0, (b"content-type", b"application/json")
         others = [one for one in scope.get("headers", ()) if one[0] != kind[0]]
 
@@ -93,14 +94,14 @@ class OnlyJson:
 
 
 class Body(BaseModel):
-    """What every request may hold: the key, for frames and beacons that send no headers."""
+    """Fields of every request: the key, for frames and beacons, which send no headers."""
 
     model_config = ConfigDict(extra="forbid")
     key: str = Field("", max_length=200)
 
 
 class NewSession(Body):
-    """A trace to explain to somebody new; none known yet is fine."""
+    """A trace to explain to a new person; it may be empty at first."""
 
     person: Person | None = None
     trace: Trace = []
@@ -108,13 +109,13 @@ class NewSession(Body):
 
 
 class NewQuestionnaire(Body):
-    """Questions to somebody new."""
+    """A questionnaire for a new person."""
 
     person: Person | None = None
 
 
 class Labels(Body):
-    """Labels of all transitions shown (1: it makes sense), or the answer to a question."""
+    """Labels of all shown transitions (1: it makes sense), or the answer to a question."""
 
     number: Annotated[int, Field(ge=1)]
     labels: Annotated[list[Bit], Field(max_length=1000)] | None = None
@@ -122,18 +123,18 @@ class Labels(Body):
 
 
 class More(Body):
-    """Transitions that follow those known; ``after`` says how many these were."""
+    """Further transitions; ``after`` is the number of transitions before them."""
 
     after: Annotated[int, Field(ge=0)]
     transitions: Annotated[Trace, Field(min_length=1)]
 
 
 class Next(BaseModel):
-    """What to do next, and under which number its answer is expected.
+    """The next action, and the number of its answer.
 
-    ``explain``: give the messages, show the first ``step`` transitions, send the labels of these.
-    ``ask``: put the question, send its answer. ``wait``: the trace is explained as far as it is
-    known. ``end``: the questionnaire is over.
+    ``explain``: give the messages, show the first ``step`` transitions, send their labels. ``ask``:
+    put the question, send its answer. ``wait``: all known transitions are explained. ``end``: the
+    questionnaire is over.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -146,14 +147,14 @@ class Next(BaseModel):
 
 
 class Reply(BaseModel):
-    """The id of the talk, and what to do next."""
+    """The id of the talk and the next action."""
 
     id: str
     next: Next
 
 
 def bearer(request: Request) -> str:
-    """The key that came in the headers; "" for none."""
+    """The key in the request's headers; "" for none."""
     return request.headers.get("Authorization", "").removeprefix("Bearer ")
 
 
@@ -164,9 +165,9 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
     """The service as an ASGI application.
 
     Args:
-        talks: of a task, in an open file.
-        origins: of pages that may call it.
-        key: needed to begin a talk, and to read or erase what people said; "" for none.
+        talks: the talks of a task, in an open file.
+        origins: origins of pages that may call it.
+        key: required to begin a talk, and to read or erase answers; "" for none.
     """
     app = FastAPI(title="xplain", version=__version__, summary="What to say and what to ask next.")
     app.add_middleware(
@@ -250,6 +251,6 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
 
 
 def csv_of(rows: Sequence[dict[str, Any]]) -> PlainTextResponse:
-    """A table of labels, as ``discover`` reads it."""
+    """A table of labels in the format of ``discover``."""
     table = pd.DataFrame(rows, columns=None if rows else ["observer", "messages", "label"])
     return PlainTextResponse(table.to_csv(index=False), media_type="text/csv; charset=utf-8")

@@ -1,5 +1,4 @@
-"""What the service knows about a task: the possible user types, the possible questions, and the
-map.
+"""The service's task: its user types, its questions, and its map.
 
 configuration ── served ── explanations and questionnaires (talks.py)
 """
@@ -33,9 +32,9 @@ from xplain.randomness import run_seed
 from xplain.storage import encode
 
 Transition = int | Sequence[float] | Mapping[str, float | str]
-"""A number among the task's transitions, its features in order, or its columns by name."""
+"""An index into the task's transitions, its features in order, or its columns by name."""
 TRACES = 5
-"""Traces of a domain's robot that a page can show."""
+"""Number of traces of a domain's robot that a page can show."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +42,18 @@ class Served:
     """A task.
 
     Attributes:
-        explainer: of people of the types that were learned.
-        hypotheses: T transitions with features, and what people may believe incorrectly of them;
-            None where only traces can be explained.
-        sentences: what to say for each message, by its name.
-        beliefs: what somebody would say who believes a fact incorrectly, by its message's name.
-        seed: of the questionnaires' ties.
-        questions: of one questionnaire, at most.
+        explainer: explains to people of the learned types.
+        hypotheses: T transitions with features, and what people may believe incorrectly about them;
+            None if only traces can be explained.
+        sentences: text of each message, by its name.
+        beliefs: statement of a person who believes a fact incorrectly, by its message's name.
+        seed: seed that breaks ties in questionnaires.
+        questions: maximum number of questions in a questionnaire.
         asking: how a questionnaire chooses them.
-        clips: transitions that an explanation may ask about, at most.
-        scene: a domain's map; None without one.
+        clips: maximum number of transitions that an explanation may ask about.
+        scene: a domain's map, or None.
         cells: [T, 2] cells of the map where a transition starts and ends.
-        traces: of the domain's robot, numbers of transitions.
+        traces: traces of the domain's robot, as indices of transitions.
     """
 
     explainer: Explainer
@@ -71,14 +70,14 @@ class Served:
 
     @property
     def types(self) -> LearnedTypes:
-        """The types that the explainer uses."""
+        """The types of the explainer."""
         types = self.explainer.types
         assert isinstance(types, LearnedTypes), "of a file, or just learned"
         return types
 
     @cached_property
     def features(self) -> NDArray[np.float64]:
-        """[T, F] of the transitions, in the order of the types' columns."""
+        """[T, F] features, in the order of the types' columns."""
         known = self.hypotheses
         if known is None or known.features is None:
             return np.empty((0, len(self.types.feature_names)))
@@ -87,7 +86,7 @@ class Served:
 
     @cached_property
     def questionnaire(self) -> Questionnaire:
-        """A questionnaire that nobody has answered yet.
+        """A new questionnaire without answers.
 
         Raises:
             InputError: there are no hypotheses.
@@ -98,7 +97,7 @@ class Served:
         return Questionnaire(self.hypotheses, **self.asking)
 
     def row(self, transition: Transition) -> list[float]:
-        """The features of a transition, however it was given.
+        """The features of a transition in any of its forms.
 
         Raises:
             InputError: there is no such transition.
@@ -114,7 +113,7 @@ class Served:
         return list(transition)
 
     def candidates(self, trace: Sequence[Sequence[float]]) -> tuple[Candidate, ...]:
-        """The transitions that may be asked about while a trace is explained, the nearest first."""
+        """The transitions that may be asked about while a trace is explained, nearest first."""
         known = self.hypotheses
         if known is None or not self.clips or not trace:
             return ()
@@ -122,7 +121,7 @@ class Served:
         return tuple(Candidate(self.features[t].tolist(), self.text(t)) for t in order)
 
     def text(self, transition: int) -> str:
-        """What the robot does in a transition."""
+        """Describes the robot's action in a transition."""
         phrases = () if self.hypotheses is None else self.hypotheses.phrases
         return phrases[transition] if phrases else f"transition {transition}"
 
@@ -131,7 +130,8 @@ class Served:
         return [self.sentences[name] for name in messages]
 
     def labels(self, wrong: Sequence[str], given: Sequence[str]) -> list[int]:
-        """[T] the labels of somebody who believes these facts incorrectly and was given messages.
+        """[T] labels of a person who believes the facts ``wrong`` incorrectly and received the
+        messages ``given``.
 
         Raises:
             InputError: there is no such fact.
@@ -160,7 +160,7 @@ class Served:
 
 
 def served(cfg: DictConfig) -> Served:
-    """The task of a configuration (conf/serve.yaml).
+    """Makes the task of a configuration (conf/serve.yaml).
 
     Raises:
         XplainError: a file or a value cannot be used.

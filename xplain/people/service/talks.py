@@ -1,7 +1,7 @@
-"""Talks with people, explanations and questionnaires, as events of each.
+"""Talks with people: explanations and questionnaires, each stored as events.
 
-An event holds what came in and what was decided then, so a talk is taken up from its events alone:
-wherever the process was killed, and whatever was installed meanwhile.
+An event holds a request and the decision made for it, so a talk can be restored from its events
+alone, after a crash or an upgrade.
 
     request ── Talks.begin / receive ── event on the disk ── reply
 """
@@ -24,23 +24,23 @@ from xplain.randomness import derived_seed
 
 Json = dict[str, Any]
 MOST_OPEN = 2000
-"""Talks kept in memory; others are taken up from their events."""
+"""Maximum number of talks in memory; others are restored from their events."""
 OWN = "participant = ? AND source = 'protocol'"
 
 
 class Unknown(Exception):
-    """There is no such talk."""
+    """No such talk."""
 
 
 class Conflict(Exception):
-    """Something else was received under this number, or the number was never given out."""
+    """A different answer has this number, or the number was never given out."""
 
 
 class Explanation:
-    """A trace explained to one person.
+    """The explanation of a trace to one person.
 
     Attributes:
-        decided: what is open now; empty before anything was decided.
+        decided: the open action; empty before the first decision.
     """
 
     def __init__(self, task: Served, begun: Json) -> None:
@@ -55,7 +55,7 @@ class Explanation:
         """Receives labels, the answer to a question, or more of the trace.
 
         Raises:
-            InputError: it is no answer to what is open.
+            InputError: it is no answer to the open action.
         """
         if key.startswith("trace"):
             self.session.extend([self.task.row(one) for one in came["transitions"]])
@@ -65,7 +65,7 @@ class Explanation:
             self.session.observe(came.get("labels", ()))
 
     def decide(self) -> Json:
-        """Decides the messages and how much to show, or a question."""
+        """Decides the messages and the number of steps to show, or a question."""
         session = self.session
         if session.finished:
             return {"kind": "wait", "step": session.shown}
@@ -78,14 +78,14 @@ class Explanation:
         return {"kind": "explain", **told, "step": session.shown}
 
     def repeat(self, decided: Json) -> None:
-        """Says or asks what was decided before."""
+        """Applies an earlier decision again."""
         if decided["kind"] == "ask":
             self.session.ask(decided["question"])
         elif decided["kind"] == "explain":
             self.session.tell(decided["messages"])
 
     def state(self) -> Json:
-        """What is believed of the person, cost, and the values behind the last decision."""
+        """The belief about the person, the cost, and the values of the last decision."""
         session = self.session
         return {
             "belief": session.belief,
@@ -99,7 +99,7 @@ class Explanation:
 
 
 class Asking:
-    """A questionnaire put to one person; ``decided`` as of an explanation."""
+    """A questionnaire for one person; ``decided`` is that of :class:`Explanation`."""
 
     def __init__(self, task: Served, begun: Json) -> None:
         self.decided: Json = {}
@@ -112,7 +112,8 @@ class Asking:
         self.questionnaire.answer(came.get("answer", ()), about)
 
     def decide(self) -> Json:
-        """Chooses the most informative question, until enough is known or asked."""
+        """Chooses the most informative question, until the answers suffice or no questions are
+        left."""
         if self.questionnaire.done or len(self.questionnaire.asked) >= self.task.questions:
             return {"kind": "end"}
         transition, given = self.questionnaire.next()
@@ -123,10 +124,11 @@ class Asking:
         return {"kind": "ask", **about, **told}
 
     def repeat(self, decided: Json) -> None:
-        """Nothing: a question changes nothing before its answer."""
+        """Does nothing: a question changes nothing before its answer."""
 
     def state(self) -> Json:
-        """The facts that they believe incorrectly, the likeliest, and how sure that is."""
+        """The most likely set of facts that the person believes incorrectly, and its
+        probability."""
         asking = self.questionnaire
         wrong = names_of(asking.best, asking.hypotheses.messages)
         sure = {"probability": float(asking.classes.max()), "no_hypothesis": asking.none}
@@ -147,18 +149,18 @@ class Talks(Log[State]):
         """Opens or creates the file.
 
         Raises:
-            InputError: it is no database of a service, or another process has it open.
+            InputError: the file is no database of a service, or another process has it open.
         """
         super().__init__(path, State)
         self.task = task
         self._open: OrderedDict[str, Talk] = OrderedDict()
 
     def begin(self, kind: str, person: str | None, request: Json) -> tuple[str, Json]:
-        """Begins a talk with the person whom the caller calls by this name; a repeated request
-        returns the same talk.
+        """Begins a talk with a person, who is identified by the caller's name for them. A repeated
+        request returns the same talk.
 
         Returns:
-            The talk's id, and the first thing to do.
+            The talk's id and the first action.
 
         Raises:
             Conflict: that person's talk began with other settings.
@@ -169,7 +171,7 @@ class Talks(Log[State]):
         begun = {**request, "person": who, "seed": derived_seed(self.task.seed, kind, who)}
         if key not in self.keys:
             talk = KINDS[kind](self.task, begun)
-            talk.decided = {"number": 1, **talk.decide()}  # planning takes a while: not in changes
+            talk.decided = {"number": 1, **talk.decide()}  # slow: outside of the transaction
             with self.changes():
                 if key not in self.keys:
                     state = json.dumps(talk.decided)
@@ -183,13 +185,13 @@ class Talks(Log[State]):
         return which, json.loads(str(first.state))
 
     def receive(self, kind: str, which: str, key: str, came: Json) -> Json:
-        """Takes an answer (key "answer NUMBER") or more of a trace ("trace TRANSITIONS BEFORE"),
-        once: what is received again is replied to as before.
+        """Receives an answer (key "answer NUMBER") or more of a trace ("trace TRANSITIONS BEFORE").
+        A repeated request gets the same reply.
 
         Raises:
             Unknown: no such talk.
-            Conflict: something else came under this key, or nothing was to come under it.
-            InputError: it is no answer to what is open.
+            Conflict: this key was used for something else, or was never expected.
+            InputError: it is no answer to the open action.
         """
         try:
             with self.changes():
@@ -212,11 +214,11 @@ class Talks(Log[State]):
                 self.append(which, "protocol", key, came, state=json.dumps(talk.decided))
                 return talk.decided
         except BaseException:
-            self._open.pop(which, None)  # half of it may be received, and nothing is on the disk
+            self._open.pop(which, None)  # it may be half changed, and nothing is on the disk
             raise
 
     def read(self, kind: str, which: str) -> tuple[list[Event], Json]:
-        """The events of a talk, and what is believed of the person. Nothing changes.
+        """The events of a talk, and the belief about the person. Changes nothing.
 
         Raises:
             Unknown: no such talk.
@@ -259,7 +261,7 @@ class Talks(Log[State]):
         ]
 
     def forget(self, kind: str, which: str) -> None:
-        """Forgets a talk and its person.
+        """Erases a talk and its person.
 
         Raises:
             Unknown: no such talk.
@@ -269,10 +271,10 @@ class Talks(Log[State]):
         self.erase(which, keep_key=False)
 
     def _talk(self, kind: str, which: str) -> Talk:
-        """The talk as its events have it.
+        """The talk, restored from its events if needed.
 
         Raises:
-            Unknown: there is none.
+            Unknown: no such talk.
         """
         if which not in self.people or self.people[which].erased or which[0] != kind[0]:
             raise Unknown

@@ -1,4 +1,4 @@
-"""The user study: a web page that a lab can put in front of participants."""
+"""The user study: web pages for a lab's participants."""
 
 from xplain.people.study.flow import Study as FLOW
 

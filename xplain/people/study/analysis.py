@@ -1,6 +1,6 @@
 """A document to register before the first participant: ``study preregister``.
 
-Everything in it follows from the plan, so that what is registered is what runs.
+It follows from the plan alone, so the registered study is the one that runs.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED, StudyPlan
 from xplain.randomness import derived_seed
 
 CONDITIONS = (CONFORMANT, PERSONALIZED)
-"""What the paper compares."""
+"""The conditions that the paper compares."""
 COMPARED = {"table2": CONDITIONS, "asking": (PERSONALIZED, ASKING)}
-"""Which conditions, by the name of the table: the second only in studies that ask."""
+"""Compared conditions by the name of the table; the second table is only for studies that ask."""
 MEASURES = {
     "interaction_time_s": "Interaction time (s)",
     "inexplicable_transitions": "Inexplicable transitions",
@@ -45,23 +45,23 @@ SECONDARY = {
     "questions_asked": "Questions",
     "cost": "Cost",
 }
-"""Shown where they are known of everybody."""
+"""Measures that are shown if they are known for all participants."""
 NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES)
 PERMUTATIONS = 10_000
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """Everything that is reported.
+    """All reported results.
 
     Attributes:
-        conditions: that are compared, the first less the second.
-        stream: whose data: person, pilot or bot. Never mixed.
-        measures: a row a measure, the three primary ones first (the others are not part of the
-            correction): the figures of :func:`compare`, those of a group by its condition;
-            ``student_p_holm``; and ``paper_…`` what the paper has there.
-        flow: participants that reached a stage, those that came to an end, those that were
-            excluded and why, and those that are analysed; of all and by condition.
+        conditions: the compared conditions; differences are the first minus the second.
+        stream: the analysed data: person, pilot or bot. Never mixed.
+        measures: one row for each measure, the three primary ones first (only these are corrected):
+            the figures of :func:`compare`, with the names of the conditions; ``student_p_holm``;
+            and the paper's figures ``paper_…``.
+        flow: numbers of participants who reached a stage, who came to an end, who were excluded
+            with the reason, and who are analysed; in all and by condition.
         data: the completed, included participants.
     """
 
@@ -83,10 +83,10 @@ def paper_table() -> dict[str, dict[str, float]]:
 
 
 def read(folder: Path) -> pd.DataFrame:
-    """The table of participants of an export.
+    """Reads the table of participants of an export.
 
     Raises:
-        InputError: there is none, or a column is missing.
+        InputError: there is no such table, or a column is missing.
     """
     path = folder / "participants.csv"
     if not path.is_file():
@@ -99,7 +99,7 @@ def read(folder: Path) -> pd.DataFrame:
 
 
 def exclusions(path: Path | None) -> dict[str, str]:
-    """{participant: reason} of a CSV with these two columns.
+    """Reads {participant: reason} from a CSV with these two columns.
 
     Raises:
         InputError: no such file, or other columns.
@@ -118,8 +118,8 @@ def exclusions(path: Path | None) -> dict[str, str]:
 def analyses(
     data: pd.DataFrame, stream: str, excluded: Mapping[str, str], seed: int = 0
 ) -> dict[str, Analysis]:
-    """:func:`analyse` of the paper's two conditions, and of asking where somebody was to be asked,
-    by the names in COMPARED. Each corrects for its own three measures."""
+    """Applies :func:`analyse` to the paper's two conditions, and to asking if the study asks; by
+    the names in COMPARED. Each analysis corrects for its own three measures."""
     met = set(data.loc[(data["stream"] == stream) & (data["stage"] == "done"), "condition"])
     return {
         name: analyse(data, stream, excluded, seed, pair)
@@ -139,13 +139,13 @@ def analyse(
 
     Args:
         data: table of participants.
-        stream: "person", "pilot" or "bot"; only these rows count.
+        stream: "person", "pilot" or "bot"; only these rows are used.
         excluded: {participant: reason}, decided before looking at the results.
-        seed: of the permutation tests.
-        conditions: the two.
+        seed: seed of the permutation tests.
+        conditions: the two conditions.
 
     Raises:
-        InputError: an unknown stream, participant or condition, or nobody to analyse.
+        InputError: an unknown stream, participant or condition, or no participants to analyse.
     """
     one_of("stream", stream, STREAMS)
     for who in excluded:
@@ -184,8 +184,8 @@ def analyse(
 def _compared(
     data: pd.DataFrame, measure: str, conditions: tuple[str, str], seed: int
 ) -> dict[str, float]:
-    """The first condition against the second, the figures of each by its name."""
-    data = data.dropna(subset=[measure])  # a time that cannot be is left out
+    """Compares the first condition with the second; figures have the conditions' names."""
+    data = data.dropna(subset=[measure])  # impossible times are left out
     a, b = (data[data["condition"] == condition] for condition in conditions)
     types_a, types_b = (group["type"].astype(str).tolist() for group in (a, b))
     drawn = derived_seed(seed, "permutation", measure)
@@ -193,11 +193,12 @@ def _compared(
 
 
 def _flow(own: pd.DataFrame, ends: Mapping[str, pd.Series[bool]]) -> pd.DataFrame:
-    """How many got how far, how the others ended, who is left out and why, and who is analysed.
+    """Counts how far participants came, how the others ended, who is excluded and why, and who is
+    analysed.
 
     Args:
         own: participants of a stream.
-        ends: {reason: who}, of rows of ``own``; absent rows are False.
+        ends: {reason: rows of ``own`` with it}; absent rows are False.
     """
     everybody = own["participant"].notna()
     reached = {
@@ -230,18 +231,18 @@ def compare(
     seed: int,
     names: tuple[str, str] = ("a", "b"),
 ) -> dict[str, float]:
-    """Group a against group b.
+    """Compares group a with group b.
 
     Args:
         a, b: the measure of each participant.
-        strata_a, strata_b: their user types, within which labels are shuffled.
-        seed: of the permutations.
-        names: of the groups.
+        strata_a, strata_b: their user types; labels are permuted within a type.
+        seed: seed of the permutations.
+        names: names of the groups.
 
     Returns:
         ``n_…``, ``mean_…`` and ``sd_…`` of each group; t, df and p of Student's test (the paper's)
         and of Welch's, two-sided; Hedges' g of a − b with its 95 % interval; the permutation test's
-        p. NaN where the groups are too small or without any spread.
+        p. NaN if a group is too small or has no variance.
     """
     groups = [pd.Series(np.asarray(values, dtype=float)) for values in (a, b)]
     x, y = groups
@@ -254,7 +255,7 @@ def compare(
         figures = (np.nan,) * 3
         if varies:
             with warnings.catch_warnings():
-                # A group without spread: messages of a policy that tells everybody the same.
+                # A group without variance: all participants got the same messages.
                 warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
                 t = stats.ttest_ind(x, y, equal_var=equal)
             figures = (float(t.statistic), float(t.df), float(t.pvalue))
@@ -267,7 +268,7 @@ def compare(
 
 
 def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, float, float]:
-    """Hedges' g from Student's t, with the exact interval by the noncentral t distribution.
+    """Hedges' g from Student's t, with the exact interval from the noncentral t distribution.
 
     The small-sample factor is exact, J = Γ(ν/2) / (√(ν/2) Γ((ν − 1)/2)) (Hedges 1981).
     """
@@ -275,14 +276,14 @@ def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, fl
     correction = np.exp(special.gammaln(df / 2) - special.gammaln((df - 1) / 2)) / np.sqrt(df / 2)
     tail = (1 - level) / 2
     to_g = float(correction * scale)
-    # Computed for |t|, where the function is accurate, and mirrored.
+    # Computed for |t|, because the function is accurate there, and mirrored.
     low, high = (to_g * special.nctdtrinc(df, [1 - tail, tail], abs(t))).tolist()
     return (t * to_g, low, high) if t >= 0 else (t * to_g, -high, -low)
 
 
 def holm(p: ArrayLike) -> NDArray[np.float64]:
-    """Holm's step-down adjusted p values [tests], in the order given; NaN stays, and does not count
-    as a test."""
+    """[tests] Holm's step-down adjusted p values, in the given order. NaN stays NaN and does not
+    count as a test."""
     values = np.asarray(p, dtype=float)
     order = np.argsort(values)  # NaN last
     steps = (~np.isnan(values)).sum() - np.arange(len(values))
@@ -299,10 +300,10 @@ def stratified_permutation(
     seed: int,
     permutations: int = PERMUTATIONS,
 ) -> float:
-    """Two-sided p of the difference in means when labels are shuffled within strata.
+    """Two-sided p of the difference in means if labels are permuted within strata.
 
-    The test that assignment in blocks justifies: within a type, who got which condition was drawn
-    by lot. (1 + as extreme) / (1 + permutations), so never 0.
+    Assignment in blocks justifies this test: within a type the condition was drawn at random. p =
+    (1 + number as extreme) / (1 + permutations), so it is never 0.
     """
     if not len(x) or not len(y):
         return float("nan")
@@ -314,7 +315,7 @@ def stratified_permutation(
         masks[1:, where] = rng.permuted(masks[1:, where], axis=1)
     sums = masks @ values
     gaps = np.abs(sums / len(x) - (values.sum() - sums) / len(y))
-    # Equal differences count as extreme, whatever the order of summation made of them.
+    # Equal differences count as extreme despite rounding errors.
     slack = 1e-9 * (1 + np.abs(values).max())
     return float((gaps >= gaps[0] - slack).sum() / (1 + permutations))
 
@@ -325,7 +326,7 @@ LOOKS = {
     "personalized": ("#0072B2", "o"),
     "asking": ("#00795A", "^"),
 }
-"""Colour and mark of a condition."""
+"""Colour and marker of each condition."""
 WHOSE = {"person": "participants", "pilot": "PILOTS", "bot": "SIMULATED PARTICIPANTS"}
 
 
@@ -352,7 +353,7 @@ def show(analysis: Analysis, console: Console) -> None:
 
 
 def _cells(row: pd.Series[float], conditions: tuple[str, str]) -> list[str]:
-    """What stands beside a measure's title."""
+    """The cells of a measure's row."""
     shown = ((row[f"mean_{c}"], row[f"sd_{c}"], row[f"n_{c}"]) for c in conditions)
     cells = [f"{mean:.2f} ({sd:.2f}), {count:.0f}" for mean, sd, count in shown]
     every = row[["student_p", "student_p_holm", "welch_p", "permutation_p"]]
@@ -366,7 +367,7 @@ def _cells(row: pd.Series[float], conditions: tuple[str, str]) -> list[str]:
 
 
 def save(analysis: Analysis, folder: Path, name: str = "table2") -> list[str]:
-    """Writes the table and the flow as CSV, and the plot; names of the files."""
+    """Writes the table and the flow as CSV, and the plot. Returns the names of the files."""
     folder.mkdir(parents=True, exist_ok=True)
     analysis.measures.to_csv(folder / f"{name}.csv")
     analysis.flow.to_csv(folder / "flow.csv")
@@ -376,7 +377,7 @@ def save(analysis: Analysis, folder: Path, name: str = "table2") -> list[str]:
 
 
 def draw(analysis: Analysis, path: Path) -> None:
-    """Draws every participant, means with 95 % intervals, and the paper's means."""
+    """Draws all participants, the means with 95 % intervals, and the paper's means."""
     figure = Figure(figsize=(10.5, 4.2))
     rng = np.random.default_rng(0)
     for axis, measure in zip(figure.subplots(1, len(MEASURES)), MEASURES, strict=True):
@@ -423,7 +424,7 @@ MEANING = {
 
 
 def document(plan: StudyPlan) -> str:
-    """Hypotheses, design, measures, exclusions, analysis and sample size, in Markdown."""
+    """Writes hypotheses, design, measures, exclusions, analysis and sample size, in Markdown."""
     loader = PackageLoader("xplain.people.study")
     written = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True)
     asks, secondary = ASKING in plan.conditions, dict(SECONDARY)

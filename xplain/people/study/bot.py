@@ -1,7 +1,7 @@
-"""Simulated participants: they read sentences, forget some, err now and then, and take their time.
+"""Simulated participants. They read sentences, forget some, sometimes err, and need time.
 
-A :class:`StudyBot` knows the plan's table of true labels, but only uses what the pages told them.
-The same person takes part in the bare flow, over HTTP, and in a real browser.
+A :class:`StudyBot` has the plan's table of true labels, but uses only what the pages say. The same
+participant can use the bare flow, HTTP, or a real browser.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ class Habits(bots.BotHabits):
     """Assumptions about participants.
 
     Attributes:
-        label_noise: probability that a fresh judgement of a step is the wrong way round.
-        forgetting: probability that a message is not taken in when it is said.
-        overload: added to it for each other message on the page that was told before or at once.
-        fading: probability that a fact that was taken in is gone at the quiz.
-        losing: probability that it is gone after a step, each step anew.
-        page_seconds: to take in an evaluation page and press the button.
-        message_seconds: to read a message; half as long for a known one.
-        label_seconds: to judge a step; a tenth of it for a step that needs no new judgement.
-        spread: σ of the lognormal of each of these times, and of the person's pace.
+        label_noise: probability that a new label is wrong.
+        forgetting: probability that a message is missed when it is given.
+        overload: added to it for each other message on the page, old or new.
+        fading: probability that a learned fact is forgotten before the quiz.
+        losing: probability that a learned fact is forgotten after a step, for each step.
+        page_seconds: time to read an evaluation page and press the button.
+        message_seconds: time to read a message; half as long for a known one.
+        label_seconds: time to judge a step; a tenth of it for a step without a new judgement.
+        spread: σ of the lognormal distribution of each time and of the participant's pace.
     """
 
     label_noise: Probability = 0.03
@@ -51,7 +51,7 @@ class Habits(bots.BotHabits):
 
 
 class StudyBot(bots.Bot[StudyPlan, Habits]):
-    """One simulated participant. They behave as themselves until a briefing assigns them a role."""
+    """One simulated participant, with beliefs of their own until a briefing assigns a role."""
 
     def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
         super().__init__(plan, habits, rng)
@@ -72,18 +72,18 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return self.asked(self.plan.before)
 
     def at_briefing(self, page: Page) -> None:
-        """Takes over what the screens of the briefing say, if anything."""
+        """Learns the facts of the briefing, if there are any."""
         self._told |= {*page.facts}
         briefings = [{*role.briefing} for role in self.plan.roles]
         if page.facts:
             self.user_type = next(t for t, told in enumerate(briefings) if self._told <= told)
 
     def at_training(self, page: Page) -> Fields:
-        """Answers that the step is expected where the message is shown."""
+        """Answers that the step makes sense only with the message."""
         return self.practises(page, len(page.messages))
 
     def at_eligibility(self, page: Page) -> Fields:
-        """Answers what the briefing told them."""
+        """Answers as the briefing said."""
         questions = self.plan.roles[self.user_type].eligibility
         return [
             (f"q{i}", str((q.answer + self.chance(self.habits.mistake)) % len(q.options)))
@@ -97,7 +97,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
 
     def at_asking(self, page: Page) -> tuple[Fields, float]:
-        """Answers what they think of the clip, with the same errors as a fresh label."""
+        """Answers the question about a clip, with the error rate of a new label."""
         labels, habits, (clip,) = self.plan.clip_labels, self.habits, page.steps
         assert labels is not None, "a plan that asks knows what they would answer"
         truth = labels.of_steps([clip]).label_probabilities(1, self.known)[self.user_type, 0]
@@ -107,7 +107,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return [("label", str(label))], seconds
 
     def at_quiz(self, page: Page) -> Fields:
-        """Ticks the statements that they believe to be true."""
+        """Ticks the statements that they believe."""
         wrong = self.plan.wrong[self.user_type]
         self._lose(self.habits.fading)
         true = {
@@ -121,16 +121,15 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         ]
 
     def _lose(self, probability: float) -> None:
-        """Forgets, by chance, facts that were corrected: each that they had believed
-        incorrectly."""
+        """Forgets corrected facts at random, each with this probability."""
         wrong = self.plan.wrong[self.user_type]
         for j in indices(self.known):
             if j in wrong and self.chance(probability):
                 self.known &= ~(1 << j)
 
     def labels(self, count: int, messages: int, new: Sequence[str]) -> tuple[list[int], float]:
-        """Labels of the first ``count`` steps with so many messages on the page, of which these are
-        said now, and the seconds that it took."""
+        """Labels of the first ``count`` steps, and the time in seconds. ``messages`` is the number
+        of messages on the page; ``new`` are those given now."""
         habits = self.habits
         for sentence in new:
             others = messages - 1
@@ -152,7 +151,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         seconds += habits.label_seconds * sum(
             self._spread() if i in fresh else 0.1 for i in range(count)
         )
-        if habits.losing:  # nobody who loses nothing draws for it
+        if habits.losing:  # no draw without forgetting
             self._lose(habits.losing)
         return list(self._labels), seconds * self._pace
 
@@ -163,7 +162,7 @@ def bot(plan: StudyPlan, habits: Habits, seed: int, number: int) -> StudyBot:
 
 
 def take_part(study: Study, person: StudyBot, user_type: int, condition: str) -> StudyState:
-    """One simulated participant in the bare flow, from the briefing to the end or to where they
+    """Runs one simulated participant in the bare flow, from the briefing to the end or until they
     leave."""
     role = study.plan.roles[user_type]
     orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}

@@ -1,7 +1,8 @@
-"""The evaluation: the robot's steps with the policy's messages, and before them what it may ask.
+"""The evaluation: the robot's steps with the policy's messages, and the policy's questions before
+them.
 
-The explanation itself is the :class:`~xplain.interaction.dialogue.Dialogue` of the offline
-experiments, taken up at each page.
+The explanation is the :class:`~xplain.interaction.dialogue.Dialogue` of the offline experiments,
+restored for each page.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from xplain.solvers.base import Policy, messages_of
 
 ENDS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out")
 EVALUATING = ("evaluation", "asking")
-"""Stages whose pages are the evaluation."""
+"""Stages of the evaluation."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +41,14 @@ class AskedQuestion:
 
     Attributes:
         step: k, of the next step.
-        question: its number.
-        told: how many messages had been said.
-        worth: by how much the policy took it to be better than saying or showing something;
-            None where it tells none.
+        question: index of the question.
+        told: number of messages given before.
+        worth: the policy's value of the question minus that of its best other action; None if
+            unknown.
         before: [M] belief over user types.
-        answer: 1 if the step made sense to them, 0 if not, CANNOT_TELL; None before they answered.
-        after: [M] the belief then.
+        answer: 1 if the step made sense to the participant, 0 if not, or CANNOT_TELL; None before
+            the answer.
+        after: [M] belief after the answer.
     """
 
     step: int
@@ -60,26 +62,26 @@ class AskedQuestion:
 
 @dataclass(frozen=True)
 class StudyState(core.State):
-    """Where a participant is. The first value is the start.
+    """The state of a participant. The default values are the start.
 
     Attributes:
         user_type, condition: the slot; None before consent.
-        orders: {"eligibility" | "quiz": the order in which questions are shown}.
-        attempts: eligibility tests taken.
+        orders: {"eligibility" | "quiz": order of the questions}.
+        attempts: number of eligibility tests.
         step: k of the evaluation.
-        given: bitmask of the messages on the page, the new ones among them.
-        new: bitmask of the messages that are said at this step.
-        previous: bitmask of the messages at the step before; None at the first.
-        belief: over what is hidden.
-        labels: of the transitions 0 … k − 1, as answered last.
-        heard: the messages said, by number, in the order of their arrival; again where said again.
-        score: of the quiz.
-        asked: the questions, the one on the page last.
-        position: of the place that they hold; None for none.
-        missed: attention checks answered wrongly after the quiz.
-        before, values: what the step on the page was decided by: the belief over user types, and
-            the policy's values by message set.
-        after: the belief over user types after the labels of the last step.
+        given: bitmask of all messages on the page, including the new ones.
+        new: bitmask of the messages given at this step.
+        previous: bitmask of the messages at the previous step; None at the first.
+        belief: belief over hidden states.
+        labels: latest labels of the transitions 0 … k − 1.
+        heard: indices of the given messages, in order; a repeated message occurs again.
+        score: score of the quiz.
+        asked: the questions; an open one is last.
+        position: position of their place; None without a place.
+        missed: number of attention checks after the quiz with a wrong answer.
+        before, values: the data of the current decision: the belief over user types, and the
+            policy's values by message set.
+        after: belief over user types after the labels of the last step.
     """
 
     ENDS = ENDS
@@ -105,44 +107,44 @@ class StudyState(core.State):
 
     @property
     def slot_type(self) -> int:
-        """The user type, in the stages after consent: each of them has a slot."""
+        """The user type, for stages after consent."""
         assert self.user_type is not None, f"no slot at {self.stage}"
         return self.user_type
 
     @property
     def place(self) -> int | None:
-        """The position of the place that they hold or have used up; None once it is given back, as
-        by somebody whom the analysis leaves out."""
+        """The position of the place that they hold or have used; None after they gave it back, for
+        example because they are excluded from the analysis."""
         used = self.stage == "done" and not self.missed
         return self.position if used or not self.over else None
 
     @property
     def again(self) -> int:
-        """How often a message was said that had been said before."""
+        """Number of repeated messages."""
         return len(self.heard) - self.given.bit_count()
 
 
 @dataclass(frozen=True)
 class Explaining(Flow[StudyPlan, StudyState]):
-    """A flow in which a trace is explained.
+    """A flow that explains a trace.
 
     Attributes:
         policies: {condition: policy for the problem of that condition}.
-        belief: which labels are evidence.
+        belief: the labels that count as evidence.
     """
 
     policies: Mapping[str, Policy]
     belief: BeliefUpdate
 
     def role(self, state: StudyState) -> StudyRole:
-        """What the participant is told and asked, in the stages after consent."""
+        """The participant's role, for stages after consent."""
         return self.plan.roles[state.slot_type]
 
     def talk(self, state: StudyState) -> Dialogue:
-        """The explanation as it stands at a page of the evaluation."""
+        """The dialogue at a page of the evaluation."""
         condition = state.condition or ""
         problem = self.plan.problem_of(condition)
-        # Who was told something, or may have forgotten something, is asked something new.
+        # After a message, or if people may forget, a repeated question is a new question.
         forgets = bool(problem.habits.forget.any())
         same = [
             one.question
@@ -160,7 +162,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
         return talk
 
     def next_step(self, state: StudyState) -> StudyState:
-        """A question, if the policy asks one before the state's step; else the step with the
+        """A question, if the policy asks one before the state's step; otherwise the step with the
         policy's messages."""
         talk, belief = self.talk(state), self.of_types(state.belief)
         action, values = talk.decide(), talk.values()
@@ -188,13 +190,12 @@ class Explaining(Flow[StudyPlan, StudyState]):
         )
 
     def of_types(self, belief: Sequence[float]) -> tuple[float, ...]:
-        """The belief over user types, summed over habits and knowledge; it is logged."""
+        """The belief over user types, summed over habits and knowledge, for the log."""
         return tuple(self.plan.problem.type_belief(np.array(belief)).tolist())
 
     def told(self, state: StudyState) -> dict[str, Any]:
-        """What every page of the evaluation shows: the briefing, the old messages and the new ones,
-        each where it was said last; ``again`` are those of the new ones that had been said
-        before."""
+        """The content of every page of the evaluation: the briefing, the old messages and the new
+        ones, each at its last position; ``again`` are new messages that were given before."""
         messages = [fact.message for fact in self.plan.facts]
         last = [*dict.fromkeys(reversed(state.heard))][::-1]
         old = [messages[j] for j in last if not state.new >> j & 1]
@@ -231,7 +232,7 @@ class Evaluation(Stage["Explaining", StudyState]):
         }
 
     def read(self, flow: Explaining, state: StudyState, form: Form) -> dict[str, Any]:
-        """Reads the labels; an earlier label that is not sent again stays as it was."""
+        """Reads the labels; an earlier label that is not sent again keeps its value."""
         kept = [*state.labels[: state.step], None]
         sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
         pairs = zip(sent, kept, strict=True)
@@ -260,7 +261,7 @@ class Evaluation(Stage["Explaining", StudyState]):
 
 
 class Asking(OneLabel["Explaining", StudyState]):
-    """One step of the task, which need not be on the trace: does it make sense?"""
+    """A question: does one step of the task, on the trace or not, make sense?"""
 
     WITHIN: ClassVar = "evaluation"
 
@@ -277,8 +278,8 @@ class Asking(OneLabel["Explaining", StudyState]):
     def advance(
         self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
     ) -> StudyState:
-        """Moves to another question, or to the next step. Nothing is learned from participants who
-        cannot tell."""
+        """Moves to another question, or to the next step. The answer "I cannot tell" is no
+        evidence."""
         label, talk = self.label(flow, payload), flow.talk(state)
         if label != CANNOT_TELL:
             talk.hear(Asked(state.asked[-1].question), Answered(label))

@@ -1,10 +1,10 @@
 """The flow of the study:
 
     consent → before → briefing → training → ahead → eligibility → evaluation → quiz → questions
-                           ↑__________________________|  (a failed attempt, while some are left)
+    ↑__________________________|  (a failed attempt, while some are left)
 
-People who come as they are have no eligibility test, for they are told nothing to be tested on.
-Within the evaluation, a policy that asks opens pages of the stage ``asking`` before a step.
+Participants without a briefing have no eligibility test. Within the evaluation, a policy that asks
+opens pages of the stage ``asking`` before a step.
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ class StudyConsent(Consent["Study", StudyState]):
 
 
 class StudyBriefing(Briefing["Study", StudyState]):
-    """What everybody is told, and what this user type knows."""
+    """The facts that all participants learn, and those that this user type believes."""
 
     def facts(self, flow: Study, state: StudyState) -> Mapping[str, Sequence[str]]:
-        """The facts of the role only; people as they are have no briefing."""
+        """The facts of the role only; participants without a briefing get none."""
         known = [known.right for known in flow.plan.known]
         return {"told_to_all": known, "told_to_you": flow.role(state).briefing}
 
@@ -91,7 +91,7 @@ class StudyBriefing(Briefing["Study", StudyState]):
 
 
 class TrainingStage(Practice["Study", StudyState]):
-    """An added action, unexpected without its message."""
+    """The example: an additional action that makes no sense without its message."""
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """Shows the message only in the second half."""
@@ -102,10 +102,10 @@ class TrainingStage(Practice["Study", StudyState]):
 
 
 class Eligibility(Stage["Study", StudyState]):
-    """Whether they know what they were told."""
+    """A test of the facts in the briefing."""
 
     def wanted(self, plan: StudyPlan) -> bool:
-        """Whether participants are briefed; others cannot be checked."""
+        """True if participants are briefed; others cannot be tested."""
         return not plan.kinds
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
@@ -135,7 +135,8 @@ class Eligibility(Stage["Study", StudyState]):
 
 
 class Quiz(Stage["Study", StudyState]):
-    """Which statements are true of the robot; no way back to the briefing."""
+    """The participant ticks the statements that are true of the robot; the briefing cannot be
+    opened here."""
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """Shows the statements in the participant's order."""
@@ -148,7 +149,7 @@ class Quiz(Stage["Study", StudyState]):
         return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
-        """Gives a point for each statement judged rightly."""
+        """Gives a point for each statement judged correctly."""
         statements, chosen = flow.role(state).quiz, payload.get("chosen")
         missing = flow.words["quiz_missing"]
         if not isinstance(chosen, list) or len(chosen) > len(statements):
@@ -159,19 +160,21 @@ class Quiz(Stage["Study", StudyState]):
 
 
 class LastQuestions(QuestionStage["Study", StudyState]):
-    """The lab's questions after the quiz, with checks of attention among them."""
+    """The lab's questions after the quiz, including attention checks."""
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
-        """Counts the checks that were missed: these people are left out of the analysis."""
+        """Counts the failed checks. Participants with failed checks are excluded from the
+        analysis."""
         wrong = [q for q in flow.plan.asked if q.right and payload.get(q.name) != q.right]
         return replace(super().advance(flow, state, payload), missed=len(wrong))
 
 
 @dataclass(frozen=True)
 class Study(Explaining):
-    """A plan with its policies at work. Places are permuted blocks of every type and condition.
-    Somebody holds a place from the consent on, gives it back by dropping out, timing out or not
-    being eligible, and uses it up by completing: all of this is in their states."""
+    """A running plan with its policies. Places are permuted blocks of every type and condition. A
+    participant holds a place from the consent on, gives it back by dropping out, by a time-out or
+    by not being eligible, and uses it up by completing. All of this is in the participants'
+    states."""
 
     PLAN = StudyPlan
     PACKAGE = "xplain.people.study"
@@ -192,7 +195,7 @@ class Study(Explaining):
 
     @classmethod
     def of(cls, plan: StudyPlan) -> Study:
-        """Makes the study, with policies from the conditions' configurations."""
+        """Creates the study, with policies from the conditions' configurations."""
         from hydra.utils import instantiate  # a flow at work knows no configuration
 
         seed = derived_seed(plan.seed, "solver")
@@ -215,20 +218,20 @@ class Study(Explaining):
         return view | {"untrue": [(role.briefing[j], facts[j].message) for j in untrue]}
 
     def advance(self, state: StudyState, kind: str, payload: Mapping[str, Any]) -> StudyState:
-        """A participant who returns has the place that was free."""
+        """A returning participant gets the place that was free."""
         after = super().advance(state, kind, payload)
         return replace(after, **payload) if kind == "return" else after
 
     # Places --------------------------------------------------------------------------------------
 
     def cell(self, stream_name: str, position: int) -> tuple[int, str]:
-        """Type and condition of a place: in each block every cell once, in a seeded order."""
+        """Type and condition of a place: each block contains every cell once, in a seeded order."""
         block, place = divmod(position, len(self.plan.cells))
         rng = stream(self.plan.seed, "slots", stream_name, block)
         return self.plan.cells[int(rng.permutation(len(self.plan.cells))[place])]
 
     def holders(self, people: People) -> dict[tuple[str, int], StudyState]:
-        """{(stream, position): state} of everybody who holds a place or has used it up."""
+        """{(stream, position): state} of the participants who hold a place or have used it up."""
         return {
             (one.stream, one.state.place): one.state
             for one in people
@@ -236,8 +239,8 @@ class Study(Explaining):
         }
 
     def admit(self, person: Participant[StudyState], people: People) -> dict[str, Any]:
-        """The first free place of the person's stream, and the orders of questions. A preview
-        takes no place."""
+        """Chooses the first free place of the person's stream, and the orders of questions. A
+        preview takes no place."""
         own, number, cell, position = person.stream, person.number, None, None
         if person.state.cell is None:
             position = self._free(own, people)
@@ -250,15 +253,15 @@ class Study(Explaining):
         return place | {"orders": orders}
 
     def readmit(self, person: Participant[StudyState], people: People) -> dict[str, Any]:
-        """A place like the one that they lost: of the same type and condition."""
+        """Chooses a place with the same type and condition as the lost one."""
         state = person.state
         if state.position is None:
             return {}
         return {"position": self._free(person.stream, people, state)}
 
     def _free(self, own: str, people: People, like: StudyState | None = None) -> int:
-        """The first free place of a stream: any, or of the type and condition of a state. People
-        find none where all are taken; pilots and bots always find one."""
+        """The first free place of a stream: any, or one with the type and condition of ``like``. If
+        all places are taken, people get none; pilots and bots always get one."""
         held, most = self.holders(people), self.plan.rules.per_cell * len(self.plan.cells)
         for position in range(most) if own == "person" else count():
             fits = like is None or self.cell(own, position) == (like.user_type, like.condition)
@@ -267,7 +270,7 @@ class Study(Explaining):
         raise Full("full")
 
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """The place and the orders of questions, where the window is wide enough."""
+        """Stores the place and the orders of questions, if the window is wide enough."""
         width, least = payload.get("width"), self.plan.rules.min_width
         if least and (not isinstance(width, int) or width < least):
             raise Refused(self.words["too_narrow"].format(width=least))
@@ -309,7 +312,7 @@ class Study(Explaining):
     # What to expect ------------------------------------------------------------------------------
 
     def announcement(self) -> str:
-        """Where a condition asks, says what asking is worth to people who never err."""
+        """If a condition asks, says what asking is worth to people who never err."""
         if ASKING not in self.plan.conditions:
             return ""
         met = self.faultless().items()
@@ -321,7 +324,7 @@ class Study(Explaining):
         )
 
     def faultless(self) -> dict[str, list[Episode]]:
-        """What people who never err meet under each condition, one of each kind."""
+        """Simulates one person of each kind who never errs, under each condition."""
         plan, found = self.plan, {}
         of_clips = () if plan.clip_labels is None else (plan.clip_labels,)
         tables = [
@@ -336,9 +339,8 @@ class Study(Explaining):
         return found
 
     def difference(self) -> float:
-        """How many messages (and questions) more or fewer a faultless participant gets under one
-        condition than under another, on average over the types; of the two conditions that are
-        most alike."""
+        """The mean difference over types in the number of messages (and questions) of a faultless
+        participant between two conditions; the smallest such difference."""
         given = [
             [(one.n_messages, one.n_questions) for one in met] for met in self.faultless().values()
         ]

@@ -1,7 +1,7 @@
-"""The plan of a study: everything a participant may meet, fixed before the first one comes.
+"""The plan of a study: everything that participants may see, fixed before the first one comes.
 
-A plan is a value: texts, trace, label probabilities, the participants' types, which solver serves
-which condition.
+A plan is a value: texts, trace, label probabilities, the participants' types, and the solver of
+each condition.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from xplain.explanation.problem import Problem
 from xplain.people.plan import Clip, LabQuestion, StoredPlan, Told, Way
 
 PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
-"""Conditions that the code knows by name. The policy of the last may ask questions."""
+"""Conditions that the code knows by name. The policy of the last one may ask questions."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What everybody is told and believes: a true sentence, and a false one."""
+    """A true sentence that everybody is told and believes, and a false one."""
 
     right: str
     wrong: str
@@ -42,7 +42,7 @@ class QuizQuestion:
 
 @dataclass(frozen=True)
 class Statement:
-    """One statement of the quiz, true or not of the robot."""
+    """A true or false statement of the quiz about the robot."""
 
     fact: str
     text: str
@@ -51,13 +51,13 @@ class Statement:
 
 @dataclass(frozen=True)
 class StudyRole:
-    """What participants of one user type are told and asked.
+    """The briefing and the tests of one user type.
 
     Attributes:
-        name: of the user type.
+        name: name of the user type.
         wrong: positions of the facts that this type believes incorrectly.
-        briefing: one sentence a fact, as this type knows it; none for people as they are.
-        eligibility: one question a fact, answered as this type knows it; or none.
+        briefing: one sentence for each fact, as this type believes it; none without a briefing.
+        eligibility: one question for each fact, with this type's answer; or none.
         quiz: the statements of the last test, true ones first.
     """
 
@@ -70,7 +70,7 @@ class StudyRole:
 
 @dataclass(frozen=True)
 class Training:
-    """The example that shows what a message does: an action added for illustration."""
+    """The example that shows the effect of a message: an action added for illustration."""
 
     belief: str
     action: str
@@ -83,11 +83,11 @@ class StudyRules:
     """Numbers of the protocol.
 
     Attributes:
-        per_cell: completed participants wanted for each type under each condition.
-        timeout_minutes: without a sign of life, after which a place goes to somebody else.
-        max_attempts: how often the eligibility test may be taken.
-        recall: whether the briefing can be opened again during the evaluation.
-        min_width: of the window, in CSS pixels, to take part; 0 lets phones in.
+        per_cell: required number of completed participants for each type under each condition.
+        timeout_minutes: minutes without activity after which a place becomes free.
+        max_attempts: maximum number of eligibility tests.
+        recall: True if the briefing can be opened again during the evaluation.
+        min_width: minimum width of the window, in CSS pixels; 0 admits phones.
     """
 
     per_cell: Count
@@ -103,19 +103,19 @@ class StudyPlan(StoredPlan):
 
     Attributes:
         training, rules: see their types.
-        known: what everybody is told.
+        known: facts that everybody is told.
         before: questions before the briefing.
         roles: [N].
-        kinds: [M] facts that each kind of simulated people believes incorrectly, where participants
-        come as
-            they are: then there is one role, which nobody is briefed for. None otherwise.
-        shown: [m + Q] the trace, then what the condition ASKING may ask about.
+        kinds: [M] facts that each kind of simulated people believes incorrectly, in a study without
+            a briefing; such a study has one role. None otherwise.
+        shown: [m + Q] the trace, then the transitions that the condition ASKING may ask about.
         taken: [m + 1] names of the items that are off the map after each number of steps; or none.
-        problem: label probabilities and costs behind the policies; with the questions that the
+        problem: label probabilities and costs of the policies, with the questions that the
             condition ASKING may ask.
-        clip_labels: of the M kinds as in ``true_labels``, what they would answer; None for none.
-        true_labels: [M, m, 2^n] uint8, what a faultless participant would answer: of the M = N
-            roles, or of the kinds.
+        clip_labels: answers of the M kinds to the questions, as in ``true_labels``; None without
+            questions.
+        true_labels: [M, m, 2^n] uint8, labels of a faultless participant of each of the M = N
+            roles, or of each kind.
         conditions: {condition: configuration of its solver}.
         belief: configuration of the belief update.
     """
@@ -137,23 +137,23 @@ class StudyPlan(StoredPlan):
 
     @property
     def trace(self) -> tuple[str, ...]:
-        """[m] what the robot does, as phrases."""
+        """[m] the robot's actions, as phrases."""
         return tuple(clip.phrase for clip in self.shown[: self.n_steps])
 
     @property
     def clips(self) -> tuple[Clip, ...]:
-        """[Q] what the questions show."""
+        """[Q] the transitions of the questions."""
         return self.shown[self.n_steps :]
 
     @property
     def path(self) -> Way | None:
-        """[m] on the map, or None without a map."""
+        """[m] the robot's way on the map; None without a map."""
         way = tuple(move for clip in self.shown[: self.n_steps] for move in clip.way)
         return way if len(way) == self.n_steps else None
 
     @property
     def shows_way(self) -> bool:
-        """Whether the trace is shown on a map."""
+        """True if the trace is shown on a map."""
         return self.path is not None
 
     @property
@@ -162,7 +162,7 @@ class StudyPlan(StoredPlan):
         return (*self.before, *self.asked)
 
     def problem_of(self, condition: str) -> Problem:
-        """What the policy of a condition plans for: only one of them may ask."""
+        """The problem that a condition's policy plans for; only that of ASKING has questions."""
         return self.problem if condition == ASKING else replace(self.problem, questions=Questions())
 
     @property
@@ -177,5 +177,5 @@ class StudyPlan(StoredPlan):
 
     @property
     def cells(self) -> tuple[tuple[int, str], ...]:
-        """Every (type, condition): what the slots are balanced over."""
+        """Every (type, condition); the slots are balanced over them."""
         return tuple((t, c) for t in range(len(self.roles)) for c in self.conditions)

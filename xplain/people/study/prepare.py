@@ -1,4 +1,4 @@
-"""From configuration to the plan of a study."""
+"""Makes the plan of a study from a configuration."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ from xplain.people.study.plan import (
 from xplain.randomness import stream
 
 NATURAL = "natural"
-"""Name of the role of people who are not briefed."""
+"""Name of the role in a study without a briefing."""
 STATEMENTS = 2
-"""Of the quiz about what a type had to have corrected, and as many about something else."""
+"""Number of quiz statements about the facts that a type needed, and also about others."""
 
 
 def roles_of(
@@ -52,16 +52,16 @@ def roles_of(
     labels: NDArray[np.uint8],
     wording: Mapping[str, Any],
 ) -> tuple[StudyRole, ...]:
-    """What each type is told and asked.
+    """Makes the briefing and the tests of each type.
 
     Args:
         facts: [n] of the plan.
         types: N user types.
         labels: [N, m, 2^n] their true labels of the trace.
-        wording: of the study. ``rewards``: for parameters that are the reward of an action, a
-            phrase for that action; the eligibility test then asks the paper's question (is the
-            reward ≥ 0?), and for the others which of two sentences the participant was told.
-            ``known``: what everybody is told. ``words``: of the questions.
+        wording: texts of the study. ``rewards`` has a phrase for the action of each parameter that
+            is the reward of an action; the eligibility test then asks the paper's question (is the
+            reward ≥ 0?), and otherwise which of two sentences was in the briefing. ``known`` has
+            the facts that everybody is told, ``words`` the texts of the questions.
     """
     known = tuple(Known(**one) for one in wording["known"])
     roles = []
@@ -82,11 +82,11 @@ def roles_of(
 def natural_role(
     facts: Sequence[Parameter], known: Sequence[Known], labels: NDArray[np.uint8]
 ) -> StudyRole:
-    """The one role of people as they are: no briefing, and a quiz about what simulated people need.
+    """The only role of a study without a briefing. Its quiz is about what simulated people need.
 
     Args:
         facts, known: of the plan.
-        labels: [M, m, 2^n] true labels of the trace, of the kinds of simulated people.
+        labels: [M, m, 2^n] true labels of the trace, for each kind of simulated people.
     """
     need = int(np.bitwise_or.reduce([needed(of_kind) for of_kind in labels]))
     return StudyRole(NATURAL, (), (), (), _quiz(facts, known, (), need, 0))
@@ -97,7 +97,7 @@ def _eligibility(
     user_type: UserType,
     wording: Mapping[str, Any],
 ) -> tuple[QuizQuestion, ...]:
-    """A question a fact, with the answer of somebody who knows what this type was told."""
+    """A question for each fact; the right answer is the one of this type's briefing."""
     words, rewards, questions = wording["words"], wording["rewards"], []
     for fact in facts:
         value = user_type.inaccurate.get(fact.name, fact.accurate)
@@ -107,7 +107,7 @@ def _eligibility(
             options = (words["reward_good"], words["reward_bad"])
             questions.append(QuizQuestion(text, options, 0 if value >= 0 else 1))
         else:
-            # The two sentences in an order that does not give the answer away.
+            # The order of the two sentences does not reveal the answer.
             pair = sorted((fact.message, fact.belief))
             told = fact.belief if fact.name in user_type.inaccurate else fact.message
             questions.append(QuizQuestion(words["which_told"], tuple(pair), pair.index(told)))
@@ -121,18 +121,19 @@ def _quiz(
     need: int,
     number: int,
 ) -> tuple[Statement, ...]:
-    """Two statements about facts that the type had to have corrected (then its other wrong ones,
-    then any), and two about something else: what everybody was told, or facts that it held right.
+    """Makes two statements about facts that the type needed (then its other incorrect facts, then
+    any facts), and two about something else: facts that everybody is told, or that the type
+    believes correctly.
 
-    Of either two, one is true and one is not. What everybody was told sounds the other way round
-    (a true sentence is bad news there), so that going by how a sentence sounds is right as often
-    as not.
+    One statement of each two is true. Facts that everybody is told sound the other way round (a
+    true sentence is bad news there), so guessing by the sound of a sentence is right only half of
+    the time.
 
     Args:
         facts, known: of the plan.
         wrong: facts that the type believes incorrectly.
-        need: bitmask of the facts that it had to have corrected.
-        number: of the type; odd ones get the other one of two for true.
+        need: bitmask of the facts that it needed.
+        number: index of the type; it decides which statement of two is true.
     """
     order = list(dict.fromkeys([*indices(need), *wrong, *range(len(facts))]))
     about = [(facts[j].name, facts[j].message, facts[j].belief) for j in order]
@@ -150,15 +151,15 @@ def _quiz(
 
 
 LEAST_DIFFERENCE = 1.0
-"""Messages by which the conditions differ, a participant, on average."""
+"""Minimum mean difference between the conditions, in messages for each participant."""
 TRIED = 20
-"""Traces on which the conditions are compared, the best ones first."""
+"""Maximum number of traces on which the conditions are compared, best first."""
 COSTS = ("message_cost", "inexplicability_cost", "discount", "discount_per", "prior")
-"""Keys of the configuration that the explanation problem takes as they are."""
+"""Configuration keys that are passed to the explanation problem unchanged."""
 
 
 def study_plan(cfg: DictConfig) -> StudyPlan:
-    """The plan that a configuration describes.
+    """Makes the plan that a configuration describes.
 
     The label probabilities are those of the paper's study: labelers under perfect clustering,
     learned from simulated observers of each type.
@@ -171,7 +172,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
         cfg = cfg.copy()
         cfg.seed = secrets.randbelow(2**31)
     config = fixed(cfg)
-    StudyRules(**config["rules"])  # refused before the work, not after it
+    StudyRules(**config["rules"])  # errors come before the expensive work
     config["conditions"] = conditions_of(config)
     one_of("briefing", config["briefing"], ("assigned", "none"))
     material, types = _material_and_types(cfg)
@@ -184,7 +185,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
         plan = drafted(material, trace, table, config, types, clips)
         gaps.append(Study.of(plan).difference())
         if gaps[-1] >= LEAST_DIFFERENCE:
-            # What is stored is what runs, from the first participant on.
+            # The stored plan is the one that runs, also for the first participant.
             return StudyPlan.from_text(plan.text)
     raise InputError(
         "conditions",
@@ -197,10 +198,10 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
 
 
 def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The conditions; where something may be asked, with the personalized explainer that asks.
+    """The conditions; if questions are allowed, with the personalized explainer that asks.
 
     Raises:
-        InputError: asking by a condition or a key alone, of what a study cannot ask.
+        InputError: only a condition or only a key asks for questions, or a study cannot ask them.
     """
     conditions, ask = config["conditions"], config.get("ask", {"kinds": []})
     if not ask["kinds"]:
@@ -220,11 +221,11 @@ def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
-    """What is explained, and the types that the policies know: those of a file (``types``), or
-    learned from observers.
+    """The task, and the types that the policies know: those of a file (``types``), or learned from
+    observers.
 
     Raises:
-        InputError: keys that do not go together, or types that know other features or messages.
+        InputError: keys that exclude each other, or types with other features or messages.
     """
     own, told = cfg.transitions is not None, cfg.briefing == "assigned"
     if own and told:
@@ -235,7 +236,7 @@ def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
         raise InputError("types", None, wanted)
     perfect = get_class(cfg.clusterer._target_) is Perfect
     if told and (cfg.types is not None or not perfect):
-        # Nothing says which of the types that are found is whose.
+        # It is unknown which found type belongs to which participant.
         wanted = "none with types that were found, by types=FILE or another clusterer than perfect"
         raise InputError("briefing", cfg.briefing, wanted)
     if own:
@@ -264,7 +265,7 @@ def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
 
 
 def learned_table(material: Material, types: LearnedTypes, rows: Transitions) -> LabelTable:
-    """What the labelers say of some transitions."""
+    """The labelers' table of some transitions."""
     made = None if material.transitions is None else material.transitions[rows]
     columns = [material.feature_names.index(name) for name in types.feature_names]
     return label_table(types.labelers, material.features[rows][:, columns], made)
@@ -280,16 +281,16 @@ def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: 
 def traces_of(
     material: Material, rules: Mapping[str, Any], max_steps: int, seed: int
 ) -> list[Transitions]:
-    """Traces that every participant could evaluate, the best first, none twice: of a domain
-    ``candidates`` random ones from ``start`` (a cell of the map, or None for any), of a table those
-    of ``rows``, lists of its rows from 1.
+    """Finds distinct traces that every participant can evaluate, best first. A domain gives
+    ``candidates`` random traces from ``start`` (a cell of the map, or None for any). A table gives
+    those of ``rows``, lists of its rows from 1.
 
-    The shortest of those for which the types need the most facts corrected come first: one that
-    most types understand anyway would measure nothing, and one of two or three steps hardly
-    anything.
+    Traces for which the types need the most facts corrected come first, and shorter ones before
+    longer ones. A trace that most types understand anyway would measure nothing, and one of two or
+    three steps very little.
 
     Raises:
-        InputError: there is none as ``rules`` want it.
+        InputError: no trace meets ``rules``.
     """
     drawn = (_given if material.setting is None else _drawn)(material, rules, max_steps, seed)
     least = whole_number("trace.min_steps", rules["min_steps"], 1)
@@ -347,26 +348,26 @@ def drafted(
     learned: LearnedTypes | None = None,
     asks: tuple[Transitions, LabelTable] | None = None,
 ) -> StudyPlan:
-    """A plan from its parts.
+    """Makes a plan from its parts.
 
     Args:
-        material: what is explained.
+        material: the task.
         trace: [m] the transitions of the evaluation.
-        table: of the labelers.
+        table: the labelers' table.
         config: the study's resolved configuration (the keys of conf/study.yaml).
         learned: names and shares of the types of the table; None: those of the task.
-        asks: the transitions that the condition which asks may ask about, if there is one, and the
-            table of the labelers of these.
+        asks: transitions that the condition ASKING may ask about, with the labelers' table of them;
+            or None.
 
     Raises:
-        XplainError: a part contradicts another.
+        XplainError: two parts contradict each other.
     """
     types, natural = material.types, config["briefing"] == "none"
     table_of_ones_own = config.get("transitions") is not None
     wording = _worded(config["wording"], natural, table_of_ones_own, asks is not None)
     own, in_words = parts("study", config, wording, material, wording["words"]["robot_does"])
     costs = Costs(config["lambda"], **{key: config[key] for key in COSTS})
-    # Roles and types have the same names; people as they are may be of any types that were found.
+    # Roles and types have the same names; without a briefing any found types are possible.
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.prior
     labels, asked_about = material.labels(trace), asks[0] if asks else trace[:0]
@@ -405,8 +406,8 @@ def drafted(
 def _worded(
     wording: Mapping[str, Any], natural: bool, table: bool, asks: bool
 ) -> Mapping[str, Any]:
-    """The texts for people who are briefed, or as they are; the steps of one's own table are whole
-    sentences; where some are asked in between, what is said of it."""
+    """Chooses the texts for studies with or without a briefing. The steps of one's own table are
+    whole sentences. If the study asks, its texts say so."""
     if table:
         words, example = wording["words"], wording["training"]
         said = {**example, "action": words["robot_does"].format(phrase=example["action"])}
@@ -432,8 +433,8 @@ def needed(labels: NDArray[np.uint8]) -> int:
         labels: [m, 2^n] the type's true labels.
 
     Returns:
-        A bitmask; ties by message order. All messages together always do: then the type's model
-        is the robot's, and the trace is optimal in it.
+        A bitmask; ties by message order. The set of all messages always suffices, because the
+        type's model is then the robot's, and the trace is optimal in it.
     """
     explaining = np.flatnonzero(labels.all(axis=0))
     return int(min(explaining, key=lambda mask: (int(mask).bit_count(), indices(int(mask)))))

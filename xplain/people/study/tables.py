@@ -1,4 +1,5 @@
-"""The tables of a study (``study export``), and how people listened (``study habits``)."""
+"""The tables of a study (``study export``), and how participants reacted to messages (``study
+habits``)."""
 
 from __future__ import annotations
 
@@ -22,21 +23,22 @@ from xplain.people.study.plan import StudyPlan
 
 Person = Participant[StudyState]
 SLEEP = 2.0
-"""Seconds by which a device's clock runs ahead of a page's own after a sleep."""
+"""Minimum seconds by which a device's clock is ahead of a page's own clock after a sleep."""
 
 
 def export(database: Path, folder: Path) -> str:
-    """Writes all tables of a database (better: of a snapshot) into a folder; SHA-256 of the events.
+    """Writes all tables of a database (better: of a snapshot) into a folder. Returns the SHA-256 of
+    the events.
 
     Raises:
-        InputError: it is no study's database.
+        InputError: the file is not a study's database.
     """
     plan, people = read(database, StudyPlan, StudyState)
     return write(folder, Study.PACKAGE, plan, people, tables)
 
 
 def glance(study: Study, people: People) -> dict[str, Any]:
-    """Which places are left, for the researcher's page."""
+    """The free places, for the researcher's page."""
     held, plan, rows = study.holders(people), study.plan, []
     for own in sorted({"person", *(name for name, _ in held)}):
         for user_type, condition in plan.cells:
@@ -55,12 +57,12 @@ def glance(study: Study, people: People) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Step:
-    """A step of somebody's evaluation.
+    """A step of a participant's evaluation.
 
     Attributes:
-        page: the state that its page was of.
-        labels: of it; none before the answer.
-        after: [M] the belief over user types after them.
+        page: the state of its page.
+        labels: its labels; none before the answer.
+        after: [M] belief over user types after the labels.
     """
 
     page: StudyState
@@ -74,7 +76,7 @@ class Step:
 
 
 def steps_of(one: Person) -> list[Step]:
-    """The steps of somebody's evaluation, as far as they came."""
+    """The steps of a participant's evaluation so far."""
     steps: dict[int, Step] = {}
     for event in (event for event in one.events if event.state):
         state = StudyState.from_text(str(event.state))
@@ -233,19 +235,19 @@ def _quiz(plan: StudyPlan, one: Person) -> Iterator[Row]:
             }
 
 
-# Time: one clock a figure ----------------------------------------------------------------------
+# Time: each figure has one clock ----------------------------------------------------------------
 
 
 def interaction(events: Sequence[Event]) -> Row:
-    """How long the evaluation of one participant took: columns of their table.
+    """The duration of one participant's evaluation: columns of the participants' table.
 
-    ``interaction_time_s`` is by the server's clock, from the first rendering of the first step to
-    the last accepted label, by which ``clock`` (:func:`xplain.people.export.seconds`);
-    None where it is not known, or cannot be. ``visible_time_s``, the secondary measure, is None
-    without the browser's events (no scripts).
+    ``interaction_time_s`` is measured by the server, from the first rendering of the first step to
+    the last accepted label; ``clock`` says by which clock (:func:`xplain.people.export.seconds`).
+    None if it is unknown. ``visible_time_s``, the secondary measure, is None without the browser's
+    events (no scripts).
 
     Args:
-        events: of the participant, in order; none for nothing known.
+        events: the participant's events, in order; none if nothing is known.
     """
     took = clock = away = None
     evaluated = [e for e in events if e.kind == "shown" and e.payload["stage"] in EVALUATING]
@@ -262,7 +264,7 @@ def interaction(events: Sequence[Event]) -> Row:
 
 
 def pages(events: Sequence[Event]) -> list[Row]:
-    """Every page that was shown to one participant, in order, with the time until its answer was
+    """Every page that one participant saw, in order, with the time until its answer was
     accepted."""
     answered = {e.source_sequence: e for e in events if e.source == "protocol"}
     rows, step = [], 0
@@ -284,16 +286,16 @@ def pages(events: Sequence[Event]) -> list[Row]:
 
 
 def hidden(events: Sequence[Event]) -> float | None:
-    """Seconds of the evaluation in which no page was visible; None where no page reported.
+    """Seconds of the evaluation in which no page was visible; None if no page reported.
 
     Pages report when they become visible and when they are hidden (another tab, another window,
-    closed), but not when an answer leads on to the next. So the page that became visible last is
-    the one looked at, and only its being hidden counts: with two tabs, going from one to the other
-    does not.
+    closed), but not when an answer opens the next page. So the page that became visible last is the
+    current one, and only its hidden time counts. Switching between two tabs of the study does not
+    count.
 
-    Clocks of two devices need not agree: pages are ordered by arrival, a duration on one page is by
-    that page's own clock, and one from page to page by the server's. Where the wall clock of a
-    visible page jumps ahead of the page's own, the device slept.
+    Clocks of two devices may differ. So pages are ordered by arrival, a duration on one page uses
+    that page's clock, and one between pages uses the server's. If the wall clock of a visible page
+    jumps ahead of the page's own clock, the device slept.
     """
     total, began, looked_at = 0.0, False, ""
     since: Event | None = None
@@ -321,21 +323,20 @@ def hidden(events: Sequence[Event]) -> float | None:
 
 
 def _passed(first: Event, last: Event) -> tuple[float, float]:
-    """Seconds between two reports of a page: by the page's own clock, and by the device's."""
+    """Seconds between two reports of a page, by the page's own clock and by the device's clock."""
     own = (last.browser or 0.0) - (first.browser or 0.0)
     return own / 1000, (last.payload["at"] - first.payload["at"]) / 1000
 
 
 def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
-    """What was said to each participant of a stream, and what they answered, as far as they came
-    (``study habits``).
+    """The messages and labels of each participant of a stream so far (``study habits``).
 
     Args:
-        database: of a study that no server has open, or a snapshot.
+        database: a study's database that no server has open, or a snapshot.
         stream: "person", "pilot" or "bot"; never mixed.
 
     Raises:
-        InputError: it is no study's database, or there is no such stream.
+        InputError: the file is not a study's database, or there is no such stream.
     """
     one_of("stream", stream, STREAMS)
     plan, everybody = read(database, StudyPlan, StudyState)
