@@ -1,7 +1,5 @@
-"""The interface of a domain: a robot's task with parameters that people may believe incorrectly.
-
-docs/method.md, section 1.
-"""
+"""The interface of a domain: a robot's task with parameters that people may believe incorrectly
+(docs/method.md, section 1)."""
 
 from __future__ import annotations
 
@@ -20,11 +18,11 @@ class Parameter:
     """A fact about the task.
 
     Attributes:
-        name: also the name of the message that tells it.
+        name: name of the parameter and of its message.
         accurate: the robot's value.
-        inaccurate: the value of a user who believes it incorrectly.
-        message: the sentence that tells the robot's value.
-        belief: the sentence that a user who believes it incorrectly would say (for briefings).
+        inaccurate: the value that a user may believe instead.
+        message: the sentence with the robot's value.
+        belief: the sentence of a user with the inaccurate value (for briefings).
     """
 
     name: str
@@ -36,7 +34,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Item:
-    """Something on the map: cells (row, column) that share a symbol and a name.
+    """A thing on the map: cells (row, column) with a common symbol and name.
 
     Attributes:
         labels: text for each cell in pictures, instead of the symbol; empty: the symbol.
@@ -75,9 +73,9 @@ class Domain(Protocol):
         name: as chosen in config.
         parameters: in the order of the messages.
         actions: names of the model's actions.
-        state_features: [S, F] float64, what a labeler may know of a state.
+        state_features: [S, F] float64, the features of a state that a labeler may use.
         feature_names: F names.
-        starts: [n] int64, states where traces start, equally likely.
+        starts: [n] int64 start states of traces, equally likely.
     """
 
     name: str
@@ -88,12 +86,12 @@ class Domain(Protocol):
     starts: NDArray[np.int64]
 
     def model(self, values: Mapping[str, Any]) -> TaskModel:
-        """The task of somebody who holds these values: ``{parameter name: value}`` for all
+        """The task of a person who believes these values: ``{parameter name: value}`` for all
         parameters."""
         ...
 
     def describe(self, transition: NDArray[np.int64]) -> str:
-        """A transition (s, a, s') as a short phrase for people: "moves right to (2, 3)"."""
+        """Describes a transition (s, a, s') by a short phrase: "moves right to (2, 3)"."""
         ...
 
     def position(self, state: int) -> tuple[int, int] | None:
@@ -116,15 +114,15 @@ def transition_feature_names(domain: Domain) -> tuple[str, ...]:
 
 
 def transition_features(domain: Domain, transitions: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Features [T, 2F + A] of transitions [T, 3]: of the state (F), the action one-hot (A), of the
-    next state (F). docs/method.md, section 3."""
+    """[T, 2F + A] features of transitions [T, 3]: those of the state (F), the action one-hot (A),
+    those of the next state (F) (docs/method.md, section 3)."""
     s, a, after = transitions.T
     action = np.eye(len(domain.actions))[a]
     return np.hstack([domain.state_features[s], action, domain.state_features[after]])
 
 
 def cell_name(row: int, column: int) -> str:
-    """A cell's name for people: a letter for the column, then the row from 1, as in "B3"."""
+    """A cell's name: a letter for the column and the row from 1, such as "B3"."""
     letters = ""
     column += 1
     while column:
@@ -134,7 +132,7 @@ def cell_name(row: int, column: int) -> str:
 
 
 def changes_of(domain: Domain, transitions: NDArray[np.int64]) -> tuple[tuple[str, ...], ...]:
-    """What each transition (s, a, s') of [m, 3] changes, as short phrases for pictures without a
-    map. Empty if the domain has no method ``changes(transition)``."""
+    """Describes the effects of each transition (s, a, s') of [m, 3] by short phrases, for pictures
+    without a map. Empty if the domain has no method ``changes(transition)``."""
     told = getattr(domain, "changes", None)
     return () if told is None else tuple(tuple(told(transition)) for transition in transitions)

@@ -1,7 +1,8 @@
 """Four rooms (Sutton, Precup & Singh 1999): reach a goal through the doors of four rooms.
 
-Five facts about the task can be believed incorrectly: the positions of the goals and of the penalty
-cells, the discount, the cost of a step, and the penalty. Their values are ours: docs/choices.md.
+People may believe five facts about the task incorrectly: the positions of the goals and of the
+penalty cells, the discount, the cost of a step, and the penalty. docs/choices.md explains their
+values.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from xplain.errors import InputError, Range, Slip, checks, listed, number
 
 PARAMETERS = ("goals", "discount", "step_cost", "penalty_cells", "penalty")
 DOORS = ((3, 6), (10, 6), (6, 2), (7, 9))
-"""Of the published map: (row, column) from 0, the wall being row and column 0."""
+"""Doors of the published map: (row, column) from 0; row 0 and column 0 are walls."""
 
 
 @checks("domain")
@@ -27,13 +28,13 @@ class FourRooms:
     """The four-rooms task. States are cells; entering a goal earns its reward and ends the task.
 
     Args:
-        map: ASCII map of walls (#), floor (.) and, where marked, floor where traces start (s).
-        parameters: ``{name: {accurate, inaccurate, message, belief}}``, all five:
-            goals, a list of ``{cell: [row, column], reward}``; discount, γ in (0, 1);
-            step_cost, subtracted at every move; penalty_cells, a list of [row, column];
-            penalty, subtracted on entering such a cell.
+        map: ASCII map of walls (#), floor (.) and optional start cells (s).
+        parameters: ``{name: {accurate, inaccurate, message, belief}}``, all five: goals, a list of
+            ``{cell: [row, column], reward}``; discount, γ in (0, 1); step_cost, subtracted at every
+            move; penalty_cells, a list of [row, column]; penalty, subtracted on entering such a
+            cell.
         slip: probability that a move slides to a side.
-        name: of the domain.
+        name: name of the domain.
 
     Raises:
         InputError: a value is not allowed, or a start has no path to the goals.
@@ -70,7 +71,7 @@ class FourRooms:
         self.state_features = self.grid.cells.astype(np.float64)
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The task of somebody who holds these values.
+        """The task of a person who believes these values.
 
         Raises:
             InputError: a value is not allowed.

@@ -1,15 +1,14 @@
-"""Deterministic undiscounted tasks that end at a goal: the cheapest plan is best, and a state
-without a plan costs a given number (docs/method.md, section 1).
+"""Deterministic undiscounted tasks that end at a goal. The cheapest plan is best, and a state
+without a plan has a given cost (docs/method.md, section 1).
 
-Actions may cost nothing. Then some of them lead round in circles on cheapest plans, or do no good.
-So an action that costs nothing is best only if it lowers the number of such actions that a cheapest
-plan still needs at least. Actions that cost something are best if they are on a cheapest plan, as
-in tasks where everything costs. Each best action brings the goal nearer: either the cost to go or
-that number falls.
+Actions may cost nothing, and then cheapest plans may contain circles or useless actions. So an
+action that costs nothing is best only if it reduces the minimum number of such actions that a
+cheapest plan still needs. An action with a cost is best if it is on a cheapest plan. So each best
+action reduces the cost to go or that number.
 
-A discount would prefer plans whose costs come late. Many beliefs about one task share its states
-and edges (:class:`StateSpace`). A belief says which edges exist, what they cost, and where the goal
-is (:class:`GoalTask`). Shortest paths to the goal solve it exactly.
+There is no discount, because it would prefer plans with late costs. All beliefs about one task
+share its states and edges (:class:`StateSpace`). A belief defines which edges exist, their costs,
+and the goal (:class:`GoalTask`). Shortest paths to the goal solve it exactly.
 """
 
 from __future__ import annotations
@@ -30,16 +29,16 @@ from xplain.errors import DomainError
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """S states and all E edges between them that anybody believes in.
+    """S states and the E edges between them that exist in any belief.
 
     An action may have different effects in different beliefs: each is a variant of the action.
 
     Attributes:
         n_states, n_actions: S and A.
-        action: [V] the action that each variant is one of.
-        source: [E] the state that each edge leaves, rising.
-        variant: [E].
-        successor: [E] the state that each edge leads to.
+        action: [V] the action of each variant.
+        source: [E] start state of each edge, ascending.
+        variant: [E] variant of each edge.
+        successor: [E] end state of each edge.
     """
 
     n_states: int
@@ -51,18 +50,18 @@ class StateSpace:
 
     @cached_property
     def backwards(self) -> NDArray[np.int64]:
-        """[E] the edges by the state they lead to."""
+        """[E] the edges, sorted by their end state."""
         return np.argsort(self.successor, kind="stable")
 
     def shortest(
         self, length: NDArray[np.float64], ends: NDArray[np.int64], backwards: bool = False
     ) -> NDArray[np.float64]:
-        """[S] the length of the shortest path from any of these states, or to any of them.
+        """[S] length of the shortest path from any of the states ``ends``, or to any of them.
 
         Args:
-            length: [E] of each edge; ∞ if it cannot be used.
+            length: [E] length of each edge; ∞ if it cannot be used.
             ends: some states.
-            backwards: whether paths lead to these states.
+            backwards: True for paths to these states.
         """
         order = self.backwards if backwards else slice(None)
         ways = (self.successor, self.source) if backwards else (self.source, self.successor)
@@ -78,12 +77,12 @@ class GoalTask:
 
     Attributes:
         space: shared by all beliefs about the task.
-        cost: [V] ≥ 0, of each variant; ∞ if this belief does not have it.
-        terminal: [S] bool, where the goal holds; nothing happens there.
-        dead_end_cost: of a state without a plan. A plan that costs as much does not count.
-        start: where the task starts; it must have a plan.
+        cost: [V] ≥ 0, cost of each variant; ∞ if this belief does not have it.
+        terminal: [S] bool, goal states; nothing happens after them.
+        dead_end_cost: cost of a state without a plan. Plans with this cost or more do not count.
+        start: start state; it must have a plan.
         imagined: [S] for a user who believes in another start: the state that they see instead of
-            each state; −1 if it is not in ``space``. None: they see the states as they are.
+            each state; −1 if it is not in ``space``. None: they see the true states.
     """
 
     space: StateSpace
@@ -118,9 +117,10 @@ class GoalTask:
         return np.where(found < self.dead_end_cost, found, np.inf)
 
     def _gap(self) -> NDArray[np.float64]:
-        """[E] the extra cost of each edge and a best plan after it over a best plan from its
-        source, relative to the most expensive best plan. ∞ if this belief does not have the edge,
-        it leads to a dead end, or it costs nothing and brings the goal no nearer."""
+        """[E] the additional cost of each edge and a best plan after it, compared with a best plan
+        from its source, relative to the most expensive best plan. ∞ if this belief does not have
+        the edge, if it leads to a dead end, or if it costs nothing and brings the goal no
+        nearer."""
         cost, source, after = self._edge_cost, self.space.source, self.space.successor
         behind = cost + self.to_go[after]
         behind[~np.isfinite(self.to_go[source])] = np.inf
@@ -140,7 +140,8 @@ class GoalTask:
         return np.flatnonzero(self._gap() <= TIE)
 
     def on_policy(self, starts: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-        """[T, 3] every transition on a cheapest plan from one of the states; None: from any."""
+        """[T, 3] every transition on a cheapest plan from one of these states; None: from any
+        state."""
         space, best = self.space, self._best
         if starts is not None:
             length = np.full(len(space.source), np.inf)
@@ -152,12 +153,12 @@ class GoalTask:
         return np.stack(np.unravel_index(np.unique(keys), shape), axis=1)
 
     def _keys(self, *transitions: NDArray[np.integer]) -> NDArray[np.int64]:
-        """[T] a number for each (state [T], action [T], next state [T])."""
+        """[T] one integer for each (state [T], action [T], next state [T])."""
         shape = self.n_states, self.n_actions, self.n_states
         return np.asarray(np.ravel_multi_index(transitions, shape))
 
     def explicable(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether each transition [T, 3] is on a cheapest plan and has the believed result: [T]."""
+        """[T] True if a transition [T, 3] is on a cheapest plan and has the believed result."""
         s, a, after = transitions.T
         if self.imagined is not None:
             s, after = self.imagined[s], self.imagined[after]
@@ -173,7 +174,7 @@ class GoalTask:
 
     @cached_property
     def optimal(self) -> NDArray[np.bool_]:
-        """[S, A] the actions on a cheapest plan from each state as it is."""
+        """[S, A] the actions on a cheapest plan from each true state."""
         result = np.zeros((self.n_states, self.n_actions), dtype=bool)
         s, a, _ = self.on_policy().T
         result[s, a] = True
@@ -195,7 +196,7 @@ class GoalTask:
         return -self._table(self._edge_cost, np.float64)
 
     def _table(self, of_edges: NDArray[Any], kind: type) -> NDArray[Any]:
-        """[S, A, 1] a value of each edge of this belief, 0 elsewhere."""
+        """[S, A, 1] values of this belief's edges; 0 elsewhere."""
         result: NDArray[Any] = np.zeros((self.n_states, self.n_actions, 1), dtype=kind)
         own = np.isfinite(self._edge_cost)
         action = self.space.action[self.space.variant[own]]
@@ -203,10 +204,10 @@ class GoalTask:
         return result
 
     def solved(self, who: str) -> None:
-        """Checks that the task has a plan and clear ties.
+        """Checks that the task has a plan and unambiguous ties.
 
         Args:
-            who: has this belief, for errors.
+            who: name of the believer, for errors.
 
         Raises:
             DomainError: it has no plan, or a gap is too small to tell whether two actions tie.
@@ -229,10 +230,10 @@ class GoalTask:
 
     @staticmethod
     def solve(models: Sequence[GoalTask], names: Sequence[str]) -> GoalSolution:
-        """Solves all of them.
+        """Solves all models.
 
         Raises:
-            DomainError: see :meth:`solved`.
+            DomainError: see :meth:`GoalTask.solved`.
         """
         for model, name in zip(models, names, strict=True):
             model.solved(name)
@@ -250,6 +251,6 @@ class GoalSolution:
         return self.models[index].optimal
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[B, T] explicable or not."""
+        """[B, T] 1 for explicable transitions, 0 for others."""
         found = [model.explicable(transitions) for model in self.models]
         return np.array(found, dtype=np.uint8)

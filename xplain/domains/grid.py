@@ -1,4 +1,4 @@
-"""Grids from ASCII maps: cells, walls, moves with slip; shared by the grid domains."""
+"""Grids from ASCII maps: cells, walls, moves with slip. The grid domains share them."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from xplain.errors import InputError, mapping, one_of, sentence
 Cell = tuple[int, int]
 
 MOVES: dict[str, Cell] = {"up": (-1, 0), "down": (1, 0), "left": (0, -1), "right": (0, 1)}
-"""The moves, in the order of the actions; (rows, columns) added."""
+"""The moves as (rows, columns), in the order of the actions."""
 SIDEWAYS = np.array([[2, 3], [2, 3], [0, 1], [0, 1]])
 """The two moves at right angles to each move: the directions of a slip."""
 WALL, FLOOR, START = "#", ".", "s"
 MAP = "domain.map"
-"""The key of the map in the configuration, for errors."""
+"""The map's configuration key, for errors."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A map. C cells can be entered; they are numbered row by row.
+    """A map. Its C free cells are numbered row by row.
 
     Attributes:
         shape: (rows, columns).
-        cells: [C, 2] int64, (row, column) of each cell that can be entered.
-        number: [rows, columns] int64, the number of each cell; −1 for walls.
-        where: the cells of each symbol on the map.
+        cells: [C, 2] int64, (row, column) of each free cell.
+        number: [rows, columns] int64, index of each cell; −1 for walls.
+        where: cells of each symbol on the map.
     """
 
     shape: tuple[int, int]
@@ -76,7 +76,7 @@ class Grid:
         return cls(wall.shape, np.argwhere(~wall), number, {s: tuple(c) for s, c in where.items()})
 
     def at(self, cell: Sequence[int], key: str) -> int:
-        """The number of a cell.
+        """The index of a cell.
 
         Raises:
             InputError: it is outside the map, a wall, or not a pair of whole numbers.
@@ -91,7 +91,7 @@ class Grid:
         return int(self.number[r, c])
 
     def only(self, symbol: str, name: str) -> int:
-        """The number of the one cell with this symbol.
+        """The index of the one cell with this symbol.
 
         Raises:
             InputError: there is none, or more than one.
@@ -103,14 +103,14 @@ class Grid:
 
     @cached_property
     def neighbour(self) -> NDArray[np.int64]:
-        """[C, 4] the cell that each move leads to; a wall or the border keeps the robot there."""
+        """[C, 4] the end cell of each move; at a wall or the border the robot stays."""
         padded = np.pad(self.number, 1, constant_values=-1)
         r, c = self.cells.T + 1
         to = np.stack([padded[r + dr, c + dc] for dr, dc in MOVES.values()], axis=1)
         return np.where(to < 0, np.arange(len(self.cells))[:, None], to)
 
     def outcomes(self, slip: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The outcomes of moves: cells [C, 4, K] and probabilities [C, 4, K].
+        """The possible results of moves: cells [C, 4, K] and probabilities [C, 4, K].
 
         Args:
             slip: probability that the robot slides to one of the two sides (half each) instead.
@@ -127,7 +127,7 @@ class Grid:
         Raises:
             InputError: it has none.
         """
-        # Each move has a move back: what can be reached from the goal has a path to it.
+        # Moves are reversible: cells that can be reached from the goal have a path to it.
         if not reached(np.array([goal]), len(self.cells), self.neighbour.__getitem__)[cell]:
             raise InputError(
                 MAP, self.position(cell), f"no path from the {what} to the {goal_name}"
@@ -145,7 +145,7 @@ class Grid:
         return np.array([self.number[cell] for cell in marked], dtype=np.int64)
 
     def position(self, cell: int) -> Cell:
-        """The (row, column) of a cell, by its number."""
+        """The (row, column) of a cell."""
         r, c = self.cells[cell]
         return int(r), int(c)
 
@@ -158,7 +158,7 @@ class Grid:
 def parameters_of(
     given: Mapping[str, Mapping[str, Any]], known: Sequence[str]
 ) -> tuple[Parameter, ...]:
-    """Parameters as written in YAML, ``{name: {accurate, inaccurate, message, belief}}``.
+    """Reads parameters from YAML, ``{name: {accurate, inaccurate, message, belief}}``.
 
     Raises:
         InputError: there is no parameter, an unknown one, a missing or unknown field, an empty

@@ -1,7 +1,7 @@
 """Gymnasium environments with a tabular model (``env.unwrapped.P``) as domains.
 
-FrozenLake, CliffWalking, Taxi and other environments that show their model become tasks by
-configuration alone. The robot knows the environment as it is. Each parameter that people may
+FrozenLake, CliffWalking, Taxi and other environments with a public model become tasks by
+configuration alone. The robot's values are those of the environment. Each parameter that people may
 believe incorrectly is a list of changes of its rewards or transitions.
 """
 
@@ -35,14 +35,15 @@ CHANGES = ("when", "actions", "next", *EFFECTS)
 
 
 class Features:
-    """The features in a state's number: one value of each, the last feature changing fastest.
+    """The features in a state's number: one value of each feature; the last feature changes
+    fastest.
 
     Args:
-        given: ``{feature: how many values, or their names}``.
+        given: ``{feature: number of values, or their names}``.
         n_states: S.
 
     Raises:
-        InputError: they do not give S states.
+        InputError: the features do not give S states.
     """
 
     def __init__(self, given: Mapping[str, int | Sequence[str]], n_states: int) -> None:
@@ -65,7 +66,8 @@ class Features:
         return result
 
     def changed(self, key: str, target: Any) -> NDArray[np.int64]:
-        """[S] the number of each state after the features in ``{feature: value}`` are set."""
+        """[S] the number of each state after the features of ``target`` (``{feature: value}``) are
+        set."""
         codes = self.codes.copy()
         for feature, value in mapping(key, target, "{feature: value}").items():
             code = self._code(key, feature, value)
@@ -89,34 +91,34 @@ class Features:
 
 @checks("domain")
 class Gymnasium:
-    """A tabular Gymnasium environment. States are the numbers of the environment's states.
+    """A tabular Gymnasium environment. State numbers are those of the environment.
 
     Args:
-        id: of the environment, as in ``gymnasium.make(id, **arguments)``.
-        states: the features in a state's number, ``{feature: how many values, or their names}``,
-            the last one changing fastest; these are the labeler's features. Features called ``row``
-            and ``column`` give the robot's place on a map.
+        id: name of the environment, as in ``gymnasium.make(id, **arguments)``.
+        states: the features in a state's number, ``{feature: number of values, or their names}``;
+            the last one changes fastest. These are the labeler's features. The features ``row`` and
+            ``column``, if present, give the robot's place on a map.
         actions: names of the actions, by number.
         discount: γ of the task, in (0, 1).
         parameters: ``{name: {inaccurate, message, belief}}``. ``inaccurate`` is a list of changes
-            that lead from the environment to what people believe. A change says where it applies
-            (all of these are optional): ``when``, a condition on the state; ``actions``, names;
-            ``next``, a condition on the state reached (with ``add`` only). And what changes there,
-            one of these: ``add``, a number added to the reward; ``like``, the action whose
-            outcomes it has instead; ``to``, features of the state it leads to instead, the others
-            staying as they are (``{}``: nothing happens). ``arguments`` stands alone: rewards and
-            transitions are those of the environment made with these arguments, before all others.
-            A condition is ``{feature: value, or a list of values}``.
-        starts: condition on states where traces start, equally likely; states that are terminal
-            never are. None: those of the environment's initial distribution.
-        arguments: of the environment.
+            from the environment to the incorrect belief. Three optional fields restrict a change:
+            ``when``, a condition on the state; ``actions``, names; ``next``, a condition on the
+            next state (with ``add`` only). One further field is the change: ``add``, a number added
+            to the reward; ``like``, the action whose outcomes it has instead; ``to``, new features
+            of the next state, while the others keep their values (``{}``: nothing happens). A
+            change may also consist of ``arguments`` alone: rewards and transitions are then those
+            of the environment made with these arguments, and apply before all other changes. A
+            condition is ``{feature: value, or a list of values}``.
+        starts: condition on start states of traces, which are equally likely; terminal states are
+            excluded. None: those of the environment's initial distribution.
+        arguments: arguments of the environment.
         items: for pictures, ``{name: {symbol, cells: [[row, column], ...]}}``. ``shows`` may name
             parameters whose values the item shows: pages for people leave such an item out.
-        name: of the domain.
+        name: name of the domain.
 
     Raises:
         XplainError: gymnasium is not installed.
-        InputError: a value is not allowed, or the environment shows no model.
+        InputError: a value is not allowed, or the environment has no public model.
     """
 
     def __init__(
@@ -148,7 +150,7 @@ class Gymnasium:
         if not len(self.starts):
             raise InputError("domain.starts", starts, "at least one state that is not terminal")
         given = mapping("domain.parameters", parameters, "{name: {inaccurate, message}}")
-        # The robot's value is the environment as it is: no change.
+        # The robot's value is the unchanged environment.
         unchanged = {
             key: {"accurate": [], **fields} if isinstance(fields, Mapping) else fields
             for key, fields in given.items()
@@ -171,7 +173,7 @@ class Gymnasium:
         ]
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The environment with the changes of somebody who holds these values.
+        """The environment as a person with these values believes it.
 
         Raises:
             InputError: a change is not allowed.
@@ -220,7 +222,8 @@ class Gymnasium:
         return int(code["row"]), int(code["column"])
 
     def describe(self, transition: NDArray[np.int64]) -> str:
-        """The action and what changes: "south: row 2 → 3", "pick up: passenger red → taxi"."""
+        """Describes the action and its effects: "south: row 2 → 3", "pick up: passenger red →
+        taxi"."""
         state, action, after = (int(x) for x in transition)
         changed = ", ".join(self._features.differences(state, after))
         return f"{self.actions[action]}: {changed or 'nothing changes'}"
@@ -235,7 +238,7 @@ class Gymnasium:
 
 
 def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
-    """A parameter's value, checked in form."""
+    """Checks the form of a parameter's value."""
     for change in listed(key, value, "a list of changes"):
         for field in mapping(key, change, f"a change with {', '.join(CHANGES)}"):
             one_of(key, field, CHANGES, "field")
@@ -254,21 +257,21 @@ MODEL = (
     "states 0 … n − 1 and actions 0 … m − 1 in env.unwrapped.P[s][a], a list of (probability, "
     "next state, reward, terminated) with probabilities that add up to 1"
 )
-"""What an environment has to show."""
+"""The required model of an environment."""
 BROKEN = (TypeError, ValueError, LookupError, RuntimeError, ImportError, AttributeError, OSError)
-"""What an environment's own code raises where it cannot be made."""
+"""Errors that an environment's own code may raise when it is created."""
 
 
 def read_model(
     id: str, arguments: Mapping[str, Any], discount: float
 ) -> tuple[MDP, NDArray[np.int64]]:
-    """The model that an environment shows as ``env.unwrapped.P[s][a]``, a list of (probability,
-    next state, reward, terminated), and the states where episodes start. Actions that a state does
-    not list are not available there; a state without actions ends episodes.
+    """Reads an environment's model ``env.unwrapped.P[s][a]``, lists of (probability, next state,
+    reward, terminated), and the states where episodes start. An action without an entry is not
+    available in that state; a state without actions ends episodes.
 
     Raises:
         XplainError: gymnasium is not installed.
-        InputError: there is no such environment, it shows no model, or a state ends some
+        InputError: there is no such environment, it has no public model, or a state ends some
             episodes and not others.
     """
     try:
@@ -312,14 +315,14 @@ def read_model(
             raise ValueError("not a model")
     except (TypeError, ValueError, LookupError, AttributeError):
         raise InputError("domain.id", id, MODEL) from None
-    terminal = (probability == 0).all(axis=(1, 2))  # what has no row
+    terminal = (probability == 0).all(axis=(1, 2))  # states without a row
     led = np.zeros(states, dtype=bool)
     led[successor[ended]] = True
-    # The row of a state that ends episodes may lead anywhere, to the start for example.
+    # The row of a state that ends episodes may lead anywhere, for example to the start.
     stays = successor == np.arange(states)[:, None, None]
     terminal[successor[ended & (stays | ~led[:, None, None])]] = True
     starts = np.flatnonzero(start > 0)
-    # Tables also hold states that no episode reaches, with outcomes that make no sense.
+    # Tables also contain unreachable states with meaningless outcomes.
     possible = (probability > 0) & ~terminal[:, None, None]
     met = reached(starts, states, lambda s: successor[s][possible[s]])
     goes_on = met[:, None, None] & possible & ~ended
@@ -330,12 +333,12 @@ def read_model(
 
 
 def _pairs(table: Any) -> Any:
-    """The keys and values of a mapping, or the numbers and values of a list."""
+    """The (key, value) pairs of a mapping, or the (index, value) pairs of a list."""
     return table.items() if isinstance(table, Mapping) else enumerate(table)
 
 
 def _whole(value: Any) -> int:
-    """A state or an action; also one that an array of floats holds.
+    """A state or an action as an integer; also accepts whole floats.
 
     Raises:
         ValueError: it is no whole number.

@@ -1,7 +1,7 @@
-"""Tabular Markov decision processes, solved many at a time (docs/method.md, section 1).
+"""Tabular Markov decision processes, solved in batches (docs/method.md, section 1).
 
-A robot's task and each user's belief about it are models over the same states and actions. They
-are solved in one batch, so accurately that "is this action optimal?" has a safe answer.
+A robot's task and each user's belief about it are models over the same states and actions. They are
+solved in one batch, with an accuracy that decides safely whether an action is optimal.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 from xplain.errors import DomainError
 
 TIE = 1e-10
-"""Two actions tie when their values differ by less than this, relative to the model's scale."""
+"""Two actions tie if their values differ by less than this, relative to the model's scale."""
 CLEAR = 2e-10
-"""They differ when the gap is at least this: ten times what :data:`SOLVED` leaves open in a gap.
-A gap between TIE and CLEAR is ambiguous."""
+"""Two actions differ if their gap is at least this, which is ten times the error that
+:data:`SOLVED` allows in a gap. A gap between TIE and CLEAR is ambiguous."""
 SOLVED = 1e-11
-"""Values are solved to within this of the optimum, relative to the model's scale."""
+"""Maximum error of values, relative to the model's scale."""
 MOST_SWEEPS = 20_000
 LARGEST_BATCH = 1 << 17
-"""Outcomes (of all states, actions and models) that are swept at once."""
+"""Maximum number of outcomes (of all states, actions and models) in one sweep."""
 
 
 class TaskModel(Protocol):
     """A model of the task, the robot's or a user's: an :class:`MDP`, or a
-    :class:`~xplain.domains.goal_task.GoalTask`. Arrays are as in :class:`MDP`."""
+    :class:`~xplain.domains.goal_task.GoalTask`. The arrays are those of :class:`MDP`."""
 
     @property
     def n_states(self) -> int:
@@ -53,15 +53,15 @@ class TaskModel(Protocol):
 
     @property
     def terminal(self) -> NDArray[np.bool_]:
-        """Terminal states, as booleans [S]."""
+        """[S] True for terminal states."""
         ...
 
     @staticmethod
     def solve(models: Any, names: Sequence[str]) -> Solution:
-        """The optimal actions in models of this kind.
+        """The optimal actions in models of this class.
 
         Raises:
-            DomainError: ties are ambiguous; ``names`` says in whose model.
+            DomainError: ties are ambiguous; ``names`` identifies the model.
         """
         ...
 
@@ -69,12 +69,12 @@ class TaskModel(Protocol):
 def reached(
     starts: NDArray[np.int64], states: int, after: Callable[[NDArray[np.int64]], NDArray[Any]]
 ) -> NDArray[np.bool_]:
-    """[S] the states that can be reached from the starts, themselves included.
+    """[S] True for states that can be reached from the starts, including the starts.
 
     Args:
         starts: some states.
         states: S.
-        after: gives the states that follow some states, in any order, also repeatedly.
+        after: returns the successors of some states, in any order, possibly repeated.
     """
     seen = np.zeros(states, dtype=bool)
     frontier = starts
@@ -93,8 +93,8 @@ class Solution(Protocol):
         ...
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[B, T] explicable (1) or not (0), of transitions [T, 3]: an optimal action, and an
-        outcome that can happen."""
+        """[B, T] labels of transitions [T, 3]: 1 (explicable) for an optimal action with a possible
+        outcome, 0 otherwise."""
         ...
 
 
@@ -121,7 +121,7 @@ class MDP:
         """Checks shapes and probabilities.
 
         Raises:
-            DomainError: they contradict the description above.
+            DomainError: they contradict the attributes' description.
         """
         shape = self.successor.shape
         if len(shape) != 3 or self.probability.shape != shape or self.reward.shape != shape:
@@ -151,14 +151,14 @@ class MDP:
         return int(self.successor.shape[1])
 
     def possible(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether each transition (s, a, s') of [T, 3] has positive probability: [T]."""
+        """[T] True if a transition (s, a, s') of [T, 3] has positive probability."""
         s, a, after = transitions.T
         reached = (self.successor[s, a] == after[:, None]) & (self.probability[s, a] > 0)
         return np.asarray(reached.any(axis=1))
 
     @staticmethod
     def solve(models: Sequence[MDP], names: Sequence[str]) -> MDPSolution:
-        """Solves all of them (:func:`optimal_actions`)."""
+        """Solves all models (:func:`optimal_actions`)."""
         return MDPSolution(tuple(models), optimal_actions(models, names))
 
 
@@ -167,7 +167,7 @@ class MDPSolution:
     """The optimal actions in each of B MDPs (:class:`Solution`).
 
     Attributes:
-        models: as given.
+        models: B models.
         optimal: [B, S, A].
     """
 
@@ -179,22 +179,23 @@ class MDPSolution:
         return np.asarray(self.optimal[index])
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[B, T] explicable (1) or not (0): an optimal action, and an outcome that can happen."""
+        """[B, T] labels: 1 (explicable) for an optimal action with a possible outcome, 0
+        otherwise."""
         s, a, _ = transitions.T
         possible = np.array([model.possible(transitions) for model in self.models])
         return np.asarray(self.optimal[:, s, a] & possible, dtype=np.uint8)
 
 
 def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
-    """Optimal action values of many models over the same states and actions.
+    """Computes the optimal action values of many models over the same states and actions.
 
-    Each has |Q − Q*| ≤ SOLVED × scale, where scale is the largest |reward| over 1 − γ.
+    For each, |Q − Q*| ≤ SOLVED × scale, where scale is the largest |reward| over 1 − γ.
 
     Returns:
-        [B, S, A]; −inf where an action is not available, 0 in terminal states.
+        [B, S, A]; −inf for unavailable actions, 0 in terminal states.
 
     Raises:
-        DomainError: a discount is so near to 1 that rounding hides the optimum.
+        DomainError: a discount is so close to 1 that rounding errors hide the optimum.
     """
     together = max(1, LARGEST_BATCH // models[0].successor.size)
     batches = range(0, len(models), together)
@@ -202,12 +203,12 @@ def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
 
 
 def _solved(models: Sequence[MDP]) -> NDArray[np.float64]:
-    """Modified policy iteration (Puterman & Shin 1978), for all models at once.
+    """Modified policy iteration (Puterman & Shin 1978) for all models together.
 
-    A Bellman sweep is a γ-contraction in the max norm with fixed point V*. So when it changes no
-    value by more than δ, the swept values lie within δ γ / (1 − γ) of V*, and the action values
-    backed up from them within δ γ² / (1 − γ) of Q*: this ends the loop. Between two such sweeps the
-    values move towards those of the greedy policy, A times cheaper; this changes the speed, not the
+    A Bellman sweep is a γ-contraction in the max norm with fixed point V*. If it changes no value
+    by more than δ, the swept values lie within δ γ / (1 − γ) of V*, and the action values backed up
+    from them within δ γ² / (1 − γ) of Q*. This ends the loop. Between two such sweeps the values
+    move towards those of the greedy policy, at 1 / A of the cost; this changes the speed, not the
     stopping rule.
     """
     slots = max(model.successor.shape[2] for model in models)
@@ -227,7 +228,7 @@ def _solved(models: Sequence[MDP]) -> NDArray[np.float64]:
     allowed *= (1 - discount) / np.maximum(discount**2, 1e-300)
     probability *= discount[:, None, None, None]
     b, s = np.ogrid[: len(models), : models[0].n_states]
-    successor += b[..., None, None] * models[0].n_states  # a place in all models' values
+    successor += b[..., None, None] * models[0].n_states  # an index into the values of all models
     value = np.zeros(terminal.shape)
     for _ in range(MOST_SWEEPS):
         q = gain + np.einsum("bsak,bsak->bsa", probability, value.take(successor))
@@ -251,11 +252,11 @@ def _solved(models: Sequence[MDP]) -> NDArray[np.float64]:
 
 
 def optimal_actions(models: Sequence[MDP], names: Sequence[str] = ()) -> NDArray[np.bool_]:
-    """Which actions are optimal: [B, S, A].
+    """[B, S, A] True for optimal actions.
 
     Args:
-        models: solved together.
-        names: of the models, for the error's text.
+        models: B models, solved together.
+        names: names of the models, for errors.
 
     Raises:
         DomainError: the gap between two actions is too small to tell whether they tie.

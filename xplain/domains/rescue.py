@@ -1,8 +1,8 @@
 """Disaster rescue (paper, "Illustrative example"): a robot brings a victim to a shelter.
 
-On its way it may pick up first aid, extinguish a fire and refuel; each is rewarded once. Rubble,
-puddles and fences cost it nothing, but people may think that they do.
-What the paper leaves open about the task: docs/choices.md.
+On its way it may pick up first aid, extinguish a fire and refuel; each gives a reward once. Rubble,
+puddles and fences cost it nothing, but people may believe otherwise. docs/choices.md explains what
+the paper does not specify.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from xplain.errors import Discount, InputError, Positive, Slip, checks, number
 
 SHELTER, VICTIM = "S", "V"
 BONUSES = {"first_aid": "A", "fire": "F", "refuel": "U"}
-"""Parameters that are a reward for an action, and the symbol of the item that it needs."""
+"""Parameters that are the reward of an action, with the symbol of the required item."""
 OBSTACLES = {"rubble": "r", "puddle": "p", "fence": "f"}
-"""Parameters that are a reward for entering cells, and the symbol of these cells."""
+"""Parameters that are the reward of entering cells, with the symbol of these cells."""
 ITEM_NAMES = {"first_aid": "first aid", "fire": "fire", "refuel": "fuel station"}
 ACTIONS = {"first_aid": "pick_up_first_aid", "fire": "extinguish_fire", "refuel": "refuel"}
 DONE = {
@@ -46,19 +46,19 @@ SYMBOLS = {
 
 @checks("domain")
 class Rescue:
-    """The rescue task. A state is a cell, one flag for each bonus (done or not), and
-    "carries the victim".
+    """The rescue task. A state is a cell, one flag for each bonus (done or not), and "carries the
+    victim".
 
     Args:
         map: ASCII map with one S (shelter), one V (victim); A first aid, F fire, U fuel station
-            (one each, where ``parameters`` name them); r rubble, p puddle, f fence; # wall,
-            . floor, s floor where traces start (every floor cell if there is no s).
-        parameters: ``{name: {accurate, inaccurate, message, belief}}``; the values are rewards:
-            of the action for first_aid, fire, refuel; of entering a cell for rubble, puddle, fence.
+            (one each, if ``parameters`` name them); r rubble, p puddle, f fence; # wall, . floor, s
+            start cells of traces (every floor cell if there is no s).
+        parameters: ``{name: {accurate, inaccurate, message, belief}}``; the values are rewards: of
+            the action for first_aid, fire, refuel; of entering a cell for rubble, puddle, fence.
         rescue_reward: for bringing the victim into the shelter, which ends the task.
         slip: probability that a move slides to a side.
         discount: γ of the task, for the robot and all people.
-        name: of the domain.
+        name: name of the domain.
 
     Raises:
         InputError: a value is not allowed; the map contradicts the description above, or has no
@@ -110,7 +110,7 @@ class Rescue:
         self._lay_out(slip)
 
     def _lay_out(self, slip: float) -> None:
-        """Successors and probabilities, which do not depend on the parameters."""
+        """Computes successors and probabilities, which do not depend on the parameters."""
         to, chance = self.grid.outcomes(slip)
         flags = np.arange(self._flags)
         n_cells, _, slots = to.shape
@@ -142,7 +142,7 @@ class Rescue:
         self._delivered = self._terminal[self._successor] & (self._probability > 0)
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The task of somebody who holds these rewards."""
+        """The task of a person who believes these rewards."""
         reward = np.where(self._delivered, self.rescue_reward, 0.0)
         for kind, entered in self._entered.items():
             reward[entered] += float(values[kind])
@@ -171,14 +171,13 @@ class Rescue:
         return f"{verb} into the shelter" if self._terminal[after] else f"{verb} to {cell}"
 
     def situation(self, state: int) -> tuple[str, ...]:
-        """What has happened before this state, as sentences, because the map does not show it."""
+        """Sentences about earlier events that the map does not show."""
         flags = state % self._flags
         done = [SINCE[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]
         return (*done, *(["The robot carries the victim."] if flags & self._carrying else []))
 
     def gone(self, state: int) -> tuple[str, ...]:
-        """Names of the things that are no longer on the map in this state. A fuel station
-        stays."""
+        """Names of the items that are no longer on the map in this state. A fuel station stays."""
         flags = state % self._flags
         taken = [ITEM_NAMES[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]
         victim = [SYMBOLS[VICTIM]] if flags & self._carrying else []

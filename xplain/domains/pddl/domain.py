@@ -32,42 +32,44 @@ from xplain.errors import (
 log = logging.getLogger(__name__)
 
 COMBINATIONS = 1024
-"""Sets of facts believed incorrectly that are tried before a fact is reported to have no effect."""
+"""Number of combinations with other facts that are tried before a fact is reported to have no
+effect."""
 
 
 @checks("domain")
 class PDDL:
     """A task in PDDL: STRIPS with types, equality, negative preconditions, conditional effects and
-    action costs. States are those that the robot's task or a believed one reaches, from the states
-    that the robot can reach; actions are the ground ones that occur between them.
+    action costs. States are those that the robot's task or a believed task reaches from the states
+    that the robot can reach. Actions are the ground actions between them.
 
-    Undiscounted: plans are compared by their costs; without a metric each action costs 1. Somebody
-    who believes in another start sees the robot's states so, until the robot changes something that
-    this belief is about. In a state without a plan no action makes sense to them.
+    The task is undiscounted: plans are compared by their costs; without a metric each action costs
+    1. A person who believes in another start sees the states accordingly, until the robot changes
+    something that this belief is about. In a state without a plan, no action makes sense to this
+    person.
 
     Args:
         file, problem: the robot's domain and problem; ``pkg://package/path`` is a file inside an
             installed package.
-        believed: what people believe, as the path of another domain file, or ``{file, problem}``
+        believed: people's belief, as the path of another domain file, or ``{file, problem}``
             (either may be missing): each difference becomes a parameter.
         facts: ``{name: {change, message, belief}}``. ``change`` is one change or a list of them
-            (:mod:`xplain.domains.pddl.facts`). Without it, the fact is the difference of this
-            name, or those that ``join`` lists, as one fact. Sentences that are not given are made
-            from the change.
+            (:mod:`xplain.domains.pddl.facts`). Without it, the fact is the difference of this name,
+            or those that ``join`` lists, as one fact. Missing sentences are made from the change.
         words: see :class:`~xplain.domains.pddl.facts.Words`.
         features: counts for a labeler, in addition to the atoms: ``{name: pattern, or a list of
-            them}``, the number of ways to replace ``?x`` so that all patterns hold, such as
-            (at ?package airport).
-        starts: where traces start, equally likely: ``initial``; ``reachable``, every state that the
-            robot can reach and finish from; or a number, the states within so many actions of the
-            initial one.
-        dead_end_cost: of a state without a plan; a plan that costs as much does not count.
-        max_states: a task with more states is refused.
-        name: of the domain; None: pddl.
+            them}``. The count is the number of ways to replace ``?x`` so that all patterns hold,
+            such as (at ?package airport).
+        starts: start states of traces, equally likely: ``initial``; ``reachable``, every state that
+            the robot can reach and finish from; or a number: the states within this number of
+            actions of the initial one.
+        dead_end_cost: cost of a state without a plan. Plans with this cost or more do not count.
+        max_states: maximum number of states.
+        name: name of the domain; None: pddl.
 
     Raises:
         XplainError: Fast Downward's translator is not installed.
-        InputError: a file or a value is not allowed, or people with one fact wrong have no plan.
+        InputError: a file or a value is not allowed, or people with one incorrect fact have no
+            plan.
         DomainError: the robot has no plan, or its ties are ambiguous.
         TooLargeError: more than ``max_states`` states.
     """
@@ -119,8 +121,8 @@ class PDDL:
     def _find_differences(
         self, file: str, problem: str, believed: Any
     ) -> tuple[Mapping[str, Items], Items]:
-        """The differences to what people believe, by name; and the believed items.
-        The robot's task gets the predicates and functions that only people know."""
+        """Finds the differences from people's belief, by name, and the believed items. The robot's
+        task gets the predicates and functions that only the belief has."""
         if believed is None:
             return {}, {}
         both = {"file": believed} if isinstance(believed, str) else believed
@@ -141,8 +143,8 @@ class PDDL:
     def _read_facts(
         self, given: Mapping[str, Any], found: Mapping[str, Items], other: Items
     ) -> Iterator[tuple[Parameter, Items]]:
-        """The facts found, then those given, each with what it changes. The robot's value is: no
-        change."""
+        """Yields the found facts, then the given ones, each with its changes. The robot's value is
+        "no change"."""
         joined = {name for fields in given.values() for name in _joined(fields)}
         for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
             key, fields = f"domain.facts.{fact}", given.get(fact, {})
@@ -159,7 +161,7 @@ class PDDL:
             texts = fields.get("message", true), fields.get("belief", believed)
             for field, text in zip(("message", "belief"), texts, strict=True):
                 sentence(f"{key}.{field}", text)
-            # Plain values: models of a type are distinguished by them.
+            # Plain values: they identify the models of a type.
             plain = [
                 f"{' '.join(item).strip()}: {value}"
                 if value is None or isinstance(value, float | str)
@@ -169,7 +171,7 @@ class PDDL:
             yield Parameter(str(fact), [], plain, *texts), change
 
     def model(self, values: Mapping[str, Any]) -> GoalTask:
-        """The task of somebody who holds these values.
+        """The task of a person who believes these values.
 
         Raises:
             InputError: a value is neither the robot's nor the inaccurate one.
@@ -183,7 +185,7 @@ class PDDL:
         return self._model(frozenset(np.flatnonzero([*wrong]).tolist()))
 
     def _read_patterns(self, name: object, given: Any) -> Condition:
-        """The variables and the literals of a feature."""
+        """Reads the variables and the literals of a feature."""
         key, patterns = f"domain.features.{name}", [given] if isinstance(given, str) else given
         if not isinstance(patterns, Sequence) or not patterns:
             raise InputError(key, given, "an atom such as (on ?x b), or a list of them")
@@ -206,7 +208,8 @@ class PDDL:
         return found
 
     def _try_facts(self, robot: GoalTask) -> None:
-        """Warns of facts that change no label of the robot's transitions, with any other facts.
+        """Warns of facts that change no label of the robot's transitions, alone or with other
+        facts.
 
         Raises:
             InputError: people who believe one fact incorrectly have no plan.
@@ -218,7 +221,7 @@ class PDDL:
                 key = f"domain.facts.{parameter.name}"
                 raise InputError(key, parameter.inaccurate, str(error)) from None
         transitions, n = robot.on_policy(self.starts), len(self.parameters)
-        # Labels of sets that are tried repeatedly; models are large, so that none is kept.
+        # Caches labels, not models, because models are large.
         labels = cache(lambda wrong: self._beliefs.model(wrong).explicable(transitions).tobytes())
         silent = everything = frozenset(range(n))
         small = chain.from_iterable(combinations(range(n), size) for size in range(n + 1))
@@ -234,16 +237,16 @@ class PDDL:
             )
 
     def describe(self, transition: NDArray[np.int64]) -> str:
-        """The action and its arguments: "pick up block a"."""
+        """Describes the action and its arguments: "pick up block a"."""
         name, *arguments = self._beliefs.actions[int(transition[1])]
         return self.words.act(name, arguments)
 
     def changes(self, transition: NDArray[np.int64]) -> tuple[str, ...]:
-        """What a transition makes true and false: "now holding a", "no longer clear a"."""
+        """Describes the effects of a transition: "now holding a", "no longer clear a"."""
         return self.words.changes(*(self._atoms(int(state)) for state in transition[[0, 2]]))
 
     def state(self, number: int) -> tuple[str, ...]:
-        """The changeable atoms that hold in a state, as PDDL writes them."""
+        """The changeable atoms that hold in a state, in PDDL."""
         return tuple(f"({' '.join(atom)})" for atom in self._atoms(number))
 
     def _atoms(self, state: int) -> list[tuple[str, ...]]:
@@ -259,6 +262,6 @@ class PDDL:
 
 
 def _joined(fields: Any) -> list[str]:
-    """The names of the differences that a fact joins."""
+    """Names of the differences that a fact joins."""
     given = fields.get("join", []) if isinstance(fields, Mapping) else []
     return list(given) if isinstance(given, list) else [given]

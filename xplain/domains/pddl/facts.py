@@ -1,7 +1,7 @@
-"""Facts that people may believe incorrectly: changes that lead from the robot's task to what they
-believe, their names, and what they say in words that people can read.
+"""Facts that people may believe incorrectly: changes from the robot's task to the believed one,
+their names, and their descriptions in words.
 
-A change is a mapping as YAML has it, such as ``{action: pick-up, drop_precondition: (handempty)}``.
+A change is a mapping in YAML, such as ``{action: pick-up, drop_precondition: (handempty)}``.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from xplain.errors import InputError, Range, number, one_of
 
 Atom = tuple[str, ...]
 INFIX = ("above", "at", "behind", "below", "beside", "in", "inside", "near", "on", "under")
-"""Predicates that stand between their two arguments, because they read better so."""
+"""Predicates that are written between their two arguments."""
 
 
 class Words:
-    """A task in words.
+    """Describes a task in words.
 
     Args:
-        task: its names are put in words.
-        given: templates, ``{predicate, function or action: "{x} is on {y}"}``, parameters in
-            braces by their names in the domain. Those not given are made from the names:
-            "clear a", "a on b", "pick up block a".
+        task: the task.
+        given: templates, ``{predicate, function or action: "{x} is on {y}"}``, with parameters in
+            braces by their names in the domain. Other names are described as in "clear a", "a on
+            b", "pick up block a".
 
     Raises:
         InputError: a template for a name that the task does not have, or with an unknown parameter.
@@ -57,7 +57,7 @@ class Words:
         return template and re.sub(r"\{(.*?)\}", lambda match: values[match[1]], template)
 
     def atom(self, atom: Atom, action: str = "") -> str:
-        """Such as "a on b"; the parameters of an action by their types."""
+        """Describes an atom, such as "a on b"; parameters of an action are named by their types."""
         name, *arguments = atom
         words = [self._argument(argument, action) for argument in arguments]
         infix = len(words) == 2 and name in INFIX
@@ -65,8 +65,8 @@ class Words:
         return self._fill(name, words) or " ".join(plainly)
 
     def literal(self, text: str, action: str = "") -> str:
-        """See :meth:`atom`, with "not" before it if it must not hold; the last literal of an
-        effect, with its conditions after it."""
+        """Describes a literal as :meth:`atom` does, with "not" before a negated one; for an effect,
+        its last literal followed by its conditions."""
         words = []
         for negation, atom in re.findall(r"(\(not )?\(([^?()][^()]*)\)", text):
             name, *arguments = atom.split()
@@ -82,7 +82,7 @@ class Words:
         return last + (f" (if {' and '.join(conditions)})" if conditions else "")
 
     def describe(self, item: Item, robots: Any, believed: Any) -> tuple[str, str]:
-        """What the robot knows of an item, and what people believe, as two sentences."""
+        """Describes the robot's and people's version of an item, as two sentences."""
         kind, action, text = item
         subject = gerund(action) if action else "The goal"
         if kind in ("cost", "function"):
@@ -106,12 +106,13 @@ class Words:
         return (has, lacks) if believed is None else (lacks, has)
 
     def act(self, name: str, arguments: Sequence[str]) -> str:
-        """A ground action: "pick up block a"."""
+        """Describes a ground action: "pick up block a"."""
         typed = " ".join([plain(name), *map(self._typed, arguments)])
         return self._fill(name, [*map(plain, arguments)]) or typed
 
     def changes(self, before: Iterable[Atom], after: Iterable[Atom]) -> tuple[str, ...]:
-        """What a step made true, then what it made false: "now holding a", "no longer clear a"."""
+        """Describes the atoms that became true, then those that became false: "now holding a", "no
+        longer clear a"."""
         first, second = set(before), set(after)
         return (
             *(f"now {self.atom(atom)}" for atom in sorted(second - first)),
@@ -128,7 +129,8 @@ class Words:
         return f"the {plain(kind)}" if alone else f"{plain(kind)} {argument[1:]}"
 
     def _typed(self, name: str) -> str:
-        """ "block a"; a name that says its type, such as truck1, stands alone."""
+        """The name with its type, as in "block a". A name that contains its type, such as truck1,
+        stays unchanged."""
         kind = self._objects[name]
         return plain(name) if kind == "object" or kind in name else f"{plain(kind)} {plain(name)}"
 
@@ -152,9 +154,10 @@ def gerund(name: str) -> str:
 
 Change = Mapping[str, Any]
 OF_ACTIONS = ("drop_precondition", "add_precondition", "drop_effect", "add_effect", "cost")
-"""What a change can do to the action that it names; one at a time."""
+"""Kinds of change of a named action; a change has one of them."""
 OF_TASKS = ("drop_initial", "add_initial", "drop_goal", "add_goal", "drop_action", "add_action")
-"""What else a change can do; one at a time. Another one is ``function`` with its ``value``."""
+"""Other kinds of change; a change has one of them. A further one is ``function`` with its
+``value``."""
 NAMES = {
     "action": "can_{0}",
     "precondition": "{0}_needs_{1}",
@@ -164,19 +167,19 @@ NAMES = {
     "goal": "goal_{1}",
     "function": "value_{1}",
 }
-"""The names of differences, from the action and the expression; in the order of facts."""
+"""Patterns for names of differences, from the action and the expression; in the order of facts."""
 
 
 def read_changes(key: str, value: Any, task: Task, other: Items) -> Items:
-    """What the changes of a fact, one or a list of them, make of the task's items.
+    """Applies the changes of a fact, one or a list of them. Returns the changed items of the task.
 
     Args:
-        key, value: as in the configuration.
-        task: the robot's.
-        other: the items of a believed task, whose actions ``add_action`` may name.
+        key, value: from the configuration.
+        task: the robot's task.
+        other: items of a believed task, whose actions ``add_action`` may name.
 
     Raises:
-        InputError: a change has no such form, or does not fit the task.
+        InputError: a change has an invalid form, or does not fit the task.
     """
     listed = [value] if isinstance(value, Mapping) else value
     if isinstance(listed, str) or not isinstance(listed, Sequence) or not listed:
@@ -198,7 +201,7 @@ def read_changes(key: str, value: Any, task: Task, other: Items) -> Items:
 
 
 def _read_change(key: str, kind: str, change: Change, task: Task, other: Items) -> Items:
-    """What one change makes of the items of a task."""
+    """Applies one change. Returns the changed items of the task."""
     source = Source(f"{key}.{kind}", change[kind], str(change[kind]).lower())
     owner = str(change.get("action", "")).lower()
     if owner:
@@ -236,15 +239,15 @@ def _actions(items: Items) -> list[str]:
 
 
 def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Items]:
-    """Each item in which two tasks differ, by a name of its own, such as pick_up_needs_handempty,
-    with what people believe.
+    """Finds each item in which two tasks differ, by a unique name such as pick_up_needs_handempty,
+    with the believed version.
 
-    Parameters of actions are compared by position. Items that name a predicate that only one task
+    Parameters of actions are compared by position. All items with a predicate that only one task
     has are one difference. A function's value that only one task has belongs to an initial atom
     with the same arguments that only this task has, if there is one.
 
     Raises:
-        InputError: they differ in objects, types, or the parameters of an action.
+        InputError: the tasks differ in objects, types, or the parameters of an action.
     """
     kinds = ({(x.name, x.basetype_name) for x in y.found.types} for y in (robot, believed))
     for ours, theirs in (({*robot.objects}, {*believed.objects}), kinds):
@@ -279,7 +282,7 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
 
 
 def _name(item: Item, taken: Mapping[str, Any]) -> str:
-    """A name for a difference that no other has."""
+    """A unique name for a difference."""
     parts = (re.sub(r"[^a-z0-9]+", "_", text).strip("_") for text in (item.owner, item.text))
     owner, text = parts
     name = NAMES[item.kind].format(owner, text.removeprefix("when_"))
@@ -288,7 +291,7 @@ def _name(item: Item, taken: Mapping[str, Any]) -> str:
 
 
 def describe(task: Task, fact: Items, words: Words) -> tuple[str, str]:
-    """Two texts: what is true, and what somebody who believes a fact incorrectly believes."""
+    """Two texts: the true version of a fact, and the believed one."""
     pairs = [
         words.describe(item, task.items.get(item), value)
         for item, value in fact.items()

@@ -1,10 +1,10 @@
-"""A task under every belief about it: one grounding for all beliefs, the states that they share,
-and the task of somebody who believes some of the facts incorrectly.
+"""A task under every belief about it: one grounding for all beliefs, their common states, and the
+task of a person who believes some of the facts incorrectly.
 
 All beliefs are merged into one task, which Fast Downward's translator grounds once. In it the atom
-(fact@3) says that somebody believes fact 3 incorrectly, and all that this fact changes depends on
-the atom. No action changes such atoms. A belief says which of them hold, and has the ground actions
-that ask for these.
+(fact@3) means that a person believes fact 3 incorrectly, and all changes of this fact depend on the
+atom. No action changes such atoms. A belief determines which of them hold, and it has the ground
+actions whose conditions on them hold.
 """
 
 from __future__ import annotations
@@ -38,28 +38,29 @@ from xplain.domains.pddl.task import (
 from xplain.errors import TooLargeError
 
 Wrong = frozenset[int]
-"""The facts that somebody believes incorrectly."""
+"""The facts that a person believes incorrectly."""
 Condition = tuple[Signature, Sequence[Any]]
-"""Variables, and what must hold, as the translator has it."""
+"""Variables, and the literals that must hold, in the translator's form."""
 Effects = tuple[tuple[int, int, int], ...]
 """(condition, adds, deletes) of each condition."""
 MOST_FACTS = 12
-"""Most facts about what one action asks for and does: all their combinations are grounded."""
+"""Maximum number of facts about one action's preconditions and effects: all their combinations are
+grounded."""
 EVERY = 5.0
-"""Seconds between two lines on how far the exploration is."""
+"""Seconds between two progress lines of the exploration."""
 log = logging.getLogger(__name__)
 
 
 def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -> Any:
-    """All beliefs as one task of the translator's.
+    """Merges all beliefs into one task of the translator.
 
     Args:
-        task: the robot's.
-        facts: what each changes.
+        task: the robot's task.
+        facts: the changes of each fact.
         conditions: number i becomes the precondition of an action holds@i.
 
     Raises:
-        TooLargeError: more than MOST_FACTS facts affect what one action asks for and does.
+        TooLargeError: more than MOST_FACTS facts affect one action's preconditions and effects.
     """
     flags = [lifted.Atom(f"fact@{j}", []) for j in range(len(facts))]
     robots = dict(task.items)
@@ -73,7 +74,7 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
             every.setdefault(item, value)
 
     def guard(item: Item) -> Any:
-        """Whether somebody believes in an item."""
+        """The condition under which a person believes in an item."""
         own = [(flag, fact[item]) for flag, fact in zip(flags, facts, strict=True) if item in fact]
         if item in robots:
             return lifted.Conjunction([flag.negate() for flag, value in own if value is None])
@@ -93,7 +94,7 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
             )
         asked, effects = [guard(Item("action", name))], []
         for item, value in ((x, every[x]) for x in every if x.owner == name):
-            # All of an action that the robot lacks has the guard of the action.
+            # All parts of an action that the robot lacks have the action's guard.
             there = guard(item) if Item("action", name) in robots else lifted.Truth()
             if item.kind == "precondition":
                 asked.append(lifted.Disjunction([there.negate(), value]))
@@ -115,28 +116,29 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
 
 
 class Grounding:
-    """A task and the facts about it, grounded once; actions that no belief reaches are left out.
+    """A task and its facts, grounded once. Actions that no belief reaches are left out.
 
-    A set of literals is an integer with a bit for each: for the atoms that actions can change, for
-    those that only beliefs differ in, and for the negation of each, in this order.
+    A set of literals is an integer with one bit for each: first the atoms that actions can change,
+    then the atoms that differ between beliefs, then the negation of each, in the same order.
 
     Args:
-        task: the robot's.
-        facts: what each changes.
-        conditions: what to find all instances of, by name.
+        task: the robot's task.
+        facts: the changes of each fact.
+        conditions: conditions to find all instances of, by name.
 
     Attributes:
-        atoms: those that actions can change.
-        beliefs: the literals that only beliefs differ in.
-        start: the atoms that hold at the start.
-        starts: of each fact the atoms in which a believed start differs, and those that hold in it.
+        atoms: atoms that actions can change.
+        beliefs: literals that differ between beliefs.
+        start: atoms that hold at the start.
+        starts: for each fact, the atoms in which a believed start differs, and those of them that
+            hold.
         actions: (name, object, …) of each ground action, in the order of the files.
-        variants: the distinct forms that some belief gives an action: its number, the literals that
-            it asks for, and its effects.
-        instances: of each condition, the literals of each of its instances.
+        variants: the distinct forms of an action in any belief: its index, its precondition, and
+            its effects.
+        instances: for each condition, the literals of each of its instances.
 
     Raises:
-        TooLargeError: more than MOST_FACTS facts affect what one action asks for and does.
+        TooLargeError: more than MOST_FACTS facts affect one action's preconditions and effects.
     """
 
     def __init__(
@@ -183,7 +185,7 @@ class Grounding:
         return sum(self._bits[x] for x in {*literals})
 
     def _instantiate(self, found: Any, model: Any) -> Iterator[tuple[Any, int, Effects]]:
-        """The forms of ground actions: (name, object, …), the literals that it asks for, and its
+        """Yields the forms of ground actions: (name, object, …), the precondition, and the
         effects."""
         objects = instantiate.get_objects_by_type(found.objects, found.types)
         initial = {x for x in found.init if isinstance(x, lifted.Atom)}
@@ -202,8 +204,8 @@ class Grounding:
                 yield action, self._mask(made.precondition), done
 
     def _resolve(self, asked: int, effects: Effects) -> Iterator[tuple[int, Effects]]:
-        """For each belief about the effects of an action, the literals of this belief, and the
-        effects."""
+        """Yields, for each belief about the effects of an action, the literals of this belief and
+        the effects."""
         about = 0
         for condition, *_ in effects:
             about |= condition & self.beliefs
@@ -218,27 +220,27 @@ class Grounding:
             yield asked & self.beliefs | known, tuple(done)
 
     def complete(self, atoms: int, among: int | None = None) -> int:
-        """The literals that are true where these atoms hold and no others, of all or some atoms."""
+        """The literals that are true if exactly these atoms hold, for all or some atoms."""
         among = self._every if among is None else among
         return atoms & among | (~atoms & among) << self._every.bit_length()
 
     def believe(self, wrong: Wrong) -> int:
-        """The literals that only beliefs differ in, as these people believe them to be."""
+        """The values of the literals that differ between beliefs, in this belief."""
         atoms = self.start
         for differing, held in (self.starts[j] for j in wrong):
             atoms = atoms & ~differing | held
         return self.complete(atoms) & self.beliefs
 
     def imagine(self, state: int, wrong: Wrong) -> int:
-        """What people see who believe in another start: the atoms that differ there, as they
-        believe them to be, until the robot changes one of them."""
+        """The state that people with another believed start see: atoms that differ there have their
+        believed values until the robot changes one of them."""
         for differing, held in (self.starts[j] for j in sorted(wrong)):
             if not (state ^ self.start) & differing & ~self.beliefs:
                 state = state & ~differing | held & ~self.beliefs
         return state
 
     def choose(self, wrong: Wrong) -> NDArray[np.bool_]:
-        """[V] whether these people believe in each variant."""
+        """[V] True for the variants in this belief."""
         result, believed = np.zeros(len(self.variants), dtype=bool), self.believe(wrong)
         for guard, own in self._guards.items():
             result[own] |= not guard & ~believed
@@ -249,19 +251,19 @@ class BelievedTask:
     """A task, and the facts about it that people may believe incorrectly.
 
     Args:
-        task: the robot's.
-        facts: what each changes.
-        dead_end_cost: of a state without a plan.
-        max_states: a task with more states is refused.
-        counts: conditions to be counted in states, by name.
+        task: the robot's task.
+        facts: the changes of each fact.
+        dead_end_cost: cost of a state without a plan.
+        max_states: maximum number of states.
+        counts: conditions to count in states, by name.
 
     Attributes:
-        atoms: those that can change.
-        states: S sets of them: those that the robot reaches, first the initial one; those that
-            people who believe in another start see instead; and all that can be reached from these
-            by the actions of any beliefs, in any mixture.
-        table: [S, atoms] whether each atom holds in each state.
-        actions: A ground actions, (name, object, …), those that occur between these states.
+        atoms: atoms that can change.
+        states: S sets of atoms. First come the states that the robot reaches, beginning with the
+            initial one; then the states that people with another believed start see instead; then
+            all states that actions of any beliefs reach from these.
+        table: [S, atoms] True if an atom holds in a state.
+        actions: A ground actions, (name, object, …), that occur between these states.
 
     Raises:
         TooLargeError: too many states, or too many facts about one action.
@@ -297,7 +299,7 @@ class BelievedTask:
         for j in self._elsewhere:
             seen = [ground.imagine(state, frozenset({j})) for state in self.states]
             self.states = [*dict.fromkeys([*self.states, *seen])]
-        # Where the goal holds in every belief, nobody goes on.
+        # A state where the goal holds in every belief has no edges.
         common = [[x for x in ground.instances[text] if not x & ground.beliefs] for text in goals]
         everybody = np.arange(len(ground.variants))
         self.states, source, edges, successor = self._explore(self.states, everybody, common, 0)
@@ -318,24 +320,25 @@ class BelievedTask:
         goal: Sequence[Sequence[int]],
         believed: int,
     ) -> tuple[list[int], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-        """All states reached from the seeds, breadth first; the seeds come first, in their order.
+        """Finds all states that are reached from the seeds, breadth first. The seeds come first, in
+        order.
 
         Args:
             seeds: distinct states.
-            allowed: the variants to use, rising.
-            goal: the instances of each of its literals; a state with one of each has no edges.
+            allowed: the variants to use, ascending.
+            goal: instances of each of the goal's literals; a state with one of each has no edges.
             believed: literals that hold in all states.
 
         Returns:
-            The states, and their edges, rising by state and variant: [E] source, variant,
-            successor.
+            The states, and their edges, ascending by state and variant: [E] source, variant,
+                successor.
 
         Raises:
-            TooLargeError: there are more than ``max_states``.
+            TooLargeError: more than ``max_states`` states.
         """
         variants = {v: self._ground.variants[v] for v in allowed.tolist()}
         often = Counter(bit for _, asked, _ in variants.values() for bit in split(asked))
-        watched: dict[int, list[int]] = defaultdict(list)  # by the rarest literal asked for
+        watched: dict[int, list[int]] = defaultdict(list)  # by the rarest needed literal
         for v, (_, asked, _) in variants.items():
             rarest = min(split(asked), key=often.__getitem__, default=None)
             watched[0 if rarest is None else 1 << rarest].append(v)
@@ -347,7 +350,7 @@ class BelievedTask:
             if not all(any(not x & ~held for x in one) for one in goal):
                 able = [v for bit, own in watched.items() if held & bit == bit for v in own]
                 for v in sorted(v for v in able if not variants[v][1] & ~held):
-                    adds = deletes = 0  # effects happen at once; what is added stays
+                    adds = deletes = 0  # effects are simultaneous; an added atom is not deleted
                     for condition, added, deleted in variants[v][2]:
                         if not condition & ~held:
                             adds |= added
@@ -374,7 +377,7 @@ class BelievedTask:
         return changed(self._task.items, *(self._facts[j] for j in sorted(wrong)))
 
     def count(self, condition: str, wrong: Wrong) -> NDArray[np.int64]:
-        """[S] the number of instances of a condition that hold in each state for these people."""
+        """[S] number of instances of a condition that hold in each state in this belief."""
         result = np.zeros(len(self.states), dtype=np.int64)
         known, atoms = self._ground.believe(wrong), self._ground.complete(0).bit_length() // 2
         for asked in self._ground.instances[condition]:
@@ -385,8 +388,8 @@ class BelievedTask:
         return result
 
     def _costs(self, wrong: Wrong) -> NDArray[np.float64]:
-        """[V] the cost of each variant for these people; ∞ where they do not believe in it, or it
-        has none."""
+        """[V] cost of each variant in this belief; ∞ if the belief does not have it, or it has no
+        cost."""
         items, cost = self._items(wrong), []
         for name, *objects in self._ground.actions:
             signature = items.get(Item("action", name))
@@ -400,7 +403,8 @@ class BelievedTask:
         return np.where(self._ground.choose(wrong), np.array(cost, dtype=float)[action], np.inf)
 
     def _imagine_all(self, wrong: Wrong) -> NDArray[np.int64] | None:
-        """[S] the state that people see instead of each; itself if the robot never reaches it."""
+        """[S] the state that people see instead of each state; the state itself if the robot never
+        reaches it."""
         if not wrong:
             return None
         number = {state: s for s, state in enumerate(self.states)}
@@ -408,7 +412,7 @@ class BelievedTask:
         return np.array([*seen, *range(self._n_robot, len(self.states))])
 
     def model(self, wrong: Wrong) -> GoalTask:
-        """The task of somebody who believes these facts incorrectly."""
+        """The task of a person who believes these facts incorrectly."""
         goal = [self.count(text, wrong) > 0 for text in texts(self._items(wrong), "goal")]
         return GoalTask(
             space=self._space,
@@ -421,5 +425,5 @@ class BelievedTask:
 
 
 def split(literals: int) -> list[int]:
-    """The numbers of the literals of a set."""
+    """The indices of the literals in a set."""
     return [i for i in range(literals.bit_length()) if literals >> i & 1]

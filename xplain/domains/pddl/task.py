@@ -1,6 +1,5 @@
-"""A planning task as items, which can be compared and changed. PDDL is read and grounded by Fast
-Downward's translator (the extra ``pddl``), as that planner reads it.
-"""
+"""A planning task as items, which can be compared and changed. Fast Downward's translator (the
+extra ``pddl``) reads and grounds PDDL."""
 
 from __future__ import annotations
 
@@ -25,21 +24,21 @@ except ImportError:
 __all__ = ["instantiate", "lifted"]
 PACKAGED = "pkg://"
 MALFORMED = (ValueError, TypeError, LookupError, AssertionError, AttributeError, SystemExit)
-"""What the translator raises, besides its ParseError, for a file that it does not expect."""
+"""Errors of the translator, besides its ParseError, for an unexpected file."""
 Signature = tuple[tuple[str, Any], ...]
 """(name, type) of each variable or object."""
 
 
 class Item(NamedTuple):
-    """One thing that a task says.
+    """One statement of a task.
 
     Attributes:
-        kind: ``action`` (its value: the signature of its parameters), ``precondition`` and
-            ``effect`` (of an action), ``initial`` and ``goal`` (the value of these four is what the
-            translator makes of them), ``cost`` (of an action; a number, or the text of a function),
+        kind: ``action`` (its value: the signature of its parameters); ``precondition`` and
+            ``effect`` (of an action), ``initial`` and ``goal`` (the value of these four is the
+            translator's object); ``cost`` (of an action; a number, or the text of a function);
             ``function`` (a number).
-        owner: the action's name; empty for items of the problem.
-        text: the condition, the effect or the function as :func:`write` has it; empty for
+        owner: the action's name; "" for items of the problem.
+        text: the condition, the effect or the function in the form of :func:`write`; "" for
             ``action`` and ``cost``.
     """
 
@@ -49,7 +48,7 @@ class Item(NamedTuple):
 
 
 Items = Mapping[Item, Any]
-"""Items with their values. As a change of a task, None says that there is no such item."""
+"""Items with their values. In a change of a task, None removes the item."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +56,10 @@ class Task:
     """A domain and a problem.
 
     Attributes:
-        found: the task as the translator has it.
-        objects: constants included.
+        found: the translator's task.
+        objects: objects, including constants.
         predicates, functions: the parameters of each.
-        items: what it says, but for types and objects.
+        items: all statements except types and objects.
     """
 
     found: Any
@@ -71,7 +70,7 @@ class Task:
 
 
 def changed(items: Items, *changes: Items) -> dict[Item, Any]:
-    """The items after all changes; the last one holds."""
+    """Applies changes to items; later changes override earlier ones."""
     result = dict(items)
     for change in changes:
         result |= change
@@ -79,7 +78,7 @@ def changed(items: Items, *changes: Items) -> dict[Item, Any]:
 
 
 def texts(items: Items, kind: str, owner: str = "") -> Iterator[str]:
-    """The texts of the items of a kind that are there."""
+    """The texts of the present items of a kind."""
     for item, value in items.items():
         if item[:2] == (kind, owner) and value is not None:
             yield item.text
@@ -123,9 +122,9 @@ class Source:
     """A text in PDDL.
 
     Attributes:
-        key: what the user set, for errors.
-        value: what they gave: a path, or the text itself.
-        text: in small letters, without comments.
+        key: the user's key, for errors.
+        value: the user's value: a path, or the text itself.
+        text: the text in lower case, without comments.
     """
 
     key: str
@@ -134,7 +133,7 @@ class Source:
 
     @classmethod
     def read(cls, key: str, path: object) -> Source:
-        """A file; ``pkg://package/path`` is one inside an installed package.
+        """Reads a file; ``pkg://package/path`` is a file inside an installed package.
 
         Raises:
             InputError: there is no such file.
@@ -151,7 +150,7 @@ class Source:
         return cls(key, path, re.sub(";[^\n]*", "", text.lower()))
 
     def find(self, text: str, action: str = "") -> int:
-        """The position of an expression, from an action on if it is given."""
+        """The position of an expression; with ``action``, after the start of this action."""
         start = re.search(rf":action\s+{re.escape(action)}\s", self.text) if action else None
         begin = start.start() if start else 0
         tokens = map(re.escape, re.findall(r"[()]|\?*[^\s()?]+", text))
@@ -160,7 +159,7 @@ class Source:
         return found.start() if found else begin
 
     def refusal(self, reason: str, position: int) -> InputError:
-        """The error of what stands at a position; it names the line of a file."""
+        """An error about the expression at a position, with the line of the file."""
         line = f"line {self.text[:position].count(chr(10)) + 1}: "
         return InputError(self.key, self.value, (line if self.text != self.value else "") + reason)
 
@@ -184,12 +183,12 @@ class Source:
 
     @contextmanager
     def translated(self, known: str = "", problem: Source | None = None) -> Iterator[None]:
-        """Makes errors of the translator errors of this text, or of the problem's if they say so;
-        ``known`` is added to them.
+        """Converts errors of the translator into errors about this text, or about the problem if
+        they name it; ``known`` is added to them.
 
         Raises:
             XplainError: the translator is not installed.
-            InputError: it refuses the text.
+            InputError: the translator refuses the text.
         """
         if lifted is None:
             raise XplainError(
@@ -215,17 +214,16 @@ class Source:
 def read_task(
     file: object, problem: object, keys: tuple[str, str], like: Items | None = None
 ) -> Task:
-    """The task of a domain and a problem file.
+    """Reads the task of a domain and a problem file.
 
     Args:
         file, problem: their paths.
-        keys: of the two in the configuration, for errors.
-        like: items of another task: actions of the same names take over names of parameters.
+        keys: their configuration keys, for errors.
+        like: items of another task; actions with equal names take its names of parameters.
 
     Raises:
         XplainError: the translator is not installed.
-        InputError: a file cannot be read, is not PDDL, or uses PDDL that is not supported; with
-            the line.
+        InputError: a file cannot be read, is not PDDL, or uses unsupported PDDL; with the line.
     """
     domain, own = Source.read(keys[0], file), Source.read(keys[1], problem)
     numbers: dict[int, float] = {}
@@ -287,7 +285,7 @@ def _refuse_universal(condition: Any, source: Source, action: str = "") -> None:
 
 
 def _rename(node: Any, like: Items) -> Any:
-    """A part of a domain; an action gets the names that another task gives its parameters."""
+    """Renames the parameters of an action in a part of a domain to those of another task."""
     own = like.get(Item("action", node[1]), ()) if node[0] == ":action" else ()
     theirs = [x for x in node[3] if isinstance(x, str) and x[0] == "?"] if own else []
     binding = {x: y for x, (y, _) in zip(theirs, own, strict=False)}
@@ -299,7 +297,8 @@ def _rename(node: Any, like: Items) -> Any:
 
 
 def _number(node: Any, numbers: dict[int, float]) -> Any:
-    """Decimals as whole numbers that stand for them, as the translator reads no others."""
+    """Replaces decimals by integers that represent them, because the translator reads only
+    integers."""
     if isinstance(node, str):
         return node
     if len(node) == 3 and isinstance(node[1], list) and re.fullmatch(r"\d+\.\d*", str(node[2])):
@@ -310,23 +309,23 @@ def _number(node: Any, numbers: dict[int, float]) -> Any:
 
 
 def _value(expression: Any, numbers: Mapping[int, float]) -> float | str:
-    """A number, or the text of a function; what is not there is 0."""
+    """A number, or the text of a function; 0 if it is missing."""
     if isinstance(expression, lifted.PrimitiveNumericExpression):
         return f"({' '.join([expression.symbol, *expression.args])})"
     return float(numbers.get(expression.value, expression.value)) if expression else 0.0
 
 
 def read_text(task: Task, signature: Signature, source: Source, effect: bool = False) -> Any:
-    """A literal, or an effect, that somebody writes in the configuration.
+    """Reads a literal or an effect from the configuration.
 
     Args:
-        task: whose predicates and objects it names.
-        signature: of the variables that it may name.
+        task: defines the predicates and objects.
+        signature: the variables that it may contain.
         source: the text.
-        effect: whether conditions and variables of its own may stand before the literal.
+        effect: True if conditions and variables may come before the literal.
 
     Raises:
-        InputError: it is none.
+        InputError: the text is not valid.
     """
     types = " ".join(f"{x.name} - {x.basetype_name}" for x in task.found.types if x.basetype_name)
     declared = " ".join(f"({name} {declare(x)})" for name, x in task.predicates.items())
@@ -349,8 +348,8 @@ def read_text(task: Task, signature: Signature, source: Source, effect: bool = F
 
 
 def reach(found: Any) -> Any:
-    """All atoms, and ground actions in the place of atoms, that a task of the translator's reaches
-    if nothing is ever deleted and conditions with "not" hold."""
+    """All atoms and ground actions (as atoms) that a translator's task reaches if nothing is ever
+    deleted and negated conditions hold."""
     with Source("domain", "", "").translated():
         normalize.normalize(found)
         return build_model.compute_model(pddl_to_prolog.translate(found))

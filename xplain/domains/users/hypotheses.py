@@ -1,8 +1,8 @@
-r"""Hypotheses: what people might believe incorrectly, and how each such person would label.
+r"""Hypotheses: what people might believe incorrectly, and the labels of such people.
 
-A candidate is a set R of facts believed incorrectly. Somebody of candidate R who was told the
-messages H still believes R \ H incorrectly, and labels transition τ by ``labels[R \ H, τ]``, but
-for errors (docs/what-to-ask.md).
+A candidate is a set R of facts believed incorrectly. A person of candidate R who was given the
+messages H still believes R \ H incorrectly. Apart from errors their label of transition τ is
+``labels[R \ H, τ]`` (docs/what-to-ask.md).
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from xplain.explanation.message_sets import names_of
 from xplain.storage import written_whole
 
 SUM = 1e-6
-"""A prior sums to 1 within this."""
+"""Tolerance of a prior's sum."""
 
 
 def prior_over(prior: ArrayLike | None, count: int, key: str) -> NDArray[np.float64]:
     """[count] probabilities; None is uniform.
 
     Raises:
-        InputError: of another shape, negative, or not summing to 1.
+        InputError: another shape, a negative value, or a sum other than 1.
     """
     if prior is None:
         return np.full(count, 1 / count)
@@ -56,7 +56,7 @@ def prior_over(prior: ArrayLike | None, count: int, key: str) -> NDArray[np.floa
 
 
 def table_of_labels(labels: ArrayLike) -> NDArray[np.uint8]:
-    """[C, T] labels of 0 and 1, checked."""
+    """Checks labels [C, T] of 0 and 1."""
     try:
         table = np.asarray(labels)
     except ValueError:
@@ -75,33 +75,34 @@ def table_of_labels(labels: ArrayLike) -> NDArray[np.uint8]:
 
 
 FEW = 0.1
-"""Prior probability that a fact is believed incorrectly, if too many facts to list all sets."""
+"""Prior probability that a fact is believed incorrectly, if there are too many facts to list all
+sets."""
 TEXTS = ("messages", "feature_names", "phrases")
 ARRAYS = ("labels", "facts", "messages", "prior", "variants", "features", "states",
           "variant_weight", "feature_names", "phrases")  # fmt: skip
-"""In a file; all but the first four are left out where there are none."""
+"""Names of the arrays in a file; all but the first four are optional."""
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """C candidates for what somebody may believe incorrectly, and their labels of T transitions.
+    """C candidates for incorrect beliefs, and their labels of T transitions.
 
     Attributes:
-        labels: [C, T] uint8, the label of somebody who believes exactly ``facts[c]`` incorrectly.
-        facts: [C] int64 bitmasks, ascending; with each set all of its subsets are candidates.
+        labels: [C, T] uint8, labels of a person who believes exactly ``facts[c]`` incorrectly.
+        facts: [C] int64 bitmasks, ascending; all subsets of a candidate are candidates too.
         messages: n names; bit j of a set is fact j, which message j corrects.
         prior: [C] probabilities of the candidates; sums to 1.
-        features: [T, F] float64 of the transitions; None where unknown.
+        features: [T, F] float64 features of the transitions; None if unknown.
         feature_names: F names.
-        phrases: T descriptions for people; empty where there are none.
-        states: [T, 2] int64 where a transition starts and ends, for clips of transitions in a
-            row; None where unknown.
-        variants: [V, C, T] uint8 the labels at other wrong values (half, double, …), which people
-            may believe as well; V may be 0.
-        variant_weight: [V] prior probabilities of the variants; None: as likely each, and together
-            less likely than the values as assumed.
-        further: labels of sets that are no candidates yet (:meth:`with_sets`); None where nobody
-            can work them out.
+        phrases: T descriptions for people; may be empty.
+        states: [T, 2] int64 start and end state of each transition, for clips of consecutive
+            transitions; None if unknown.
+        variants: [V, C, T] uint8 labels at other inaccurate values (half, double, …), which people
+            may also believe; V may be 0.
+        variant_weight: [V] prior probabilities of the variants; None: equal, and in sum below that
+            of the assumed values.
+        further: labels of sets that are not yet candidates (:meth:`with_sets`); None if they cannot
+            be computed.
     """
 
     labels: NDArray[np.uint8]
@@ -131,11 +132,12 @@ class Hypotheses:
             labels: [2^n, T] of 0 and 1, or [C, T] with ``facts``.
             facts: [C] bitmasks of the rows, in any order; None: all 2^n in order.
             messages: n names; None: fact_0, fact_1, …
-            prior: [C] of the rows; None is uniform.
+            prior: [C] prior of the rows; None is uniform.
             about: the other attributes.
 
         Raises:
-            InputError: one of them is not as described, or no question separates any candidates.
+            InputError: an argument contradicts its description, or no question separates any
+                candidates.
         """
         table = table_of_labels(labels)
         if facts is None and len(table) & (len(table) - 1):
@@ -164,18 +166,18 @@ class Hypotheses:
     def of_domain(
         cls, domain: Domain, most: int | None = None, scales: Sequence[float] = (0.5, 2.0)
     ) -> Hypotheses:
-        """All sets of at most ``most`` of a domain's parameters, at their inaccurate values.
+        """Takes all sets of at most ``most`` of a domain's parameters, at their inaccurate values.
 
-        The transitions are those that the robot can make, from any start along an optimal policy.
+        The transitions are those of the robot's optimal policies from any start.
 
         Args:
             domain: the robot's task.
-            most: parameters believed incorrectly together; None: as many as MAX_MODELS models
-            allow.
-            scales: of the variants (:meth:`FactLabels.variants`).
+            most: maximum number of parameters believed incorrectly together; None: the most that
+                MAX_MODELS allows.
+            scales: scales of the variants (:meth:`FactLabels.variants`).
 
         Raises:
-            DomainError: some model's ties are ambiguous, values being as assumed.
+            DomainError: ties of a model at the assumed values are ambiguous.
             InputError: the parameters change no label of these transitions.
             TooLargeError: more than MAX_MODELS models.
         """
@@ -207,13 +209,13 @@ class Hypotheses:
 
     @classmethod
     def load(cls, path: str | Path) -> Hypotheses:
-        """Reads a ``.npz`` file: ``labels`` [2^n, T], and optionally ``features`` [T, F],
+        """Reads an ``.npz`` file: ``labels`` [2^n, T], and optionally ``features`` [T, F],
         ``feature_names``, ``messages``, ``phrases`` [T], ``states`` [T, 2], ``prior`` [2^n],
-        ``variants`` [V, 2^n, T], and ``facts`` [C] where not all 2^n sets are candidates. Nothing
-        in it is run.
+        ``variants`` [V, 2^n, T], and ``facts`` [C] if not all 2^n sets are candidates. No code in
+        the file is executed.
 
         Raises:
-            InputError: no such file, or its arrays are not as :meth:`of` wants them.
+            InputError: no such file, or its arrays are not valid for :meth:`of`.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
@@ -229,7 +231,7 @@ class Hypotheses:
         return cls.of(**arrays | texts)
 
     def save(self, path: str | Path) -> None:
-        """Writes the file that :meth:`load` reads, whole or not at all."""
+        """Writes the file for :meth:`load`, atomically."""
         given = {key: getattr(self, key) for key in ARRAYS}
         arrays: dict[str, Any] = {
             key: np.array(value, dtype=np.str_) if key in TEXTS else value
@@ -240,11 +242,10 @@ class Hypotheses:
             np.savez_compressed(file, **arrays)
 
     def with_sets(self, facts: NDArray[np.int64]) -> Hypotheses:
-        """With further candidates, these sets and all of their subsets; the prior is that of few
-        facts.
+        """Adds these sets and all of their subsets as candidates; the prior is that of few facts.
 
         Raises:
-            DomainError: some model's ties are ambiguous.
+            DomainError: ties of a model are ambiguous.
             TooLargeError: more than MAX_MODELS candidates.
         """
         new = np.setdiff1d(with_subsets(facts.tolist()), self.facts)
@@ -261,39 +262,39 @@ class Hypotheses:
 
     @cached_property
     def complete(self) -> bool:
-        """Whether all sets of the facts that any candidate believes incorrectly are candidates."""
+        """True if all sets of the facts in any candidate are candidates."""
         return len(self.facts) == 1 << int(np.bitwise_or.reduce(self.facts)).bit_count()
 
     @property
     def n_messages(self) -> int:
-        """n: facts, and messages that correct them."""
+        """n, the number of facts and of messages."""
         return len(self.messages)
 
     @property
     def n_transitions(self) -> int:
-        """T: transitions that can be asked about."""
+        """T, the number of transitions."""
         return int(self.labels.shape[1])
 
     def row(self, held: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The rows of :attr:`labels` of sets that are candidates, of any shape."""
-        every = len(self.facts) > self.facts[-1]  # row and set are then one number
+        """The rows of :attr:`labels` of candidates ``held``, of any shape."""
+        every = len(self.facts) > self.facts[-1]  # then the row of a set is the set
         return held if every else np.searchsorted(self.facts, held)
 
     def label(self, transitions: ArrayLike, message_sets: ArrayLike) -> NDArray[np.uint8]:
-        """f_τ(R \\ H) of Q questions by variant and candidate: transitions [Q], message sets [Q]
-        or one → [1 + V, C, Q]."""
+        r"""[1 + V, C, Q] labels f_τ(R \\ H) of Q questions by variant and candidate; transitions
+        [Q], message sets [Q] or one."""
         held = self.facts[:, None] & ~np.asarray(message_sets, dtype=np.int64)
         return np.asarray(self.tables[:, self.row(held), np.asarray(transitions)])
 
     @cached_property
     def tables(self) -> NDArray[np.uint8]:
-        """The labels, and those of the variants: [1 + V, C, T]."""
+        """[1 + V, C, T] labels at the assumed values and of the variants."""
         variants = self.variants if len(self.variants) else self.labels[None][:0]
         return np.concatenate([self.labels[None], variants])
 
     @cached_property
     def variant_prior(self) -> NDArray[np.float64]:
-        """[1 + V] of the values as assumed, and of the variants."""
+        """[1 + V] prior of the assumed values and of the variants."""
         count = len(self.variants)
         weight = np.full(count, (1 - AS_ASSUMED) / max(count, 1))
         weight = weight if self.variant_weight is None else self.variant_weight
@@ -301,14 +302,15 @@ class Hypotheses:
 
     @cached_property
     def sizes(self) -> NDArray[np.bool_]:
-        """[1 + V] the values as assumed, and the variants of the same direction: the likelier."""
+        """[1 + V] True for the assumed values and for variants with the same direction; these are
+        more likely."""
         weight = self.variant_prior[1:]
         return np.append(True, weight >= weight.max(initial=0) / 2)
 
     def told_apart_by_features(self) -> Hypotheses:
-        """Leaves out transitions that share their features with others of other labels: an answer
-        about one of them tells nothing if only features are seen. Keeps all of them if the rest
-        tells fewer candidates apart."""
+        """Leaves out transitions with equal features and different labels: an answer about one of
+        them gives no information if only features are known. Keeps all of them if the remaining
+        transitions separate fewer candidates."""
         if self.features is None:
             return self
         which = np.unique(self.features, axis=0, return_inverse=True)[1].ravel()
@@ -329,7 +331,7 @@ class Hypotheses:
 
     @cached_property
     def matters(self) -> NDArray[np.int64]:
-        """[T] the facts on which a transition's label depends, as a bitmask."""
+        """[T] the facts that a transition's label depends on, as a bitmask."""
         found = np.zeros(self.n_transitions, dtype=np.int64)
         for j, more, less in self.pairs:
             differ = self.tables[:, more] != self.tables[:, less]
@@ -338,7 +340,8 @@ class Hypotheses:
 
     @cached_property
     def pairs(self) -> list[tuple[int, NDArray[np.int64], NDArray[np.int64]]]:
-        """For each fact the rows of the candidates that have it, and of the same without it."""
+        """For each fact, the rows of the candidates that contain it, and of the same candidates
+        without it."""
         found = []
         for j in range(self.n_messages):
             more = np.flatnonzero(self.facts >> j & 1)
@@ -347,27 +350,28 @@ class Hypotheses:
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        """For each candidate [C] the facts that some question reveals, if values are as assumed.
-        Candidates behave alike if and only if these facts are the same.
+        r"""[C] for each candidate, the facts that some question reveals at the assumed values.
+        Candidates behave alike if and only if these facts are equal.
 
-        Candidates that behave alike have an intersection that does, too (give the messages
-        outside it), so that each class has one smallest member. A fact j is in it unless for every
-        K ⊆ R \\ j people who believe K ∪ j incorrectly label everything as those of K do.
+        The intersection of two candidates that behave alike behaves like them (give the messages
+        outside it), so each class has one smallest member. A fact j is in it unless, for every K ⊆
+        R \\ j, people who believe K ∪ j incorrectly label everything like those who believe K
+        incorrectly.
         """
         found = np.zeros_like(self.facts)
         for j, more, less in self.pairs:
             found[more[(self.labels[more] != self.labels[less]).any(axis=1)]] |= 1 << j
-        for _, more, less in self.pairs:  # … of any K: over all subsets, fact by fact
+        for _, more, less in self.pairs:  # … for any K: over all subsets, one fact at a time
             found[more] |= found[less]
         return found
 
     @cached_property
     def classes(self) -> NDArray[np.int64]:
-        """[C] the same number for candidates that no question tells apart."""
+        """[C] class of each candidate; no question separates candidates of one class."""
         return np.unique(self.essential, return_inverse=True)[1].ravel()
 
     def _check(self) -> None:
-        """Raises InputError where attributes contradict each other."""
+        """Raises InputError if attributes contradict each other."""
         if self.facts[0] != 0 or len(np.unique(self.facts)) < len(self.facts):
             raise InputError("hypotheses.facts", self.facts[0], "different sets, the empty one too")
         for j in range(int(self.facts[-1]).bit_length()):
@@ -402,10 +406,10 @@ _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
 
 
 def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
-    """Those of a file, or else the domain's, which are worked out once.
+    """The hypotheses of a file, or those of the domain, which are computed once.
 
     Raises:
-        InputError: neither; or they cannot be used.
+        InputError: there are neither, or they cannot be used.
     """
     if path is not None:
         return Hypotheses.load(path)

@@ -18,26 +18,27 @@ from xplain.explanation.message_sets import indices, names_of, subsets
 log = logging.getLogger(__name__)
 
 AS_ASSUMED = 0.6
-"""Prior of the assumed values, where there are variants."""
+"""Prior of the assumed values, if there are variants."""
 OPPOSITE = 0.05
-"""Prior of all values on the other side of the robot's, together."""
+"""Total prior of values on the other side of the robot's value."""
 EACH = 8
-"""Facts up to which each is also on the other side alone."""
+"""Maximum number of facts for which each fact has a variant with only its value on the other
+side."""
 NUDGES = (1.0, 1.01, 0.99, 1.02, 0.98, 1.05, 0.95)
-"""Where ties at some values are ambiguous, the values times each of these are tried, in this order:
-nobody's idea of a size is so exact."""
+"""If ties at a value are ambiguous, the value times each of these factors is tried, in order.
+People's ideas of a value are not that exact."""
 Values = Mapping[str, Any]
-"""A wrong value of each parameter."""
+"""An inaccurate value of each parameter."""
 
 
 @dataclass(frozen=True)
 class FactLabels:
-    """Labels of people who believe sets of facts incorrectly; each set is solved once.
+    """Labels of people who believe sets of facts incorrectly. Each set is solved once.
 
     Attributes:
-        domain: whose models.
+        domain: the domain of the models.
         transitions: [T, 3].
-        values: [1 + V] those assumed, and those of the variants.
+        values: [1 + V] the assumed values, and those of the variants.
         columns: [K] the transitions to label; None: all.
     """
 
@@ -48,14 +49,14 @@ class FactLabels:
     _known: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     def take(self, columns: NDArray[np.int64]) -> FactLabels:
-        """Labels of some transitions alone; what is solved is shared."""
+        """Restricts the labels to some transitions; solved models are shared."""
         return replace(self, columns=columns if self.columns is None else self.columns[columns])
 
     def of(self, facts: NDArray[np.int64]) -> NDArray[np.uint8]:
         """[1 + V, C, K] labels of people who believe these sets [C] incorrectly.
 
         Raises:
-            DomainError: some model's ties are ambiguous.
+            DomainError: ties of a model are ambiguous.
         """
         missing = np.array([one for one in facts.tolist() if one not in self._known], np.int64)
         if len(missing):
@@ -68,7 +69,7 @@ class FactLabels:
         """[C, T] labels of people who believe these sets [C] incorrectly, at these values.
 
         Raises:
-            DomainError: some model's ties are ambiguous.
+            DomainError: ties of a model are ambiguous.
             InputError: the domain refuses a value.
             TooLargeError: too many sets.
         """
@@ -83,12 +84,13 @@ class FactLabels:
     def without_ties(
         self, wanted: Values, facts: NDArray[np.int64]
     ) -> tuple[Values, NDArray[np.uint8]]:
-        """Wrong values as near to those wanted as leaves no tie ambiguous, and the labels [C, T] of
-        people who believe these sets [C] incorrectly.
+        """Finds values near the wanted ones without ambiguous ties. Returns them with the labels
+        [C, T] of people who believe these sets [C] incorrectly.
 
-        Where ties are ambiguous at those wanted, each parameter in turn takes its wanted value, or
-        the first of its :data:`NUDGES` at which none is, those before it being as found, those
-        after it as assumed. A warning names one for which every nudge fails: it stays as assumed.
+        If ties are ambiguous, each parameter in turn takes its wanted value, or its first
+        :data:`NUDGES` without ambiguous ties. Earlier parameters then have the values already
+        found, later ones the assumed values. If every nudge fails, the parameter keeps its assumed
+        value and a warning names it.
         """
         try:
             return dict(wanted), self.at(wanted, facts)
@@ -115,17 +117,18 @@ class FactLabels:
     def variants(
         self, facts: NDArray[np.int64], scales: Sequence[float]
     ) -> list[tuple[Values, NDArray[np.uint8], float]]:
-        """Wrong values that people may believe in place of those assumed, with the labels [C, T] of
-        people who believe these sets [C] incorrectly, and their prior probability.
+        """Finds values that people may believe instead of the assumed ones, with the labels [C, T]
+        of people who believe these sets [C] incorrectly, and their prior probability.
 
-        A value that the domain refuses stays as assumed. Where ties are ambiguous, see
-        :meth:`without_ties`. Where no value is another than assumed, there is no variant.
+        If the domain refuses a value, the assumed value is used. :meth:`without_ties` resolves
+        ambiguous ties. If all values equal the assumed ones, there is no variant.
 
         Args:
             facts: the sets.
-            scales: one variant each: all inaccurate values that are numbers times this. Further
-                variants have them on the other side of the robot's values, all at once or, up to
-                EACH facts, one alone: the fire that people fear may also be believed a bonus.
+            scales: one variant for each scale, with all numeric inaccurate values multiplied by it.
+                In further variants values are on the other side of the robot's value, all together
+                or (up to EACH facts) one alone: people may also believe that a dangerous fire is a
+                bonus.
         """
         assumed = {one.name: one.inaccurate for one in self.domain.parameters}
         opposite = other_values(self.domain, lambda right, wrong: 2 * right - wrong)
@@ -143,8 +146,8 @@ class FactLabels:
 
 
 def other_values(domain: Domain, other: Callable[[float, float], float]) -> dict[str, Any]:
-    """Wrong values by parameter: ``other`` of the robot's value and the inaccurate one, where both
-    are numbers and the domain takes it; else the inaccurate one."""
+    """Inaccurate values by parameter: ``other`` of the robot's and the inaccurate value if both are
+    numbers and the domain accepts the result; otherwise the inaccurate value."""
     accurate = {one.name: one.accurate for one in domain.parameters}
     values = {one.name: one.inaccurate for one in domain.parameters}
     for name, wrong in values.items():
@@ -168,8 +171,8 @@ def _is_number(value: Any) -> bool:
 
 
 def few(facts: NDArray[np.int64], n: int, share: float) -> NDArray[np.float64]:
-    """[C] probabilities of the sets, were each of n facts believed incorrectly with probability
-    ``share``, independently, and no other sets possible."""
+    """[C] probabilities of the sets if each of n facts is believed incorrectly with probability
+    ``share``, independently, given that no other set is possible."""
     size = np.bitwise_count(facts).astype(np.float64)
     weight = share**size * (1 - share) ** (n - size)
     return np.asarray(weight / weight.sum())

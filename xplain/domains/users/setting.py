@@ -1,5 +1,4 @@
-"""A setting: a domain and its user types, with the labels that each type would give
-(docs/method.md, section 1).
+"""A setting: a domain, its user types, and the labels of each type (docs/method.md, section 1).
 
 Many types and message sets share one model of the task; each distinct model is solved once.
 """
@@ -24,11 +23,12 @@ MAX_MODELS = 1 << 14
 
 @dataclass(frozen=True)
 class UserType:
-    """What users of a type hold inaccurately: ``{parameter: their value}``.
+    """The inaccurate values of a type's users: ``{parameter: their value}``.
 
     Attributes:
-        name, inaccurate: see above.
-        backlash: a message about any other parameter makes them hold it inaccurately.
+        name, inaccurate: name and values.
+        backlash: if True, a message about any other parameter makes them believe its inaccurate
+            value.
     """
 
     name: str
@@ -36,7 +36,8 @@ class UserType:
     backlash: bool = False
 
     def after(self, names: Sequence[str], told: Collection[str]) -> list[str]:
-        """Those of these parameters that they hold inaccurately once they were told of some."""
+        """The parameters among ``names`` that they believe incorrectly after the messages
+        ``told``."""
         if self.backlash:
             return [name for name in names if (name in self.inaccurate) != (name in told)]
         return [name for name in names if name in self.inaccurate and name not in told]
@@ -44,13 +45,13 @@ class UserType:
 
 @dataclass(frozen=True)
 class Setting:
-    """A domain with N user types; every distinct model of the task is solved.
+    """A domain with N user types, with every distinct model of the task solved.
 
     Attributes:
-        domain, types: as given.
+        domain, types: the domain and the types.
         models: the distinct models; the first is the robot's.
-        optimal: the optimal actions [S, A] of each, by index.
-        bits: for each type, the positions of the messages that change what it believes.
+        optimal: [S, A] optimal actions of each model, by index.
+        bits: for each type, the positions of the messages that change its beliefs.
         table: for each type, [2^len(bits)] index of its model after each set of these messages.
     """
 
@@ -128,12 +129,12 @@ class Setting:
 
     @property
     def wrong(self) -> NDArray[np.float64]:
-        """[M, n] 1 where a type believes a fact incorrectly, else 0."""
+        """[M, n] 1 if a type believes a fact incorrectly, else 0."""
         names = self.message_names
         return np.array([[name in one.inaccurate for name in names] for one in self.types], float)
 
     def model_index(self, user_type: int, message_sets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The model that a type holds after each of these message sets: [P] → [P]."""
+        """[P] index of a type's model after each of these message sets [P]."""
         local = np.zeros_like(message_sets)
         for i, j in enumerate(self.bits[user_type]):
             local |= (message_sets >> j & 1) << i
@@ -146,32 +147,32 @@ class Setting:
     def labels(
         self, user_type: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """The true labels of a type for each (transition [P, 3], message set [P]): [P]."""
+        """[P] true labels of a type for each (transition [P, 3], message set [P])."""
         by_model = self.label_by_model(transitions)
         return by_model[self.model_index(user_type, message_sets), np.arange(len(transitions))]
 
     def label_table(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """The true labels of all types for all message sets: [N, T, 2^n].
+        """[N, T, 2^n] true labels of all types for all message sets.
 
         Raises:
-            TooLargeError: messages are too many for such a table.
+            TooLargeError: too many messages for such a table.
         """
         return self.labels_by_type(transitions).array(self.n_messages).astype(np.uint8)
 
     def labels_by_type(self, transitions: NDArray[np.int64]) -> LabelTable:
-        """The true labels of all types, each over the messages that correct it."""
+        """True labels of all types; the table of each type has the messages that correct it."""
         by_model = self.label_by_model(transitions)
         return LabelTable.joined_types(
             self.bits, [by_model[row].T.astype(np.float64) for row in self.table]
         )
 
     def true_labels(self, transitions: NDArray[np.int64]) -> LabelTable:
-        """The true labels of all types, as solvers and simulated users take them."""
+        """True labels of all types, in the form for solvers and simulated users."""
         return self.labels_by_type(transitions).compact(self.n_messages)
 
     @cached_property
     def reachable(self) -> NDArray[np.int64]:
-        """[T, 3] every transition that an optimal policy of the robot can make from a start."""
+        """[T, 3] every transition of the robot's optimal policies from any start."""
         model, optimal = self.models[0], self.optimal[0]
         made = optimal[:, :, None] & (model.probability > 0)
         states = self.domain.starts
@@ -184,7 +185,7 @@ class Setting:
     @cached_property
     def distinct(self) -> NDArray[np.int64]:
         """[N] the same number for types with the same labels for every reachable (transition,
-        message set): they are behaviourally one type."""
+        message set). Such types behave as one type."""
         labels = self.labels_by_type(self.reachable)
         first: dict[tuple[tuple[int, ...], bytes], int] = {}
         found = []
@@ -195,7 +196,7 @@ class Setting:
 
 
 def task_of(domain: Domain, values: Mapping[str, Any]) -> mdp.TaskModel:
-    """The domain's model of these values.
+    """The domain's model with these values.
 
     Raises:
         InputError: the domain reads a parameter that it does not have.

@@ -1,5 +1,4 @@
-"""Type sources: where the user types of a setting come from (docs/choices.md, "Lost or not
-given").
+"""Type sources: they give a setting its user types (docs/choices.md, "Lost or not given").
 
 Each has one method, ``types(domain, rng)``.
 """
@@ -23,11 +22,11 @@ class TypeSource(Protocol):
     """Gives a domain its user types."""
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """The types, in the order in which they are numbered.
+        """The user types, in the order of their numbers.
 
         Args:
-            domain: whose parameters they hold inaccurately.
-            rng: of the stream ``types``.
+            domain: has the parameters that the types believe incorrectly.
+            rng: the stream ``types``.
 
         Raises:
             InputError: they do not fit the domain.
@@ -36,13 +35,13 @@ class TypeSource(Protocol):
 
 
 def user_type(domain: Domain, name: str, facts: Sequence[str] | Mapping[str, Any]) -> UserType:
-    """A type that holds these parameters inaccurately.
+    """Makes a type with inaccurate values of these parameters.
 
     Args:
-        domain: whose parameters.
-        name: of the type.
-        facts: names of parameters, or a mapping to the type's own values; ``None`` for the
-            domain's inaccurate value.
+        domain: has the parameters.
+        name: name of the type.
+        facts: names of parameters, or a mapping to the type's own values; ``None`` for the domain's
+            inaccurate value.
 
     Raises:
         InputError: no facts, or an unknown parameter.
@@ -62,8 +61,8 @@ class Explicit:
     """Types given in YAML.
 
     Attributes:
-        groups: ``{name: [parameter, ...]}``, or ``{name: {parameter: its value for the type}}``
-            where a type has its own values (null: the domain's inaccurate value).
+        groups: ``{name: [parameter, ...]}``, or ``{name: {parameter: value}}`` for a type with its
+            own values (null: the domain's inaccurate value).
     """
 
     groups: Mapping[str, Sequence[str] | Mapping[str, Any]]
@@ -74,7 +73,7 @@ class Explicit:
             raise InputError("users.groups", self.groups, "at least one user type, {name: [facts]}")
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """The types as written; ``rng`` is not used."""
+        """The types from YAML; ``rng`` is not used."""
         return tuple(user_type(domain, name, facts) for name, facts in self.groups.items())
 
 
@@ -83,15 +82,15 @@ class Completions:
     """The completions of a partly known list of types: the paper's figure with three of its five
     rescue types is lost (docs/choices.md).
 
-    A completion gives each free name one bonus and one obstacle, so that all types are distinct
-    and all facts are in use. For ``rescue`` there are 27 (as sets of types: it does not matter
-    which of the free names has which pair).
+    A completion gives each free name one bonus and one obstacle, so that all types are distinct and
+    all facts are used. For ``rescue`` there are 27, counted as sets of types (the order of the free
+    names does not matter).
 
     Attributes:
-        known: ``{name: [bonus, obstacle]}`` of the types that the paper's text names.
+        known: ``{name: [bonus, obstacle]}`` of the types in the paper's text.
         free: names of the types to complete.
         bonuses, obstacles: the facts.
-        index: of the completion, from 0, in the order of the facts.
+        index: index of the completion, from 0, in the order of the facts.
     """
 
     known: Mapping[str, Sequence[str]]
@@ -116,7 +115,7 @@ class Completions:
         )
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """The types of the completion chosen, by name; ``rng`` is not used."""
+        """The types of the chosen completion, by name; ``rng`` is not used."""
         groups = dict(self.known) | dict(
             zip(self.free, self.completions()[self.index], strict=True)
         )
@@ -124,23 +123,23 @@ class Completions:
 
 
 ATTEMPTS = 1000
-"""Draws before giving up: more than a second or two of them found nothing in any domain here."""
+"""Maximum number of draws."""
 
 
 def first_distinct(
     domain: Domain, count: int, draws: Iterable[Sequence[Sequence[int]]], distinct: bool = True
 ) -> tuple[UserType, ...]:
-    """The types of the first draw that fits: they differ in the label of some reachable
-    (transition, message set).
+    """The types of the first suitable draw: they differ in the label of some reachable (transition,
+    message set).
 
     Args:
-        domain: whose parameters they believe incorrectly.
-        count: of the types.
-        draws: each the facts of all types.
-        distinct: False: the first draw fits.
+        domain: has the parameters that the types believe incorrectly.
+        count: number of types.
+        draws: each draw has the facts of all types.
+        distinct: False accepts the first draw.
 
     Raises:
-        InputError: no draw fits.
+        InputError: no draw is suitable.
     """
     names = [parameter.name for parameter in domain.parameters]
     for facts in draws:
@@ -156,24 +155,24 @@ def first_distinct(
 @checks("users")
 @dataclass(frozen=True)
 class RandomCover:
-    """Types drawn at random: each is a non-empty subset of the parameters, and their union is all
-    parameters (paper, four rooms).
+    """Random types: each is a non-empty subset of the parameters, and their union is all parameters
+    (paper, four rooms).
 
     Attributes:
-        count: types to draw.
-        distinct: only types that differ in the label of some reachable (transition, message
-            set). Whole draws are then repeated until one fits.
+        count: number of types.
+        distinct: True requires types that differ in the label of some reachable (transition,
+            message set). The draw of all types is then repeated until it is suitable.
     """
 
     count: Count
     distinct: bool = True
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """Uniform over the lists of distinct subsets that cover all parameters (and, if required,
-        differ in behaviour): other draws are rejected as a whole.
+        """Draws uniformly from the lists of distinct subsets that cover all parameters (and, if
+        required, differ in behaviour), by rejecting other draws as a whole.
 
         Raises:
-            InputError: there are fewer subsets than ``count``, or no draw fitted.
+            InputError: there are fewer subsets than ``count``, or no draw is suitable.
         """
         n = len(domain.parameters)
         full = (1 << n) - 1
@@ -191,12 +190,12 @@ class RandomCover:
 @checks("users")
 @dataclass(frozen=True)
 class FewFacts:
-    """Types drawn at random for domains with many facts: each type believes a few facts
-    incorrectly.
+    """Random types for domains with many facts: each type believes a few facts incorrectly.
 
     Attributes:
-        count: types to draw.
-        fewest, most: facts of a type; first their number is drawn uniformly, then the facts.
+        count: number of types.
+        fewest, most: range of the number of a type's facts; the number is drawn uniformly, then the
+            facts.
     """
 
     count: Count
@@ -208,11 +207,11 @@ class FewFacts:
         whole_number("users.most", self.most, self.fewest)
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """Types that differ in the label of some reachable (transition, message set): whole draws
-        are repeated until one fits.
+        """Draws types that differ in the label of some reachable (transition, message set). The
+        draw of all types is repeated until it is suitable.
 
         Raises:
-            InputError: fewer parameters than ``most``, or no draw fitted.
+            InputError: fewer parameters than ``most``, or no suitable draw.
         """
         n = len(domain.parameters)
         if self.most > n:
