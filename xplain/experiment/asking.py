@@ -1,6 +1,7 @@
-"""What may be asked while a trace is explained: clips of the task, and beliefs about its facts.
+"""The questions that may be asked while a trace is explained: clips of the task, and beliefs about
+its facts.
 
-Setting ── Clips, beliefs ── CaseQuestions (one a trace)
+Setting ── Clips, beliefs ── CaseQuestions (one for each trace)
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ from xplain.learning.types import TablesOf
 from xplain.randomness import stream
 
 TOLD = 0.01
-"""A fact less likely believed incorrectly than this is taken to be as it was after its message."""
+"""Facts below this probability of an incorrect belief count as already corrected by their
+message."""
 MOST_TOLD = 12
-"""Facts of a type whose messages are taken to set them right, the likeliest."""
+"""Maximum number of facts of a type whose messages are modelled as corrections: the most likely
+ones."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +34,13 @@ class CaseQuestions:
     """Q questions that may be asked while a trace of m transitions is explained, nearest first.
 
     Attributes:
-        transitions: [Q, 3] of clips; −1 where a question is about a belief.
-        facts: [Q] the fact that a belief is about; −1 of clips.
+        transitions: [Q, 3] transitions of clips; −1 for questions about a belief.
+        facts: [Q] the fact of a question about a belief; −1 for clips.
         learned: P(label is 1) by the N types that were found.
-        labels: the true labels of each of M true types.
-        shows: [Q, m] whether a clip is of this transition of the trace.
-        texts, right: as :class:`~xplain.explanation.asking.Questions` has them.
-        everything: P(label is 1) of one type, who believes every fact incorrectly, where known.
+        labels: true labels of each of M true types.
+        shows: [Q, m] True if a clip shows this transition of the trace.
+        texts, right: see :class:`~xplain.explanation.asking.Questions`.
+        everything: P(label is 1) of one type that believes every fact incorrectly, if known.
     """
 
     transitions: NDArray[np.int64]
@@ -50,7 +53,7 @@ class CaseQuestions:
     everything: LabelTable | None = None
 
     def take(self, order: NDArray[np.int64]) -> CaseQuestions:
-        """Some of them, in this order."""
+        """Selects questions, in this order."""
         return CaseQuestions(
             self.transitions[order],
             self.facts[order],
@@ -63,7 +66,7 @@ class CaseQuestions:
         )
 
     def of_users(self, setting: Setting, types: Sequence[int]) -> CaseQuestions:
-        """The same, answered by users of these types of a setting."""
+        """The same questions, answered by users of these types of a setting."""
         clips, beliefs = np.flatnonzero(self.facts < 0), np.flatnonzero(self.facts >= 0)
         parts = [setting.true_labels(self.transitions[clips])] if len(clips) else []
         parts += [_right(setting.wrong, self.facts[beliefs].tolist())] if len(beliefs) else []
@@ -72,18 +75,18 @@ class CaseQuestions:
         return replace(self, labels=whole.of_steps(back.tolist()).of_types(types))
 
     def asked(self, table: LabelTable, limits: Limits) -> Questions:
-        """As an explanation problem has them, by one of the tables."""
+        """The questions of an explanation problem, with one of the tables."""
         return Questions(table, limits, self.shows, self.texts, self.right)
 
 
 @dataclass(frozen=True)
 class Clips:
-    """Every transition that the robot can make, as what may be asked about.
+    """Every transition that the robot can make, as a possible question.
 
     Attributes:
-        most: how many to keep for a trace.
-        every: a question about each, which knows of no trace.
-        features: [T, F] of them.
+        most: maximum number of clips for a trace.
+        every: a question about each transition, independent of traces.
+        features: [T, F] features of the transitions.
     """
 
     most: int
@@ -92,7 +95,7 @@ class Clips:
 
     @classmethod
     def of(cls, setting: Setting, tables: TablesOf, pool: Pool) -> Clips:
-        """Makes the clips, and asks the labelers about each transition once."""
+        """Makes the clips, and calls the labelers once for each transition."""
         transitions, none = setting.reachable, np.full(len(setting.reachable), -1)
         features = transition_features(setting.domain, transitions)
         asked = tables(features, transitions)
@@ -109,7 +112,7 @@ class Clips:
         return cls(pool.clips, every, features)
 
     def near(self, features: NDArray[np.float64], transitions: NDArray[np.int64]) -> CaseQuestions:
-        """Those to choose from while a trace [m, 3] with these features [m, F] is explained."""
+        """The clips for a trace [m, 3] with features [m, F]."""
         order = nearest_first(self.features, features)
         alike = alike_first(self.every.learned.of_steps(order.tolist()), self.most)
         chosen = self.every.take(order[alike])
@@ -119,18 +122,17 @@ class Clips:
 def belief_questions(
     setting: Setting, wrong: NDArray[np.float64] | None, seed: int
 ) -> CaseQuestions:
-    """Questions about each fact that has two sentences: which of the two does the user think is
-    true?
+    """Questions about each fact that has two sentences: which of the two does the user believe?
 
-    Answer 1 is the right sentence. The questions are about no trace: ``shows`` is [Q, 0].
+    Answer 1 is the true sentence. The questions are independent of traces: ``shows`` is [Q, 0].
 
     Args:
-        setting: of the true types.
+        setting: has the true types.
         wrong: [N, n] P(a user of a learned type believes a fact incorrectly).
-        seed: of the run; it decides which sentence is shown first.
+        seed: seed of the run; it decides which sentence comes first.
 
     Raises:
-        InputError: it is unknown what types believe incorrectly, or no fact has two sentences.
+        InputError: the types' incorrect beliefs are unknown, or no fact has two sentences.
     """
     if wrong is None:
         wanted = "clips; or types with fact sets, as labeler=truth and labeler=hypotheses give"
@@ -157,7 +159,7 @@ def belief_questions(
 
 
 def _right(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:
-    """P(has fact j right | type, H) of these facts: 1 where j is in H."""
+    """P(believes fact j correctly | type, H) of these facts; 1 if j is in H."""
     rows, tables = [], []
     for own in wrong:
         likely = [j for j in np.argsort(-own, kind="stable").tolist() if own[j] >= TOLD]
@@ -173,7 +175,8 @@ def _right(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:
 
 
 def merged(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:
-    """All of these, the nearest of each kind first and at most so many; None of none."""
+    """Merges questions: at most ``most``, the nearest of each kind first; None without
+    questions."""
     if not parts:
         return None
     whole = parts[0]

@@ -1,11 +1,11 @@
-"""Work done once: what :func:`xplain.experiment.pipeline.prepare` made, kept on disk by its
+"""Caches on disk for the results of :func:`xplain.experiment.pipeline.prepare` and for episodes, by
 fingerprint.
 
-Data, types, labelers and traces are the same for every λ and solver; the references' episodes are
-the same for every solver, and a solver's episodes with true labels for every learner. The key
-covers their configuration and every piece of code that made them
-(:mod:`xplain.experiment.fingerprint`), so an entry cannot be stale; one that is damaged is made
-again. Entries are arrays and JSON, nothing is unpickled.
+Data, types, labelers and traces are the same for every λ and solver. The references' episodes are
+the same for every solver, and a solver's episodes with true labels are the same for every learner.
+The key covers their configuration and all code that made them
+(:mod:`xplain.experiment.fingerprint`), so an entry cannot be out of date. A damaged entry is
+computed again. Entries are arrays and JSON; nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -30,25 +30,26 @@ from xplain.interaction.metrics import Record
 from xplain.storage import decode, encode, write_text, written_whole
 
 SOURCE = (*SOURCE_GROUPS, "traces", "max_steps", "seed")
-"""The configuration's keys that decide data, types and traces."""
+"""Configuration keys that decide data, types and traces."""
 
 
 def source_fingerprint(config: Mapping[str, Any]) -> str:
-    """The key of a resolved configuration: the same for all that share data and types."""
+    """The cache key of a resolved configuration. Configurations with the same data and types share
+    it."""
     pool = {key: config["ask"][key] for key in ("kinds", "clips")}
     return fingerprint({key: config[key] for key in SOURCE} | {"ask": pool})
 
 
 def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepared:
-    """The entry of this key; made, and kept, where there is none.
+    """Reads the entry of this key, or computes and stores it.
 
-    Processes that want the same entry at once wait for the first. A folder that cannot be
-    written costs the sharing, not the result.
+    Processes that need the same entry at the same time wait for the first one. If the folder cannot
+    be written, the entry is not shared.
 
     Args:
-        folder: of the cache.
-        key: of :func:`source_fingerprint`.
-        make: does the work.
+        folder: folder of the cache.
+        key: key from :func:`source_fingerprint`.
+        make: computes the entry.
     """
     from filelock import FileLock
 
@@ -83,7 +84,7 @@ def _read(path: Path) -> Prepared | None:
 def _write(path: Path, prepared: Prepared) -> None:
     arrays: dict[str, NDArray[Any]] = {}
     content = np.array(json.dumps(encode(prepared, arrays)))
-    # The cache costs its sharing, not the result, where it cannot be written.
+    # If the cache cannot be written, the result is kept but not shared.
     with suppress(OSError), written_whole(path, "wb") as file:
         np.savez_compressed(file, allow_pickle=False, content=content, **arrays)
 
@@ -93,7 +94,7 @@ class EpisodeCache:
     """Episodes that several results share, on disk.
 
     Attributes:
-        folder: of the cache; None keeps nothing.
+        folder: folder of the cache; None stores nothing.
         config: the resolved configuration.
     """
 
@@ -103,12 +104,12 @@ class EpisodeCache:
     def once(
         self, prepared: Prepared, parts: tuple[str, ...], make: Callable[[], list[Record]]
     ) -> list[Record]:
-        """The episodes of these traces and users; made, and kept, where there are none.
+        """Reads the episodes of these traces and users, or computes and stores them.
 
         Args:
-            prepared: what explainers and users know, and nothing else: the key covers it all.
-            parts: keys of the configuration that decide nothing of them.
-            make: does the work.
+            prepared: exactly what explainers and users know; the key covers all of it.
+            parts: configuration keys without influence on the episodes.
+            make: computes the episodes.
         """
         if self.folder is None:
             return make()
@@ -130,7 +131,7 @@ class EpisodeCache:
                 write_text(path, json.dumps(encode(made)))
             return made
         return [
-            # JSON has no shape of an empty array.
+            # JSON does not keep the shape of an empty array.
             replace(
                 own, episode=replace(own.episode, questions=own.episode.questions.reshape(-1, 3))
             )

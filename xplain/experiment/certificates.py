@@ -1,5 +1,5 @@
-"""What every run reports of its explanation problems: how good any policy could be, how good the
-one that ran is, and what knowing the type would be worth (all under the learned model)."""
+"""Certificates of a run's explanation problems: bounds of the optimal value, the value of the
+policy, and the value of knowing the type (all under the learned model)."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ log = logging.getLogger(__name__)
 @checks("certify")
 @dataclass(frozen=True)
 class Certify:
-    """How much work the certificates may be; ``certify`` in conf/config.yaml gives the numbers.
+    """Work limits of the certificates; ``certify`` in conf/config.yaml gives the numbers.
 
     Attributes:
-        traces: certificates are made for the first so many; 0 makes none.
-        gap: the search for the optimum stops once it is known this well.
-        nodes: it opens at most so many beliefs a trace.
-        beliefs: a policy's value is exact where it reaches no more beliefs than this.
-        episodes: and from so many simulated episodes otherwise.
-        memory_gib: most memory that one certificate may take: what the solver may.
+        traces: number of traces with certificates; 0 makes none.
+        gap: the search for the optimum stops at this gap.
+        nodes: maximum number of beliefs that the search expands for each trace.
+        beliefs: a policy's value is exact if it reaches at most this number of beliefs.
+        episodes: number of simulated episodes if the value is not exact.
+        memory_gib: maximum memory of one certificate, the same as the solver's.
     """
 
     traces: Whole
@@ -56,24 +56,24 @@ class Certify:
         seed: int,
         progress: Progress = SILENT,
     ) -> dict[str, float]:
-        """Means over the traces, of expected discounted returns under the learned model of users
+        """Means over the traces of expected discounted returns, under the learned model of users
         who listen and answer as the belief update assumes.
 
-        ``optimal_lower`` and ``optimal_upper`` enclose the optimum; ``policy_value`` (with its
-        standard error ``policy_value_se``, and ``policy_value_exact``, the share of traces where
-        it is exact) is what the policy earns; ``policy_cost`` its expected undiscounted cost.
-        ``value_of_perfect_information`` is that about the type (and about what users know, where
-        they may miss or forget messages),
-        ``price_of_approximation`` the policy's suboptimality; these two and ``policy_value`` have a
-        ``_low`` and a ``_high`` end, 95 % limits where the value is simulated. A solver that is
-        told the user's type has no value of its own here. docs/method.md, section 7.
+        ``optimal_lower`` and ``optimal_upper`` enclose the optimum. ``policy_value`` is the
+        policy's value, with standard error ``policy_value_se``, and ``policy_value_exact`` the
+        share of traces with an exact value. ``policy_cost`` is its expected undiscounted cost.
+        ``value_of_perfect_information`` is the value of knowing the type (and what users know, if
+        they may miss or forget messages). ``price_of_approximation`` is the policy's suboptimality.
+        The last two and ``policy_value`` have ends ``_low`` and ``_high``: 95 % limits if the value
+        is simulated. A solver that is given the user's type has no such value. docs/method.md,
+        section 7.
 
-        Where the belief update does not take labels to be drawn independently, the bounds are still
-        those of the POMDP that does; the policy decides by another belief, so that nothing is said
-        of its value, and ``fresh_labels`` is 0.
+        If the belief update does not assume independent labels, the bounds are those of the POMDP
+        that does. The policy then decides by another belief, so its value is not reported, and
+        ``fresh_labels`` is 0.
 
-        Traces that pose the same problem are simulated once: their errors are one error. A trace
-        whose certificate would take more memory than allowed has none, and is not in ``traces``.
+        Traces with the same problem are simulated once: their errors are one error. A trace whose
+        certificate would need more memory than allowed has none, and does not count in ``traces``.
         """
         times: Counter[tuple[bytes, bytes]] = Counter()
         found: dict[tuple[bytes, bytes], dict[str, float] | None] = {}
@@ -133,11 +133,11 @@ class Certify:
         seed: int,
         progress: Progress,
     ) -> dict[str, float]:
-        # A policy of a one-type problem has no belief to look at: in a world of several types it
-        # earns what it earns against their mixture, if all of them take all messages in.
+        # A policy for a one-type problem uses no belief. With several types its value is the one
+        # against their mixture, if all of them accept all messages.
         world = problem
         if own.n_types == 1 and problem.messages_land:
-            with suppress(TooLargeError):  # it earns the same, only its value takes longer then
+            with suppress(TooLargeError):  # the value is the same but takes longer
                 world = problem.mixture(problem.prior, own.type_names[0])
         with progress.stage("value of this policy"):
             worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)

@@ -1,4 +1,5 @@
-"""What every command shares: where configs are, types of the top-level keys, one-line errors."""
+"""Shared by all commands: the place of the configs, types of the top-level keys, one-line
+errors."""
 
 from __future__ import annotations
 
@@ -40,17 +41,17 @@ from xplain.errors import InputError, XplainError, first_line, one_of
 
 _INSIDE = Path(__file__).parents[1] / "conf"
 CONF = _INSIDE if _INSIDE.is_dir() else _INSIDE.parents[1] / "conf"
-"""Every choice as YAML: inside the package in a wheel, beside it in a checkout."""
+"""Folder of the YAML files: inside the package in a wheel, beside it in a checkout."""
 
 SOURCE_GROUPS = ("domain", "users", "observers", "queries", "labeler", "clusterer")
 """Groups of components that decide data and types."""
 GROUPS = (*SOURCE_GROUPS, "solver", "belief", "explainee", "ask")
-"""Groups of components that decide a number; a choice says what it is without its key."""
+"""Groups of components that affect a number; choices in them are listed without their key."""
 RESUME = ("missing", "failed", "none")
-"""Which jobs of a sweep run: those not finished, those that failed, or all of them anew."""
+"""Which jobs of a sweep run: unfinished ones, failed ones, or all of them again."""
 
 OF_PEOPLE = ("fastapi", "itsdangerous", "jwt", "lxml", "pydantic", "requests", "uvicorn")
-"""Modules that the extra ``people`` brings."""
+"""Modules of the extra ``people``."""
 
 NO_PACKAGE = (
     "domain: the file of this choice has to begin with the line '# @package _global_', since it "
@@ -59,41 +60,42 @@ NO_PACKAGE = (
 
 
 def schema() -> DictConfig:
-    """Types of the top-level keys: 1 and 1.0 are the same λ, text is refused at once. Values are in
-    conf/config.yaml alone."""
+    """Types of the top-level keys: 1 and 1.0 are the same λ, and a text is an error at once. Values
+    are only in conf/config.yaml."""
     kinds = {
         IntegerNode: ("seed", "points", "traces", "max_steps"),
         FloatNode: ("lambda", "discount", "inexplicability_cost"),
         StringNode: ("discount_per", "prior", "resume"),
         BooleanNode: ("dry_run",),
-        AnyNode: ("message_cost",),  # a number, or one by name; checked with the messages
+        AnyNode: ("message_cost",),  # a number, or numbers by name; checked with the messages
     }
     typed = {key: kind("???") for kind, keys in kinds.items() for key in keys}
-    # Absolute, so that it is the same folder in every worker; a path may have "${" in it.
+    # Absolute, so it is the same folder in every worker; a path may contain "${".
     outputs = str(Path.cwd() / "outputs").replace("${", r"\${")
     return OmegaConf.create({**typed, "outputs": StringNode(outputs)})
 
 
 def register() -> None:
-    """Registers what the configs refer to. Safe to call twice (workers import this module)."""
+    """Registers the resolvers of the configs. It may be called twice (workers import this
+    module)."""
     ConfigStore.instance().store("base", schema())
-    # Drawn once a configuration: no two runs share a folder.
+    # Drawn once for each configuration: no two runs share a folder.
     OmegaConf.register_new_resolver(
         "unique", lambda: secrets.token_hex(3), replace=True, use_cache=True
     )
 
 
 def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> DictConfig:
-    """conf/<name>.yaml with overrides.
+    """Composes conf/<name>.yaml with overrides.
 
     Args:
-        name: of the file, without its ending.
-        overrides: ``key=value`` each.
-        with_hydra: whether the ``hydra`` node comes along, which knows the choices made.
+        name: name of the file, without its ending.
+        overrides: texts ``key=value``.
+        with_hydra: True adds the ``hydra`` node, which contains the choices.
 
     Raises:
         InputError: an override that is no ``key=value``.
-        HydraException, OmegaConfBaseException: a key, choice or value that there is not.
+        HydraException, OmegaConfBaseException: an unknown key, choice or value.
     """
     from hydra import compose, initialize_config_dir
 
@@ -106,10 +108,10 @@ def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> D
 
 
 def require_names(overrides: Sequence[str]) -> None:
-    """Refuses what Hydra takes for a truth value or nothing, where a choice has a name.
+    """Refuses overrides that Hydra reads as a boolean or null where a choice needs a name.
 
     Raises:
-        InputError: it is so.
+        InputError: there is such an override.
     """
     for override in overrides:
         key, _, value = override.partition("=")
@@ -119,11 +121,11 @@ def require_names(overrides: Sequence[str]) -> None:
 
 
 def require_usable(cfg: DictConfig) -> None:
-    """Refuses an experiment's configuration whose types fit and which makes no sense all the same.
+    """Refuses an experiment's configuration with valid types and invalid contents.
 
     Raises:
-        XplainError: a choice that is null, a ``resume`` that there is not, or a domain's file in
-            the wrong package.
+        XplainError: a choice that is null, an unknown ``resume``, or a domain's file in the wrong
+            package.
     """
     for group in (*GROUPS, "tracking"):
         if cfg.get(group) is None:
@@ -135,13 +137,13 @@ def require_usable(cfg: DictConfig) -> None:
 
 @contextmanager
 def report_errors() -> Iterator[None]:
-    """Turns errors of the user's making into one line on stderr and exit code 2.
+    """Turns errors that the user can correct into one line on stderr and exit code 2.
 
-    With ``XPLAIN_TRACEBACK=1`` the traceback is shown instead.
+    ``XPLAIN_TRACEBACK=1`` shows the traceback instead.
     """
     try:
         yield
-    except BrokenPipeError:  # whoever read the output has gone
+    except BrokenPipeError:  # the reader of the output has ended
         sys.exit(1)
     except KeyboardInterrupt as error:
         _say_interrupted(error)
@@ -156,7 +158,7 @@ def report_errors() -> Iterator[None]:
         sys.exit(2)
     except Exception as error:
         for cause in _causes(error):
-            if isinstance(cause, KeyboardInterrupt):  # it became another error on its way
+            if isinstance(cause, KeyboardInterrupt):  # a library replaced it by another error
                 _say_interrupted(cause)
         raise
 
@@ -167,7 +169,7 @@ def _say_interrupted(error: BaseException) -> NoReturn:
 
 
 def one_line(error: BaseException) -> str | None:
-    """The line that a person can act on; None where the error is our fault, not theirs."""
+    """The line about an error that the user can correct; None for our own errors."""
     for cause in _causes(error):
         if isinstance(cause, XplainError):
             return str(cause)
@@ -206,7 +208,7 @@ _OTHER_KIND = re.compile(rf"Value '(.*)' .*could not be converted to ({'|'.join(
 
 
 def _causes(error: BaseException) -> list[BaseException]:
-    """The chain of causes, the innermost error of ours first."""
+    """The chain of causes; the first one of our own errors comes first."""
     chain: list[BaseException] = []
     current: BaseException | None = error
     while current is not None and current not in chain:
@@ -226,7 +228,7 @@ def _unknown_choice(error: MissingConfigException) -> str:
 
 
 def missing_key(error: BaseException) -> str | None:
-    """The key that a configuration lacks and an override sets; None where the error is another."""
+    """The key that an override sets and the configuration lacks; None for other errors."""
     cause: Any = error.__cause__
     lacks = isinstance(cause, ConfigAttributeError | ConfigKeyError)
     return str(cause.full_key) if lacks else None
@@ -248,19 +250,19 @@ def _composition(error: ConfigCompositionException) -> str:
 
 
 _UNTOLD = ("hydra", "_target_", "_convert_", "_partial_")
-"""Keys that nobody sets who means another."""
+"""Keys that are never suggested in place of an unknown key."""
 
 
 def _unknown_key(error: Any) -> str:
-    """Suggests a key in place of an unknown one: a key beside it, or one of another choice of its
-    group."""
+    """Suggests a key in place of an unknown one: a key of the same level, or of another choice in
+    its group."""
     above, _, name = str(error.full_key).rpartition(".")
     known = [str(key) for key in error.parent_node or () if key not in _UNTOLD]
     said, there = f"{error.full_key}: no such key;", ", ".join(known) or "no keys"
     if above == "message_cost":
         return f"{said} one a message: {above}={{{name}: 2, …}}, all of them by name"
     if not above:
-        known += ["sweeps"] if "certify" in known else []  # the experiment's group of no key
+        known += ["sweeps"] if "certify" in known else []  # the experiment's group without a key
         return f"{said}{did_you_mean(name, known)} allowed: {', '.join(known)}"
     sets = re.compile(rf"^ *{re.escape(name)}:", re.MULTILINE).search
     paths = sorted((CONF / above).glob("*.yaml"))
@@ -271,6 +273,6 @@ def _unknown_key(error: Any) -> str:
 
 
 def did_you_mean(word: str, known: Sequence[str], before: str = "") -> str:
-    """`` did you mean lambda?`` where one of these is near; else nothing."""
+    """`` did you mean lambda?`` if a known word is similar; otherwise ""."""
     near = difflib.get_close_matches(word, known, 1)
     return f" did you mean {before}{near[0]}?" if near else ""

@@ -1,4 +1,4 @@
-"""One run, all of it, as values: the two halves of the method, and certificates of the second.
+"""One whole run as values: the two halves of the method, and the certificates of the second.
 
 Components ── Prepared ── Records ── certificates
 """
@@ -31,14 +31,14 @@ from xplain.solvers.simple import SayAll
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a run is made of.
+    """The parts of a run.
 
     Attributes:
-        components: makes what decides data, types and traces. Only where it is needed: with a full
-            cache, the imports of its classifiers take longer than all the rest.
-        costs: λ and the rest.
+        components: makes what decides data, types and traces. It is called only if needed: with a
+            full cache, the imports of its classifiers take longer than everything else.
+        costs: λ and the other costs.
         solver, belief, explainee, certify: chosen in the configuration.
-        seed: of every stream.
+        seed: seed of every stream.
     """
 
     components: Callable[[], Components]
@@ -50,8 +50,9 @@ class Experiment:
     seed: int
 
     def prepared(self, cache: Path | None, key: str, progress: Progress) -> Prepared:
-        """The first half: observers label, types and labelers are learned, traces drawn; kept in
-        the folder ``cache`` under this key, or computed in any case without a folder."""
+        """The first half: observers label, types and labelers are learned, traces are drawn. The
+        result is cached in the folder ``cache`` under this key; without a folder it is always
+        computed."""
         with progress.stage("data, user types and labelers"):
             if cache is None:
                 return prepare(self.components(), progress)
@@ -60,13 +61,13 @@ class Experiment:
     def explained(
         self, prepared: Prepared, cache: EpisodeCache, progress: Progress
     ) -> tuple[Prepared, list[Record]]:
-        """The second half: each trace explained to a user of each type, by the solver and by those
-        that it is compared with; and the traces with the users that there were.
+        """The second half: the solver and its references explain each trace to a user of each type.
+        Returns the records, and the traces with their users.
 
         Args:
-            prepared: of the first half.
-            cache: has the episodes that other solvers' and learners' runs share with this one.
-            progress: hears how far it is.
+            prepared: result of the first half.
+            cache: episodes that other solvers' and learners' runs share with this one.
+            progress: receives the progress.
         """
         references: dict[str, Solver] = {"clairvoyant": KnownType("labels")}
         stranger = not self.explainee.as_observed
@@ -97,8 +98,8 @@ class Experiment:
             ("solver",),
             lambda: explain(seen, references, "references"),
         )
-        # Of solvers that plan for others the learned types are not what they plan with, and of
-        # strangers no true type is known.
+        # Some solvers do not plan with the learned types, and the true types of
+        # strangers are unknown.
         compared = self.solver.knows == "types" and not stranger
         if compared and same_problems(prepared, truth):
             own = with_truth("solver")  # nothing was learned
@@ -112,7 +113,7 @@ class Experiment:
         return prepared, [*own, *records]
 
     def certificates(self, prepared: Prepared, progress: Progress) -> dict[str, float]:
-        """Of the solver's problems; see :meth:`Certify.certificates`."""
+        """The certificates of the solver's problems; see :meth:`Certify.certificates`."""
         return self.certify.certificates(
             prepared, self.costs, self.solver, self.belief, self.seed, progress
         )

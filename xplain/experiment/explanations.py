@@ -30,16 +30,15 @@ from xplain.solvers.base import CachedPolicy, Solver
 
 @dataclass(frozen=True)
 class Costs:
-    """What messages and inexplicable labels cost, and how plans discount.
-
-    docs/method.md, section 5.
+    """The costs of messages and of inexplicable labels, and the discount of plans (docs/method.md,
+    section 5).
 
     Attributes:
         trade_off: λ.
-        message_cost: C_e, one number for all messages, or one of each message by its name.
+        message_cost: C_e, one number for all messages, or a number for each message by its name.
         inexplicability_cost, discount, discount_per: see :class:`Problem`.
         prior: ``uniform``, or ``observers``: their shares.
-        asking: what questions cost, and how many may be asked.
+        asking: cost and maximum number of questions.
     """
 
     trade_off: float
@@ -51,7 +50,7 @@ class Costs:
     asking: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:
-        """Checks what :class:`Problem` would refuse, before any work is done."""
+        """Checks what :class:`Problem` requires, before any work is done."""
         names = tuple(self.message_cost) if isinstance(self.message_cost, Mapping) else ()
         table = LabelTable.by_type(np.empty((1, 0), np.int64), np.full((1, 1, 1), 0.5))
         self.problem(table, names, ("type",), np.ones(1))
@@ -61,8 +60,8 @@ class Costs:
         """[n] C_e of each message.
 
         Raises:
-            InputError: no number ≥ 0; or by name, and a message has none, or there is no such
-                message.
+            InputError: a number is negative; or, by name, a message has no number or does not
+                exist.
         """
         costs = self.message_cost
         if not isinstance(costs, Mapping):
@@ -83,7 +82,7 @@ class Costs:
         type_names: tuple[str, ...],
         shares: NDArray[np.float64],
     ) -> Problem:
-        """The problem of one trace; ``shares`` [N] of the observers, for the prior."""
+        """The problem of one trace; ``shares`` [N] are those of the observers, for the prior."""
         return Problem(
             table,
             message_cost=self.message_costs(message_names),
@@ -107,7 +106,7 @@ def _cost(key: str, value: object) -> float:
 def problem_of_types(
     prepared: Prepared, case: Case, costs: Costs, belief_update: BeliefUpdate
 ) -> Problem:
-    """What the learned types say of a trace: the problem of a solver that must find the type of a
+    """The problem of a trace under the learned types, for a solver that must infer the type of a
     user who listens and answers as the belief update assumes."""
     names, shares = prepared.learned_types, prepared.type_shares
     problem = costs.problem(case.learned, prepared.messages, names, shares)
@@ -131,9 +130,9 @@ def problem_for(
     user: int,
     thoughts: LabelTable | None = None,
 ) -> Problem:
-    """What a solver may plan with when a user of the true type ``user`` is in front of it, who is
-    taken to listen and answer as the belief update assumes. The clairvoyant knows ``thoughts``, the
-    labels of this user; without them, those of the type.
+    """The problem that a solver plans for when the user has the true type ``user`` and listens and
+    answers as the belief update assumes. The clairvoyant knows ``thoughts``, the labels of this
+    user; without them, those of the type.
 
     Raises:
         InputError: the solver needs the observers' true types, and they are unknown.
@@ -173,15 +172,15 @@ def evaluate(
     """Each solver explains each trace to a user of each true type.
 
     Args:
-        prepared: of :func:`prepare`.
-        costs: λ and the rest.
+        prepared: result of :func:`prepare`.
+        costs: λ and the other costs.
         solvers: by the name in the records.
-        belief_update: which labels change the belief.
-        explainee: how the users hear, think and answer.
-        seed: the policies' streams come from it and the trace, not from the solver's name; the
-            users' from it, the trace and their type.
-        progress: hears how far it is.
-        what: is done, in its words.
+        belief_update: the labels that change the belief.
+        explainee: how the users listen, think and answer.
+        seed: the policies' streams depend on it and on the trace, not on the solver's name; the
+            users' streams depend on it, the trace and their type.
+        progress: receives the progress.
+        what: the activity in progress lines.
     """
     records = []
     for index, case in progress.track(enumerate(prepared.cases), what, len(prepared.cases)):
@@ -189,13 +188,13 @@ def evaluate(
         steps = range(len(case.labels.p))
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")
-            # The clairvoyant sees what was taken in and lost, too.
+            # The clairvoyant also sees which messages were accepted and forgotten.
             habits = explainee.habits if solver.knows == "labels" else PAPER
             policy = problem = None
             for user in range(len(prepared.types)):
                 labels = truth.of_types([user])
                 own = derived_seed(seed, "explainee", index, user)
-                # A user's type changes the plan only of a solver that knows it.
+                # The user's type changes only the plan of a solver that knows it.
                 if policy is None or problem is None or not shared:
                     thoughts = None
                     if solver.knows == "labels":
@@ -206,14 +205,14 @@ def evaluate(
                     if not habits.take_all_in:
                         problem = problem.with_habits(habits)
                     planned = solver.plan(problem, trace_seed(seed, index))
-                    if index == 0:  # kernels load at the first decision: no decision's time
+                    if index == 0:  # kernels load at the first decision, which is not counted
                         planned.decide(VisibleState(), problem.start)
                     policy = CachedPolicy(planned)
                 person = explainee.meet(labels, same, own)
                 episode = explain(problem, policy, person, belief_update, solver.knows == "labels")
                 right = np.ones(problem.n_user_types, dtype=bool)
                 if solver.knows == "types":
-                    right[:] = False  # nobody is of none of the types for sure
+                    right[:] = False  # no user is outside of all types for certain
                     right[: len(prepared.learned_types)] = (
                         prepared.matched_true_type == prepared.distinct[user]
                     )
@@ -223,8 +222,8 @@ def evaluate(
 
 def with_true_labels(prepared: Prepared) -> Prepared:
     """The same traces and users, for a solver that knows the true types and their labels. The
-    results show how much better labelers and clusters could gain. Types are equally likely, as the
-    users are."""
+    results show how much better labelers and clusters could gain. Types are equally likely, like
+    the users."""
     count, wrong = len(prepared.types), np.zeros((len(prepared.types), len(prepared.messages)))
     for case in prepared.cases:
         for own, facts in zip(wrong, case.labels.effective(), strict=True):
@@ -245,12 +244,12 @@ def _known(case: Case) -> Case:
 
 
 def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepared:
-    """Without what explainers who know the true labels never look at, so that it is the same for
-    all learners.
+    """Removes everything that explainers with true labels never use, so that the result is the same
+    for all learners.
 
     Args:
-        prepared: of :func:`with_true_labels`.
-        oracle: has the oracle's labels, which are kept; None for an explainer that needs none.
+        prepared: result of :func:`with_true_labels`.
+        oracle: has the oracle's labels, which are kept; None if the explainer needs none.
     """
     perfect = [None if oracle is None else case.perfect for case in (oracle or prepared).cases]
     pairs = zip(prepared.cases, perfect, strict=True)
@@ -264,7 +263,7 @@ def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepar
 
 
 def same_problems(one: Prepared, other: Prepared) -> bool:
-    """Whether the same types, equally likely, are known with the same labels."""
+    """True if both have the same types, with equal probabilities and the same labels."""
 
     def tables(prepared: Prepared) -> list[bytes]:
         learned = [case.learned for case in prepared.cases]
@@ -280,8 +279,8 @@ def same_problems(one: Prepared, other: Prepared) -> bool:
 
 
 def what_is_thought(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
-    """The true labels of a trace's transitions and then of its questions, and for each the first
-    that it is a copy of: people err alike about copies."""
+    """The true labels of a trace's transitions and of its questions. Also returns for each the
+    first one that it is a copy of: people make the same errors about copies."""
     if case.questions is None:
         return case.labels, copies(case.transitions)
     asked = case.questions
@@ -291,7 +290,7 @@ def what_is_thought(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
 
 
 def copies(transitions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """[m] the first of a trace's transitions [m, 3] that each is equal to."""
+    """[m] index of the first transition [m, 3] of a trace that equals each."""
     _, first, which = np.unique(transitions, axis=0, return_index=True, return_inverse=True)
     same: NDArray[np.int64] = first[which]
     return same

@@ -1,10 +1,10 @@
-"""What a number depends on, as a digest: jobs with one fingerprint give the same numbers.
+"""Fingerprints: jobs with one fingerprint give the same numbers.
 
 A fingerprint covers the resolved configuration, the sources of this package, the versions of the
-libraries that compute, the sources of every component plugged in from elsewhere with all that
-they import, what such a component declares (:class:`Dependent`), and the content of every file that
-the configuration names. Results are taken for finished, and cached stages for valid, by their
-fingerprint alone, so it errs on the side of change.
+computing libraries, the sources of every external component with everything that they import, the
+declarations of such components (:class:`Dependent`), and the content of every file that the
+configuration names. A fingerprint alone decides whether results are finished and cached stages are
+valid, so in doubt it changes.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ LIBRARIES = {
     "gymnasium": "gymnasium",
     "fast-downward.translate": "fast_downward",
 }
-"""Distributions whose version may change a number, and the package that each brings."""
+"""Distributions whose version may change a number, with the package that each provides."""
 
 NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume", "dry_run")
-"""Keys of a configuration that cannot change a number. Hydra takes its own from a job's, but not
-from the one that a sweep is planned with."""
+"""Configuration keys that cannot change a number. Hydra removes its own node from a job's
+configuration, but not from the one that plans a sweep."""
 
 _KNOWN = {"xplain", *LIBRARIES.values()}
-"""Packages that are in every fingerprint by other ways."""
+"""Packages that every fingerprint covers in another way."""
 
 
 @runtime_checkable
@@ -55,11 +55,11 @@ class Dependent(Protocol):
     its configuration names."""
 
     def depends_on(self) -> Mapping[str, object]:
-        """What decides as well, by name: numbers, texts, or files, whose content counts."""
+        """The further dependencies by name: numbers, texts, or files, whose content counts."""
 
 
 def configuration(cfg: DictConfig) -> dict[str, Any]:
-    """The resolved configuration, without what cannot change a number."""
+    """The resolved configuration without keys that cannot change a number."""
     return {
         str(key): OmegaConf.to_container(cfg[key], resolve=True)
         if OmegaConf.is_config(cfg[key])
@@ -70,7 +70,7 @@ def configuration(cfg: DictConfig) -> dict[str, Any]:
 
 
 def fingerprint(config: Mapping[str, Any]) -> str:
-    """The digest of a resolved configuration and of all that it makes run: 32 hex digits."""
+    """The digest of a resolved configuration and of all code that it runs: 32 hex digits."""
     named = {text: _file(text) for _, text in _texts(config)}
     content = {
         "config": config,
@@ -85,13 +85,13 @@ def fingerprint(config: Mapping[str, Any]) -> str:
 
 @cache
 def code_version() -> str:
-    """A digest of the package's own sources: results of other code are other results."""
+    """A digest of the package's own sources, so that other code has other results."""
     return _digest_of(_sources(Path(__file__).parents[1]))[:16]
 
 
 @cache
 def git_state() -> dict[str, str]:
-    """Commit and whether the checkout has changes; empty where the package is no checkout."""
+    """The commit, and whether the checkout has changes; empty if the package is no checkout."""
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return {}
@@ -122,11 +122,11 @@ def library_versions() -> dict[str, str]:
 
 
 def component_code(config: Any) -> dict[str, str]:
-    """``{top-level package: digest}`` of what ``_target_`` (or a text such as ``module:Name``)
-    names outside this package, and of what that imports, without running any of it.
+    """``{top-level package: digest}`` of everything that ``_target_`` (or a text such as
+    ``module:Name``) names outside this package, and of its imports. No code is executed.
 
-    An installed distribution counts by its list of files with their hashes; any other package
-    (a checkout) by all of its files, data included; a module by its source.
+    An installed distribution counts by its list of files with their hashes; any other package (a
+    checkout) by all of its files, including data; a module by its source.
     """
     found: dict[str, str] = {}
     names = (text for key, text in _texts(config) if key == "_target_" or _NAMES_CODE(text))
@@ -141,8 +141,8 @@ def component_code(config: Any) -> dict[str, str]:
 
 
 def declared(config: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """All that components from outside the package declare, as ``{group: {name: what it is}}``. A
-    component that cannot be made declares nothing; the experiment reports the reason."""
+    """The declarations of components from outside the package, as ``{group: {name: value}}``. A
+    component that cannot be created declares nothing; the experiment reports the reason."""
     found = {}
     for group, node in config.items():
         target = str(node.get("_target_", "xplain")) if isinstance(node, Mapping) else "xplain"
@@ -162,7 +162,7 @@ _NAMES_CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.-]*").fullmatch
 
 
 def _texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """(key, text) of every text of a configuration; those in lists have none."""
+    """(key, text) of every text in a configuration; texts in lists have no key."""
     if isinstance(node, str):
         yield key, node
     elif isinstance(node, dict):
@@ -174,8 +174,8 @@ def _texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _file(text: str) -> Path | None:
-    """The file that a text of the configuration names, if it does: a path, or
-    ``pkg://package/path`` inside an installed package."""
+    """The file that a text of the configuration names, if any: a path, or ``pkg://package/path``
+    inside an installed package."""
     if "\n" in text or not 0 < len(text) < 1000:
         return None
     path = Path(text)
@@ -191,7 +191,7 @@ def _package(name: str) -> tuple[str, tuple[str, ...]]:
     """Digest of a top-level package, and the top-level names that its sources import."""
     for distribution in _distributions().get(name, ()):
         record = metadata.distribution(distribution).read_text("RECORD") or ""
-        # An editable install lists no sources of its own: fall through to them.
+        # An editable install does not list its sources: continue with them.
         if f"{name}/" in record or f"{name}.py" in record:
             return _digest(record.encode()), ()
     if name == "__main__":
@@ -201,7 +201,7 @@ def _package(name: str) -> tuple[str, tuple[str, ...]]:
     except (ImportError, ValueError):
         spec = None
     if spec is None:
-        return "missing", ()  # instantiating it will say so
+        return "missing", ()  # its instantiation reports the error
     origin = Path(spec.origin or "")
     if spec.submodule_search_locations:
         roots = map(Path, spec.submodule_search_locations)
@@ -214,10 +214,10 @@ def _package(name: str) -> tuple[str, tuple[str, ...]]:
 
 
 def _own_program() -> list[tuple[str, bytes]]:
-    """(name, source) of the script that runs, or of the classes and functions of a notebook.
+    """(name, source) of the running script, or of the classes and functions of a notebook.
 
     Raises:
-        InputError: their source is nowhere.
+        InputError: their source cannot be found.
     """
     program = sys.modules["__main__"]
     if file := getattr(program, "__file__", None):
@@ -231,11 +231,11 @@ def _own_program() -> list[tuple[str, bytes]]:
 
 
 _IGNORED = re.compile(r"__pycache__$|\.").match
-"""Folders inside a package that hold neither code nor data."""
+"""Matches folders in a package without code or data."""
 
 
 def _sources(root: Path, kind: str = "*.py") -> list[tuple[str, bytes]]:
-    """(path below the folder, content) of its Python files, or of files of another kind."""
+    """(path below the folder, content) of Python files, or of files of another kind."""
     files = [
         path
         for path in sorted(root.rglob(kind))
@@ -265,27 +265,27 @@ def _imports(source: bytes) -> set[str]:
 
 @cache
 def _distributions() -> dict[str, list[str]]:
-    """Installed distributions by the top-level names that they bring (0.1 s: only on need)."""
+    """Installed distributions by the top-level names that they provide (takes 0.1 s)."""
     return dict(metadata.packages_distributions())
 
 
 def clear_caches() -> None:
-    """Code is read again: in a program that lives on it may have been edited."""
+    """Clears the caches, because a long-running program may have edited code."""
     for known in (_package, _distributions, code_version):
         known.cache_clear()
 
 
 _LOADED: dict[str, tuple[object, str]] = {}
-"""Of each module that was looked at: its specification, which loading it again replaces, and the
-digest of its file."""
+"""For each module: its specification, which changes when the module is loaded again, and the digest
+of its file."""
 
 
 def require_as_loaded(config: Mapping[str, Any]) -> None:
-    """Refuses code that was edited after it was loaded: this process would compute with the old
-    code what belongs to the address of the new one.
+    """Refuses code that was edited after it was loaded. Otherwise this process would store results
+    of the old code under the fingerprint of the new code.
 
     Raises:
-        XplainError: it is so.
+        XplainError: code was edited.
     """
     ours = {"xplain", *component_code(config)}
     for name, module in [*sys.modules.items()]:
@@ -301,7 +301,7 @@ def require_as_loaded(config: Mapping[str, Any]) -> None:
 
 
 def _was_compiled_from_other(module: ModuleType, source: bytes) -> bool:
-    """Whether the loaded compiled file of a module comes from another source. False if there is no
+    """True if the loaded compiled file of a module comes from another source. False if there is no
     compiled file."""
     if type(getattr(module, "__loader__", None)) is not SourceFileLoader:
         return False

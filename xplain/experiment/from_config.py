@@ -1,4 +1,4 @@
-"""From a composed configuration to the values that the experiment takes."""
+"""Makes the values of an experiment from a composed configuration."""
 
 from __future__ import annotations
 
@@ -31,21 +31,19 @@ Config = Mapping[str, Any]
 """A composed configuration, or a resolved one as plain values."""
 
 KINDS: dict[str, type] = {"domain": Domain, "solver": Solver}
-"""Groups whose components are looked at before any work: what all else needs of them is theirs."""
+"""Base classes that are checked before any work, because other parts use them directly."""
 
 
 def component(cfg: Config, group: str, **given: Any) -> Any:
-    """The component that a configuration chooses in a group, made with what is ``given`` beside its
-    keys.
+    """Makes the component that a configuration chooses in a group, with its keys and ``given``.
 
     Raises:
-        XplainError, HydraException: its class is not there or lacks something, or it refuses a
-            value.
+        XplainError, HydraException: its class is missing or incomplete, or it refuses a value.
     """
     try:
         made = instantiate(cfg[group], _partial_=bool(given))
         made = made(**given) if given else made
-    except TypeError as error:  # of a class of somebody's own that is made otherwise
+    except TypeError as error:  # from a user's class with another constructor
         raise InputError(group, cfg[group].get("_target_"), f"a class to make ({error})") from None
     except InstantiationException as error:
         if isinstance(error.__cause__, ImportError):
@@ -63,10 +61,10 @@ def component(cfg: Config, group: str, **given: Any) -> Any:
 
 
 def _require_class(key: str, target: str) -> None:
-    """Checks that a dotted name leads to a class; the error lists the existing names.
+    """Checks that a dotted name is a class; the error lists the existing names.
 
     Raises:
-        InputError: the name leads to nothing.
+        InputError: the name does not exist.
     """
     module, _, name = target.rpartition(".")
     try:
@@ -83,10 +81,10 @@ def _require_class(key: str, target: str) -> None:
 
 
 def _require_parameters(group: str, node: Config) -> None:
-    """Says what a class takes, where a file gives a parameter that it has not.
+    """Checks that a file gives only parameters that the class has; the error lists these.
 
     Raises:
-        InputError: it is so.
+        InputError: an unknown parameter.
     """
     takes = signature(get_class(node["_target_"])).parameters
     for key in node:
@@ -108,10 +106,10 @@ def _section(cfg: Config, key: str, kind: type[T]) -> T:
 
 
 def experiment_of(cfg: Config) -> Experiment:
-    """All that a run needs; made, and so checked, before any work.
+    """Makes, and so checks, everything that a run needs, before any work.
 
     Raises:
-        XplainError, HydraException: a value that a component refuses.
+        XplainError, HydraException: a component refuses a value.
     """
     return Experiment(
         components=partial(components_of, cfg),
@@ -125,7 +123,7 @@ def experiment_of(cfg: Config) -> Experiment:
 
 
 def certify_of(cfg: Config) -> Certify:
-    """The work limits of the certificates; they may take as much memory as the solver.
+    """The work limits of the certificates; their memory limit is the solver's.
 
     Raises:
         InputError: a number is out of its range, or a key is unknown.
@@ -138,7 +136,7 @@ def components_of(cfg: Config) -> Components:
     """The components that decide data, types and traces.
 
     Raises:
-        XplainError, HydraException: a value that one of them refuses.
+        XplainError, HydraException: a component refuses a value.
     """
     trainer, ask = component(cfg, "labeler"), cfg["ask"]
     return Components(
@@ -159,7 +157,7 @@ def costs_of(cfg: Config) -> Costs:
     """λ and the other costs.
 
     Raises:
-        InputError: one that no problem can have, or of a message that the domain does not have.
+        InputError: an invalid cost, or a cost of an unknown message.
     """
     message_cost, ask = cfg["message_cost"], cfg["ask"]
     by_name = isinstance(message_cost, Mapping)
@@ -172,7 +170,7 @@ def costs_of(cfg: Config) -> Costs:
         prior=cfg["prior"],
         asking=Limits(ask["cost"], ask["most"], ask["when"]),
     )
-    if by_name:  # before anything is learned
+    if by_name:  # before learning
         costs.message_costs(tuple(p.name for p in component(cfg, "domain").parameters))
     return costs
 
@@ -186,16 +184,15 @@ COSTS = (
     "discount_per",
     "prior",
 )
-"""Keys that :func:`costs_of` reads, beside the domain's messages."""
+"""Keys that :func:`costs_of` reads, besides the domain's messages."""
 
 
 def check(configurations: Iterable[Mapping[str, Any]]) -> None:
-    """Instantiates all that resolved configurations name, and solves the task of each domain once
-    as its types see it: so their values are checked before any work.
+    """Instantiates all components of resolved configurations, and solves each domain's task once
+    for each type, so that values are checked before any work.
 
     Raises:
-        XplainError, HydraException: a value that a component refuses, or a task without a way to
-            its goal.
+        XplainError, HydraException: a component refuses a value, or a task has no way to its goal.
     """
     seen: set[str] = set()
     for config in configurations:

@@ -1,11 +1,10 @@
-"""The first half of the method: observe, learn the user types, lay out the traces.
+"""The first half of the method: observe, learn the user types, draw the traces.
 
-    Setting ── Dataset ── UserTypes ── Case (one a trace)
+    Setting ── Dataset ── UserTypes ── Case (one for each trace)
 
-All of it is the same for every solver and λ, and :func:`prepare` ends in plain data, so that a
-sweep does this work once. What follows, Problem ── Policy ── Episode, is in
-:mod:`xplain.experiment.explanations`. Each stage is one function, which commands and the study
-call as well.
+Its result is plain data and the same for every solver and λ, so a sweep does this work once. The
+second half, Problem ── Policy ── Episode, is in :mod:`xplain.experiment.explanations`. Each stage
+is one function, which commands and the study also call.
 """
 
 from __future__ import annotations
@@ -37,14 +36,14 @@ from xplain.randomness import MOST, stream
 @checks()
 @dataclass(frozen=True)
 class Components:
-    """What decides the data, the types and the traces, but no explanation.
+    """The components that decide the data, the types and the traces, but no explanation.
 
     Attributes:
         domain, users, observers, queries, labeler, clusterer: chosen in the configuration.
-        traces: how many traces to explain.
-        max_steps: a trace ends at a terminal state or here.
-        seed: of every stream.
-        ask: what may be asked in an explanation; None for nothing.
+        traces: number of traces to explain.
+        max_steps: a trace ends at a terminal state or after this number of steps.
+        seed: seed of every stream.
+        ask: possible questions in an explanation; None for no questions.
     """
 
     domain: Domain
@@ -61,21 +60,21 @@ class Components:
 
 @dataclass(frozen=True)
 class Case:
-    """One trace, and what every agent and every user thinks of it.
+    """One trace, with the labels that every agent and every user gives it.
 
     Attributes:
         transitions: [m, 3].
         phrases: m short descriptions.
-        positions: m + 1 cells (row, column) of the robot; empty where there is no map.
+        positions: m + 1 cells (row, column) of the robot; empty without a map.
         learned: P(label is 1) by the labelers of the N types that were found.
-        everyone: of one labeler of all data (the baseline's); None where it looks at too many
-            messages on this trace.
-        perfect: of M labelers under perfect clustering; None where the true types of the observers
-            are unknown, or a type has no observer.
-        labels: the true labels of each of M true types.
-        everything: of one type, who believes every fact incorrectly; None where that is unknown.
-        changes: what each transition changes, as short phrases; empty where the domain tells none.
-        questions: that may be asked meanwhile, if any.
+        everyone: of one labeler of all data (the baseline's); None if it tests too many messages on
+            this trace.
+        perfect: of M labelers under perfect clustering; None if the true types of the observers are
+            unknown, or a type has no observer.
+        labels: true labels of each of M true types.
+        everything: of one type that believes every fact incorrectly; None if unknown.
+        changes: effects of each transition, as short phrases; empty if the domain describes none.
+        questions: possible questions, if any.
     """
 
     transitions: NDArray[np.int64]
@@ -92,23 +91,22 @@ class Case:
 
 @dataclass(frozen=True)
 class Prepared:
-    """All that is known before a solver and λ are chosen; plain data.
+    """All data before a solver and λ are chosen.
 
     Attributes:
-        domain: its name.
+        domain: name of the domain.
         messages: n names, with ``sentences`` for people.
         types: M names of the true types; ``distinct`` [M] numbers those that behave alike.
-        learned_types: N names; ``matched_true_type`` [N] the ``distinct`` number of most of their
-            observers (−1 unknown), ``type_shares`` [N] of the observers.
+        learned_types: N names; ``matched_true_type`` [N] is the ``distinct`` number of most of
+            their observers (−1 unknown), ``type_shares`` [N] their shares of the observers.
         learning: figures of the learning stage, by name.
-        curve: disagreements for k = 1 … (empty where the method has none).
-        rule: what decided the number of types.
+        curve: disagreements for k = 1 … (empty if the method has none).
+        rule: the rule that chose the number of types.
         scene: the map, if there is one.
-        cases: one a trace.
-        habits: of people, as far as the observers' answers tell.
-        wrong: [N, n] P(a user of a learned type believes a fact incorrectly); None where that is
-        unknown.
-        new: P(a user is of none of the learned types).
+        cases: one for each trace.
+        habits: people's error model, learned from the observers' answers.
+        wrong: [N, n] P(a user of a learned type believes a fact incorrectly); None if unknown.
+        new: P(a user has none of the learned types).
     """
 
     domain: str
@@ -130,7 +128,8 @@ class Prepared:
 
 
 def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
-    """Builds the setting, lets observers label, finds the types and learns their labelers.
+    """Builds the setting, collects labels from observers, finds the types and learns their
+    labelers.
 
     Raises:
         XplainError: the configuration or the data cannot be used; the text says what to change.
@@ -179,7 +178,7 @@ def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
 def observe(
     domain: Domain, users: TypeSource, observers: Observers, queries: Queries, seed: int
 ) -> Observed:
-    """The true types, and the labels that observers of these types gave when asked.
+    """Returns the true types, and the labels of observers of these types.
 
     Raises:
         XplainError: the types do not fit the domain, or the labels cannot be used.
@@ -204,7 +203,7 @@ def build_case(
     beliefs: CaseQuestions | None = None,
     most: int = 0,
 ) -> Case:
-    """Lays out what every agent and every user thinks of a trace [m, 3], and at most so many
+    """Collects what every agent and every user thinks of a trace [m, 3], and at most ``most``
     questions: clips, beliefs, or both."""
     domain = setting.domain
     features = transition_features(domain, transitions)

@@ -1,4 +1,4 @@
-"""How long work tells that it goes on; the terminal's side is :mod:`xplain.report.stages`."""
+"""The progress of long work; its display is in :mod:`xplain.report.stages`."""
 
 from __future__ import annotations
 
@@ -10,28 +10,27 @@ T = TypeVar("T")
 
 
 class Progress:
-    """Hears what is done and how far it is, and tells nobody; subclasses do. None of it changes a
-    result."""
+    """Receives the progress and ignores it; subclasses display it. It changes no result."""
 
     def track(self, items: Iterable[T], what: str, count: int) -> Iterator[T]:
-        """Yields the items: ``what`` is done to each of ``count``."""
+        """Yields the ``count`` items; ``what`` is the activity for each."""
         with self.stage(what, count):
             for done, item in enumerate(items, start=1):
                 yield item
                 self.note(f"{done} of {count}", done)
 
     def stage(self, what: str, count: int | None = None) -> AbstractContextManager[Any]:
-        """For the time of the context, ``what`` is done, to so many items where that is known."""
+        """A context during which ``what`` is the current activity, for ``count`` items if known."""
         return nullcontext()
 
     def note(self, text: str, done: int | None = None) -> None:
-        """What there is to say of the innermost stage by now, and how many items are done."""
+        """Reports a text about the innermost stage, and the number of finished items."""
 
 
 SILENT = Progress()
 
 
 def is_terminal(stream: object) -> bool:
-    """Whether a stream is a terminal: not one that is closed, or that a program put in place."""
+    """True if a stream is an open terminal."""
     asked = getattr(stream, "isatty", None)
     return asked is not None and bool(asked())

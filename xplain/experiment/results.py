@@ -1,7 +1,8 @@
-"""What a run leaves on disk, which is the truth: MLflow and reports are made from it.
+"""The files of a run, which MLflow and reports are made from.
 
-A run's folder holds ``results.json`` (:class:`Results`: figures, configuration, code version),
-``episodes.jsonl`` (one line an episode, step by step), ``config.yaml`` (resolved) and pictures.
+A run's folder contains ``results.json`` (:class:`Results`: figures, configuration, code version),
+``episodes.jsonl`` (one line for each episode, step by step), ``config.yaml`` (resolved) and
+pictures.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from xplain.storage import decode, encode, write_text
 RESULTS = "results.json"
 EPISODES = "episodes.jsonl"
 SCHEMA = 1
-"""Of ``results.json``: a file of another schema is not read."""
+"""Version of ``results.json``; files of another version are not read."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Figure:
 
     @classmethod
     def of(cls, estimate: Estimate) -> Figure:
-        """An estimate, without what JSON cannot hold."""
+        """Converts an estimate; values that JSON does not have become None."""
         return cls(estimate.mean, _finite(estimate.low), _finite(estimate.high))
 
 
@@ -68,7 +69,7 @@ class TypeNames:
 
 @dataclass(frozen=True)
 class EpisodeFigures:
-    """One episode in figures: whose it was, and what it cost (undiscounted)."""
+    """The figures of one episode: its trace and user, and its costs (undiscounted)."""
 
     solver: str
     trace: int
@@ -86,14 +87,15 @@ class EpisodeFigures:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What was run, by which code, when.
+    """The origin of a run's numbers.
 
     Attributes:
-        name: for people.
-        fingerprint: of all that its numbers depend on; its address below ``outputs/results``.
+        name: readable name.
+        fingerprint: fingerprint of everything that its numbers depend on; its folder below
+            ``outputs/results``.
         xplain, code: version, and digest of the sources.
-        git: commit, and whether the checkout has changes; empty where there is none.
-        worker: host and number of the process that computed it.
+        git: commit, and whether the checkout has changes; empty without a checkout.
+        worker: host and process id of the process that computed it.
         started: seconds since 1970.
         seconds: by stage.
         choices: the components by group.
@@ -117,7 +119,8 @@ class Results(Provenance):
     """The content of ``results.json``.
 
     Attributes:
-        metrics: by name, of the chosen solver (:func:`xplain.interaction.metrics.summarise`).
+        metrics: figures of the chosen solver, by name
+            (:func:`xplain.interaction.metrics.summarise`).
         bounds: certified figures of the explanation problems, by name.
         certificates: ``not asked for``, ``made`` or ``failed``.
         learning: figures of the learning stage, by name.
@@ -126,7 +129,7 @@ class Results(Provenance):
         scene: the map, if there is one.
         types: true and learned ones.
         steps: means by step (:func:`xplain.interaction.metrics.by_step`).
-        episodes: of the solver and of its references.
+        episodes: episodes of the solver and of its references.
         schema: version of the file.
     """
 
@@ -144,12 +147,12 @@ class Results(Provenance):
 
     @property
     def domain(self) -> str:
-        """What the domain is called (:func:`domain_name`)."""
+        """Name of the domain (:func:`domain_name`)."""
         return domain_name(self.choices, self.config)
 
     @property
     def solver(self) -> str:
-        """Name of the file in conf/solver/ that was chosen."""
+        """Name of the chosen file in conf/solver/."""
         return self.choices["solver"]
 
     @property
@@ -164,13 +167,13 @@ class Results(Provenance):
 
     @property
     def regret(self) -> float | None:
-        """Mean regret to the oracle; None where no oracle ran."""
+        """Mean regret to the oracle; None without an oracle."""
         return self.metrics["regret"].mean if "regret" in self.metrics else None
 
 
 def domain_name(choices: Mapping[str, str], config: Mapping[str, Any]) -> str:
-    """The name that the configuration gives to the domain (``domain.name``); where it gives none,
-    that of the file in conf/domain/ that was chosen."""
+    """The domain's name in the configuration (``domain.name``), or otherwise the name of the chosen
+    file in conf/domain/."""
     return str(config.get("domain", {}).get("name") or choices["domain"])
 
 
@@ -178,8 +181,8 @@ def results_of(prepared: Prepared, records: list[Record], provenance: Provenance
     """The results of a run, without certificates.
 
     Args:
-        prepared, records: of the run.
-        provenance: what was run.
+        prepared, records: from the run.
+        provenance: origin of the run.
     """
     return Results(
         **vars(provenance),
@@ -218,8 +221,7 @@ def results_of(prepared: Prepared, records: list[Record], provenance: Provenance
 
 
 def episode_lines(prepared: Prepared, records: list[Record]) -> str:
-    """The content of ``episodes.jsonl``: what was asked, said, answered and believed at each
-    step."""
+    """The content of ``episodes.jsonl``: questions, messages, answers and beliefs at each step."""
     lines = []
     for record in records:
         episode, case = record.episode, prepared.cases[record.trace]
@@ -249,7 +251,7 @@ def episode_lines(prepared: Prepared, records: list[Record]) -> str:
 
 
 def _asked(episode: Episode, case: Case, step: int) -> dict[str, Any]:
-    """``questions`` asked before a step's messages, where something could be asked."""
+    """The ``questions`` before a step's messages; nothing if no questions are possible."""
     if case.questions is None:
         return {}
     own = episode.questions[episode.questions[:, 0] == step, 1:].tolist()
@@ -258,14 +260,15 @@ def _asked(episode: Episode, case: Case, step: int) -> dict[str, Any]:
 
 
 def told(question: Question, answer: int) -> dict[str, Any]:
-    """A question that was answered, in plain JSON."""
+    """An answered question in plain JSON."""
     reply = next(words for words, value in question.replies if value == answer)
     return {"text": question.text, "about": question.about, "answer": answer, "reply": reply}
 
 
 def save_results(folder: Path, results: Results) -> None:
-    """Writes ``results.json``, last of all files of a run: where it is, the run is whole."""
-    # On one line: Python indents in Python, which takes longer than all else here.
+    """Writes ``results.json``, the last of all files of a run: its presence means that the run is
+    complete."""
+    # On one line, because Python's indentation is slow.
     write_text(folder / RESULTS, json.dumps(encode(results), allow_nan=False) + "\n")
 
 
@@ -273,7 +276,7 @@ def load_results(folder: Path) -> Results:
     """Reads ``results.json``.
 
     Raises:
-        OSError, ValueError: there is none, or it holds no results of this version.
+        OSError, ValueError: there is no such file, or it is not of this version.
     """
     content = json.loads((folder / RESULTS).read_text(encoding="utf-8"))
     try:
@@ -286,8 +289,8 @@ def load_results(folder: Path) -> Results:
 
 
 def finished_at(address: Path) -> Results | None:
-    """Reads the results at an address, if they are complete and have the requested certificates;
-    else None."""
+    """The results at an address, if they are complete and have the requested certificates;
+    otherwise None."""
     try:
         results = load_results(address)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Users of types that nobody was of among the observers (``Explainee.others``)."""
+"""Users of types that no observer has (``Explainee.others``)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from xplain.randomness import stream
 
 def with_others(prepared: Prepared, components: Components, explainee: Explainee) -> Prepared:
     """The same learned types and traces, with users of the explainee's own types. There are as many
-    users as true types, if so many behave unlike every true type and each other.
+    users as true types, if enough types differ from every true type and from each other.
 
-    Fields that need a true type's observers are empty: the oracle's labels, and the matching
+    Fields that need observers of a true type are empty: the oracle's labels, and the matching
     learned type.
 
     Raises:
@@ -52,7 +52,7 @@ def with_others(prepared: Prepared, components: Components, explainee: Explainee
 
 
 def _solvable(domain: Domain, user_type: UserType) -> bool:
-    """Whether the task has a way to its goal as the type sees it."""
+    """True if the task has a way to its goal as the type sees it."""
     with suppress(DomainError):
         Setting.build(domain, (user_type,))
         return True
