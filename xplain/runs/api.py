@@ -1,9 +1,8 @@
-"""Runs and sweeps from Python: the same configuration, cache, folders and MLflow as on the command
-line.
+"""Runs and sweeps from Python, with the same configuration, cache, folders and MLflow as on the
+command line.
 
-    run = xplain.run("solver=pomcp", domain="rescue", trade_off=1.5)
-    sweep = xplain.sweep("solver=qmdp,qhr", trade_off=[0.5, 1, 2])
-    sweep.frame()
+    run = xplain.run("solver=pomcp", domain="rescue", trade_off=1.5) sweep =
+    xplain.sweep("solver=qmdp,qhr", trade_off=[0.5, 1, 2]) sweep.frame()
 
 See docs/python.md.
 """
@@ -62,15 +61,15 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 PYTHON = {"trade_off": "lambda"}
-"""Keys that Python cannot have as names."""
+"""Keys whose names are reserved in Python."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run that is on disk.
+    """A run on disk.
 
     Attributes:
-        folder: of its files.
+        folder: folder of its files.
     """
 
     folder: Path
@@ -81,11 +80,11 @@ class Run:
         return load_results(self.folder)
 
     def frame(self) -> pd.DataFrame:
-        """A row an episode, of the solver and of its references; costs are undiscounted."""
+        """A row for each episode of the solver and of its references; costs are undiscounted."""
         return pd.DataFrame([vars(episode) for episode in self.results.episodes])
 
     def plot(self) -> list[Axes]:
-        """Draws the episode of median cost; returns the axes, whose ``figure`` is the drawing."""
+        """Draws the episode of median cost. Returns the axes; their ``figure`` is the drawing."""
         from xplain.report.trace import draw_typical
 
         figure, _, _ = draw_typical(self.folder, self.results)
@@ -100,11 +99,11 @@ class Run:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep that is on disk, with the jobs that are finished.
+    """A sweep on disk, with its finished jobs.
 
     Attributes:
-        folder: of its files; ``report/index.html`` is its report.
-        measure: what its jobs are compared by; None takes what is fair.
+        folder: folder of its files; ``report/index.html`` is its report.
+        measure: the measure that compares its jobs; None chooses a fair one.
     """
 
     folder: Path
@@ -112,12 +111,13 @@ class Sweep:
 
     @cached_property
     def summary(self) -> Summary:
-        """What its jobs say (:class:`xplain.report.frame.Summary`)."""
+        """The results of its jobs (:class:`xplain.report.frame.Summary`)."""
         return Summary(self.folder, self.measure)
 
     @property
     def answer(self) -> str:
-        """Who costs least, by how much, and whether that is decided; "" where nothing competes."""
+        """A sentence with the lowest cost, its distance to the others, and whether it is decided;
+        "" if nothing competes."""
         return answer(self.summary)
 
     @property
@@ -126,13 +126,13 @@ class Sweep:
         return [Run(self.summary.folder.address(job)) for job, _ in self.summary.results]
 
     def frame(self, rows: str = "jobs") -> pd.DataFrame:
-        """The swept values and what came out.
+        """The swept values and the results.
 
         Args:
             rows: ``jobs``, with means over episodes, or ``episodes``.
 
         Raises:
-            InputError: rows of another kind.
+            InputError: another kind of rows.
         """
         if one_of("rows", rows, ("jobs", "episodes")) == "episodes":
             return self.summary.episodes.copy()
@@ -146,11 +146,11 @@ class Sweep:
         )
 
     def plot(self, measure: str | None = None) -> list[Axes]:
-        """Draws a measure against the main swept key, a panel a combination of what is left;
-        returns the panels' axes.
+        """Draws a measure against the main swept key, with a panel for each combination of the
+        other keys. Returns the panels' axes.
 
         Args:
-            measure: a column of ``frame("episodes")``; None takes the sweep's own.
+            measure: a column of ``frame("episodes")``; None takes the sweep's measure.
 
         Raises:
             InputError: nothing was swept, or no episode has the measure.
@@ -172,10 +172,10 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
     """Runs one experiment in this process.
 
     Args:
-        overrides: ``key=value`` each, as on the command line.
-        config_dir: a folder with choices of one's own.
-        keys: the same keys; ``trade_off`` is λ, ``users_count`` is ``users.count``. A component
-            may be an object of its class instead of a name.
+        overrides: texts ``key=value``, as on the command line.
+        config_dir: a folder with your own choices.
+        keys: the same keys; ``trade_off`` is λ, ``users_count`` is ``users.count``. A component may
+            be an object of its class instead of a name.
 
     Raises:
         XplainError: a key or value that is not allowed, in one line.
@@ -192,12 +192,12 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
 def sweep(
     *overrides: str, config_dir: str | None = None, measure: str | None = None, **keys: Any
 ) -> Sweep:
-    """Runs all combinations of what is listed; what is finished already is not run again.
+    """Runs all combinations of the listed values. Finished jobs are not run again.
 
     Args:
-        overrides, config_dir, keys: as of :func:`run`; a list has the values of a key, as commas
-            have on the command line. ``sweeps=NAME`` is a prepared sweep.
-        measure: what jobs are compared by; None takes what is fair.
+        overrides, config_dir, keys: see :func:`run`; a list holds the values of a key, like commas
+            on the command line. ``sweeps=NAME`` is a prepared sweep.
+        measure: the measure that compares jobs; None chooses a fair one.
 
     Raises:
         XplainError: a key or value that is not allowed, in one line; nothing was run.
@@ -225,7 +225,7 @@ def sweep(
             try:
                 Parallel(workers, batch_size=1)(delayed(run_batch)(path, jobs) for path in batches)
             finally:
-                get_reusable_executor().shutdown()  # a worker has the code of its first job
+                get_reusable_executor().shutdown()  # a worker keeps the code of its first job
 
         run_missing(plan, launch)
         outputs = plan.folder.path.parents[1]
@@ -240,8 +240,8 @@ def discover(
 
     Args:
         data: a table with the columns observer, messages, label and features: a file, or a frame.
-        overrides, config_dir, keys: of conf/discover.yaml, as of :func:`run`. Files are written
-            where ``output`` is given.
+        overrides, config_dir, keys: those of conf/discover.yaml; see :func:`run`. Files are written
+            only if ``output`` is given.
 
     Raises:
         XplainError: a table, key or value that is not allowed, in one line.
@@ -277,7 +277,7 @@ def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
 
 
 _ONE_AT_A_TIME = threading.RLock()
-"""Hydra keeps what it composes in globals of the process: a second thread waits."""
+"""A lock, because Hydra's composition uses global variables."""
 
 Asked = tuple[list[str], dict[str, list[Any]], Compose]
 """Overrides, values from Python by key, and Hydra's composition."""
@@ -287,8 +287,8 @@ Asked = tuple[list[str], dict[str, list[Any]], Compose]
 def _composing(
     overrides: Sequence[str], keys: Mapping[str, Any], config_dir: str | None, of: str = "config"
 ) -> Iterator[Asked]:
-    """Reads what a caller asks for. Errors of their making are one line; what the work is at goes
-    to standard error, unless the program has logging of its own."""
+    """Reads a caller's request. Errors of the caller are one line. Progress goes to standard error,
+    unless the program configures logging itself."""
     own = logging.getLogger("xplain")
     quiet = bool(logging.getLogger().handlers or own.handlers)
     handler, level = logging.StreamHandler(sys.stderr), own.level
@@ -328,7 +328,8 @@ def _composing(
 
 
 def _require_runnable(jobs: Iterable[Job], cfg: DictConfig) -> None:
-    """Refuses jobs whose code was edited after it was loaded, and ``dry_run``, which runs none."""
+    """Refuses jobs whose code was edited after it was loaded, and ``dry_run``, which runs no
+    job."""
     if cfg.dry_run:
         raise InputError("dry_run", True, "false: nothing ran")
     for job in jobs:
@@ -348,8 +349,7 @@ def _single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
 
 
 def _split(keys: Mapping[str, Any], known: Sequence[str]) -> tuple[list[str], dict[str, list[Any]]]:
-    """Splits choices into those by name, as overrides, and values given as Python objects, a list
-    each."""
+    """Splits choices into names, as overrides, and lists of Python values."""
     words, given = list[str](), dict[str, list[Any]]()
     for name, own in keys.items():
         key = _key(name, known)
@@ -364,7 +364,7 @@ def _split(keys: Mapping[str, Any], known: Sequence[str]) -> tuple[list[str], di
 
 
 def _key(name: str, known: Sequence[str]) -> str:
-    """A keyword as a key of the configuration: ``users_count`` is ``users.count``."""
+    """The configuration key of a keyword: ``users_count`` is ``users.count``."""
     group, _, inside = name.partition("_")
     if name in PYTHON:
         return PYTHON[name]
@@ -377,10 +377,11 @@ def _key(name: str, known: Sequence[str]) -> str:
 
 
 def _plain(key: str, value: Any) -> Any:
-    """A value as a configuration holds it; of an object its class and its constructor's arguments.
+    """A value in the form of a configuration; for an object, its class and its constructor's
+    arguments.
 
     Raises:
-        InputError: an object whose class cannot be found by its name.
+        InputError: the class of an object cannot be found by its name.
     """
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()

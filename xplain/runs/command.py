@@ -1,6 +1,6 @@
-"""The experiment as Hydra runs it: ``@hydra.main``, one job, and the end of a sweep.
+"""The experiment under Hydra: ``@hydra.main``, one job, and the end of a sweep.
 
-Nothing heavy is imported before the configuration is known to be one.
+Slow imports happen only after the configuration is checked.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ register()
 
 
 def job(cfg: DictConfig) -> float | None:
-    """What launchers send to workers: one run, or jobs of a sweep. Returns its mean regret."""
+    """Runs one job or a batch of a sweep; launchers send this function to workers. Returns the mean
+    regret."""
     own = HydraConfig.get()
     if own.mode != RunMode.RUN:
         return _in_sweep(cfg, own)
@@ -52,7 +53,7 @@ def _alone(cfg: DictConfig, own: Any) -> float | None:
             return None
         return run_alone(made, folder, instantiate(cfg.tracking), progress).regret
     finally:
-        # A folder with a token drawn for this run is no one else's.
+        # A folder with this run's random token belongs to no other run.
         if "${unique:}" in OmegaConf.to_yaml(own.run):
             with suppress(OSError):  # it is not empty
                 folder.rmdir()
@@ -67,7 +68,7 @@ def _in_sweep(cfg: DictConfig, own: Any) -> float | None:
     if batch.exists():
         run_batch(batch, sweep / "jobs")
         return None
-    made = Job.of(cfg, own.runtime.choices)  # of another sweeper than ours
+    made = Job.of(cfg, own.runtime.choices)  # from another sweeper
     if cfg.dry_run:
         _check(made)
         return None
@@ -77,7 +78,7 @@ def _in_sweep(cfg: DictConfig, own: Any) -> float | None:
 
 
 def _check(made: Any) -> None:
-    """What ``dry_run=true`` does with one job."""
+    """Checks one job, for ``dry_run=true``."""
     from xplain.experiment.from_config import check
 
     check([made.config])
@@ -85,13 +86,13 @@ def _check(made: Any) -> None:
 
 
 class SweepEnd(Callback):
-    """The end of a sweep, whatever sweeper and launcher ran it: report, MLflow, exit code."""
+    """The end of a sweep under any sweeper and launcher: report, MLflow, exit code."""
 
     def __init__(self) -> None:
         self._began = time.time()
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
-        """Ends the process with exit code 1 where a job has no result."""
+        """Ends the process with exit code 1 if a job has no result."""
         from xplain.runs.sweep import collected, finish
 
         folder = None if config.dry_run else collected(config)
@@ -100,7 +101,7 @@ class SweepEnd(Callback):
         outputs = Path(config.outputs).absolute()
 
         def tell(text: str) -> None:
-            # A launcher in this process leaves the log to the last job's file.
+            # A launcher in this process leaves logging set to the last job's file.
             print(text, file=sys.stderr)
 
         if not finish(folder, instantiate(config.tracking), outputs, self._began, tell):
@@ -108,12 +109,12 @@ class SweepEnd(Callback):
 
 
 def main() -> None:
-    """The experiment from the command line of this process.
+    """Runs the experiment from this process's command line.
 
     Raises:
         XplainError, HydraException, OmegaConfBaseException: the configuration is wrong.
     """
-    register()  # anew: the folder may be another one by now
-    # Hydra prints errors over several lines and exits; with this it raises, and we print one.
+    register()  # again, because the folder may have changed
+    # Makes Hydra raise errors instead of printing several lines and exiting.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()

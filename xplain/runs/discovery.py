@@ -1,4 +1,4 @@
-"""Finds the user types in people's labels, as the command ``discover`` and Python ask for it."""
+"""Finds the user types in people's labels, for the command ``discover`` and for Python."""
 
 from __future__ import annotations
 
@@ -41,11 +41,12 @@ class Discovery:
 
     Attributes:
         dataset: the labels.
-        types: found in them.
-        held_out: how well held-out labels are predicted; None where that was not measured.
-        sentences: what to say for each message, as far as it is known.
-        answers: a table of questions with ``p``, the probability of the answer 1; None without.
-        seconds: that it took.
+        types: the types.
+        held_out: how well held-out labels are predicted; None if not measured.
+        sentences: text of each message, if known.
+        answers: a table of questions with ``p``, the probability of the answer 1; None without
+            questions.
+        seconds: duration.
     """
 
     dataset: Dataset
@@ -62,7 +63,7 @@ class Discovery:
 
     @property
     def row(self) -> Row:
-        """What the command prints as JSON."""
+        """The JSON that the command prints."""
         clustering, names = self.types.clustering, self.types.names
         pairs = zip(self.dataset.observers, clustering.assignment, strict=True)
         unseen = self.held_out
@@ -82,19 +83,21 @@ class Discovery:
 
     @property
     def accept(self) -> dict[str, list[float]] | None:
-        """How often each message lands, and its 95 % interval; None where no answers tell it."""
+        """How often each message lands, with its 95 % interval; None if the answers do not show
+        it."""
         landing = self.types.landing
         if landing is None or not len(landing.accept):
             return None
         return dict(zip(self.dataset.messages, landing.accept.round(3).tolist(), strict=True))
 
     def frame(self) -> pd.DataFrame:
-        """A row a type: how many observers and labels, and what its people need to be told."""
+        """A row for each type: its numbers of observers and labels, and the messages that its
+        people need."""
         return pd.DataFrame(_summarised(self.dataset, self.types))
 
     def plot(self) -> dict[str, Figure]:
-        """Draws what is known: ``messages``, ``curve``, ``posterior`` and ``calibration``, as the
-        method has them."""
+        """Draws the available results: ``messages``, ``curve``, ``posterior`` and
+        ``calibration``."""
         from xplain.report import plots
 
         clustering, figures = self.types.clustering, {}
@@ -142,7 +145,7 @@ class Discovery:
         return f"<p>{said}</p>{self.frame().round(3).to_html(index=False, border=0)}"
 
     def show(self, folder: Path) -> None:
-        """Prints the types on standard output, and where their files are."""
+        """Prints the types and the places of their files on standard output."""
         table = Table("type", "observers", "labels", "explicable", "confidence", "needs to be told")
         for one in _summarised(self.dataset, self.types):
             table.add_row(
@@ -169,7 +172,7 @@ class Discovery:
 
 
 def discovery(cfg: DictConfig) -> Discovery:
-    """Finds the types as conf/discover.yaml and what overrides it say.
+    """Finds the types with the configuration of conf/discover.yaml and its overrides.
 
     Raises:
         XplainError: the table or a value cannot be used.
@@ -196,10 +199,10 @@ def discovery(cfg: DictConfig) -> Discovery:
 
 
 def sentences_of(path: str | None, messages: Sequence[str]) -> dict[str, str]:
-    """``{message: what to say}`` of a YAML file; empty where there is none.
+    """Reads ``{message: text}`` from a YAML file; empty without a file.
 
     Raises:
-        InputError: the file cannot be read, or holds anything else than texts of these messages.
+        InputError: the file cannot be read, or contains anything except texts of these messages.
     """
     if path is None:
         return {}
@@ -217,10 +220,10 @@ def sentences_of(path: str | None, messages: Sequence[str]) -> dict[str, str]:
 
 
 def require_writable(folder: Path) -> None:
-    """Refuses a folder that cannot be written, before any work is done and without making it.
+    """Refuses a folder that cannot be written, before any work is done and without creating it.
 
     Raises:
-        InputError: see above.
+        InputError: the folder cannot be written.
     """
     above = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not above.is_dir() or not os.access(above, os.W_OK):
@@ -228,7 +231,7 @@ def require_writable(folder: Path) -> None:
 
 
 def _summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
-    """What is known of each type."""
+    """Summarises each type."""
 
     rows: list[Row] = []
     known = types.clustering.needs
@@ -244,13 +247,13 @@ def _summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
         }
         labelled = dataset.features[sorted(set(own.transition.tolist()))]
         try:
-            if known is not None:  # by all observers' labels, not by this type's alone
+            if known is not None:  # from all observers' labels, not only this type's
                 needed = int(known[t])
             else:
                 table = labeler.table(labelled)
                 needed = smallest((table.p[:, :, 0] < 0.5).sum(axis=0), table.relevant[0])
             row["needs"] = list(names_of(needed, dataset.messages))
-        except TooLargeError:  # no tree, and too many messages to try them all
+        except TooLargeError:  # no tree, and too many messages to try all
             row["needs"] = None
         rows.append(row)
     return rows

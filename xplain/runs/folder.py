@@ -1,4 +1,5 @@
-"""The outputs folder: runs, sweeps and results in it, and what is said beside what is saved."""
+"""The outputs folder with its runs, sweeps and results, and messages about failures after
+saving."""
 
 from __future__ import annotations
 
@@ -22,18 +23,18 @@ log = logging.getLogger(__name__)
 
 @contextmanager
 def attempted(otherwise: str) -> Iterator[None]:
-    """What follows the saved results: where it fails, a line says what is missing.
+    """A context for work after the results are saved: if it fails, a line says what is missing.
 
     Args:
-        otherwise: what is missing then.
+        otherwise: what is then missing.
     """
     try:
         yield
-    except (BrokenPipeError, SystemExit) as error:  # rich makes the second of the first
+    except (BrokenPipeError, SystemExit) as error:  # rich turns the first into the second
         if not isinstance(error.__context__ or error, BrokenPipeError):
             raise
         log.warning("%s: nobody reads the output any more (closed pipe)", otherwise)
-        # Python writes what is left in the buffer when it ends.
+        # Python writes the rest of the buffer at its end.
         with suppress(OSError, ValueError, AttributeError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
@@ -42,13 +43,13 @@ def attempted(otherwise: str) -> Iterator[None]:
 
 
 def without_passwords(text: str) -> str:
-    """The text, without user name and password in the addresses that it holds."""
+    """The text without user names and passwords in its addresses."""
     return re.sub(r"://[^/@\s'\"]+@", "://***@", text)
 
 
 @contextmanager
 def alone(folder: Path, waiting: str) -> Iterator[None]:
-    """Holds a sweep's lock; tells ``waiting`` when another process has it."""
+    """Holds a sweep's lock; logs ``waiting`` if another process has it."""
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / "sweep.lock")
     try:
@@ -61,13 +62,13 @@ def alone(folder: Path, waiting: str) -> Iterator[None]:
 
 
 class Disk:
-    """Leaves results on disk (``tracking=none``); subclasses send them elsewhere."""
+    """Keeps results only on disk (``tracking=none``); subclasses also send them elsewhere."""
 
     def log(self, folder: Path, outputs: Path) -> list[str]:
-        """Takes note of a run or a sweep that ended. Never raises: the results are on disk.
+        """Records a finished run or sweep. Never raises, because the results are on disk.
 
         Args:
-            folder: of the run or sweep.
+            folder: folder of the run or sweep.
             outputs: the outputs folder.
 
         Returns:
@@ -77,11 +78,11 @@ class Disk:
 
 
 _NO_RESULTS = {"artifacts", "cache", "report", "results"}
-"""Folders below the outputs that hold copies or no results of a run's own."""
+"""Folders below the outputs folder with copies, or without a run's own results."""
 
 
 def runs_and_sweeps(outputs: Path) -> Iterator[Path]:
-    """The folder of every finished run and of every sweep, oldest path first."""
+    """The folders of all finished runs and of all sweeps, oldest path first."""
     for place, folders, files in os.walk(outputs):
         folders[:] = sorted(name for name in folders if name not in _NO_RESULTS)
         if SWEEP in files:
@@ -94,21 +95,21 @@ def newest_sweep(outputs: Path) -> Path:
     """The folder of the sweep whose list was written last.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no sweep.
     """
     for path in sorted(outputs.glob(f"sweeps/*/{SWEEP}"), key=lambda p: -p.stat().st_mtime):
-        with suppress(InputError):  # a damaged one hides no other
+        with suppress(InputError):  # a damaged sweep hides no other
             _ = SweepFolder(path.parent).about
             return path.parent
     raise InputError("folder", str(outputs / "sweeps"), "no sweep there; name a sweep's folder")
 
 
 def unlisted_results(outputs: Path) -> dict[Path, int]:
-    """``{folder: bytes}`` of the results that no run and no sweep in the outputs folder has.
+    """``{folder: bytes}`` of the results that belong to no run or sweep in the outputs folder.
 
     Raises:
-        InputError: a sweep whose list cannot be read: its results are not known.
-        OSError, ValueError: a run's results that cannot be read.
+        InputError: the list of a sweep cannot be read, so its results are unknown.
+        OSError, ValueError: the results of a run cannot be read.
     """
     kept = {path.name for path in outputs.glob("sweeps/*/jobs/*")}
     for folder in runs_and_sweeps(outputs):
@@ -121,6 +122,7 @@ def unlisted_results(outputs: Path) -> dict[Path, int]:
 
 
 def delete_result(folder: Path) -> None:
-    """Deletes a result: first what says that it is there, so that nobody reads half of it."""
+    """Deletes a result; first the file that marks it as complete, so that nobody reads a part of
+    it."""
     (folder / RESULTS).unlink(missing_ok=True)
     shutil.rmtree(folder)

@@ -1,9 +1,9 @@
 """One job: from its configuration to a result at its address, and to a run's own folder.
 
 A result has one address, ``outputs/results/<fingerprint>``. A job whose address has a finished
-result returns it, so a run that is repeated, a sweep that is resumed and sweeps that share jobs are
-one thing. Files are written whole, ``results.json`` last: no reader sees half of a result, and two
-processes may compute the same one.
+result returns it. So a repeated run, a resumed sweep, and sweeps with common jobs all use the same
+result. Files are written atomically, ``results.json`` last: no reader sees a partial result, and
+two processes may compute the same one.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ class Job:
     """One configuration of the experiment.
 
     Attributes:
-        config: all of it that decides a number, resolved.
+        config: everything that decides a number, resolved.
         choices: the component chosen in each group, by name.
         outputs: path of the outputs folder.
-        anew: whether it is computed again although it has a result, without any cache.
+        anew: True computes it again without any cache, although it has a result.
     """
 
     config: Mapping[str, Any]
@@ -74,10 +74,10 @@ class Job:
 
     @classmethod
     def of(cls, cfg: DictConfig, choices: Mapping[str, str]) -> Job:
-        """From a composed configuration.
+        """Makes a job from a composed configuration.
 
         Raises:
-            XplainError: a key that has no value, or not one that is allowed.
+            XplainError: a key has no value, or a value that is not allowed.
         """
         require_usable(cfg)
         chosen = {group: str(choices[group]) for group in GROUPS}
@@ -86,21 +86,21 @@ class Job:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Of all that its numbers depend on."""
+        """Fingerprint of everything that its numbers depend on."""
         return fingerprint(self.config)
 
     @cached_property
     def source(self) -> str:
-        """Fingerprint of all that its data, types and traces depend on."""
+        """Fingerprint of everything that its data, types and traces depend on."""
         return source_fingerprint(self.config)
 
     @property
     def address(self) -> Path:
-        """Where its result is, or will be."""
+        """The folder of its result, whether it exists or not."""
         return Path(self.outputs, "results", self.fingerprint)
 
     def finished(self) -> Results | None:
-        """Its result, if there is one that it may have."""
+        """Its result, if there is a valid one."""
         return None if self.anew else finished_at(self.address)
 
     def result(
@@ -108,12 +108,12 @@ class Job:
         progress: Progress = SILENT,
         save: Callable[[Results, str], None] = lambda results, episodes: None,
     ) -> Results:
-        """Its result, computed where there is none.
+        """Its result, computed if there is none.
 
         Args:
-            progress: hears how far it is.
-            save: is given the results and the text of its episodes before the certificates, which
-                take as long again, are sought.
+            progress: receives the progress.
+            save: receives the results and the text of the episodes before the certificates, which
+                take as long again, are computed.
         """
         if (known := self.finished()) is not None:
             log.info("its result was there: %s", os.path.relpath(self.address))
@@ -158,14 +158,15 @@ class Job:
 def run_alone(
     job: Job, folder: Path, tracking: Disk, progress: Progress, shown: bool = True
 ) -> Results:
-    """Runs one job into a folder of its own: results first, then what is shown and sent.
+    """Runs one job into its own folder: saves the results first, then shows and sends them.
 
     Args:
-        job: to run.
-        folder: takes copies of the result's files, and its pictures; made with the first of them.
-        tracking: where results go besides the disk.
-        progress: hears how far it is.
-        shown: whether tables are printed.
+        job: the job.
+        folder: receives copies of the result's files, and the pictures; created with the first of
+            them.
+        tracking: where results are sent, besides the disk.
+        progress: receives the progress.
+        shown: True prints tables.
 
     Raises:
         XplainError: the configuration or the data cannot be used, or the folder has results.
@@ -212,25 +213,25 @@ def run_alone(
 
 
 def save_batch(path: Path, jobs: Iterable[Job]) -> None:
-    """Writes down the jobs that one worker of a sweep runs after each other."""
+    """Writes the list of jobs that one worker of a sweep runs in sequence."""
     write_text(path, json.dumps({job.fingerprint: asdict(job) for job in jobs}))
 
 
 def run_batch(path: Path, folder: Path) -> None:
-    """Runs the jobs of a batch; those that fail write it into their folders below ``folder``."""
+    """Runs the jobs of a batch. A failed job writes its error into its folder below ``folder``."""
     end_with_parent()
     for listed, content in json.loads(path.read_text(encoding="utf-8")).items():
         run_in_sweep(Job(**content), folder / listed, listed)
 
 
 def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:
-    """Runs a job of a sweep and returns its mean regret. It never raises: the others go on, and
-    what went wrong is in its folder.
+    """Runs a job of a sweep and returns its mean regret. It never raises: the error is written into
+    the job's folder, and other jobs continue.
 
     Args:
-        job: to run.
-        folder: its own, in the sweep's.
-        listed: the fingerprint that its sweep lists.
+        job: the job.
+        folder: its own folder inside the sweep's.
+        listed: the fingerprint in the sweep's list.
     """
     regret = None
     with failing_into(folder):
@@ -242,7 +243,7 @@ def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:
 
 @contextmanager
 def failing_into(folder: Path) -> Iterator[None]:
-    """An error ends the block, and is written into the folder: a failure is a result of a
+    """A context that writes an error into the folder and ends, because a failure is a result of a
     sweep."""
     try:
         yield
@@ -253,7 +254,7 @@ def failing_into(folder: Path) -> Iterator[None]:
 
 
 def mark_failed(folder: Path, error: BaseException) -> None:
-    """Writes the error of a job that raised, with its traceback, into its folder."""
+    """Writes a job's error with its traceback into its folder."""
     text = " ".join(str(error).split()) or "no message"
     content = {
         "error": f"{type(error).__name__}: {text}",
@@ -264,12 +265,12 @@ def mark_failed(folder: Path, error: BaseException) -> None:
 
 
 def ended_by(error: SystemExit) -> str:
-    """What a component did that ends a program."""
+    """Describes a component's call that ends the program."""
     return f"a component ended the program (sys.exit({error.code!r})) while the experiment ran"
 
 
 def _draw(folder: Path, results: Results) -> str:
-    """Draws the run's pictures; returns which episode is drawn."""
+    """Draws the run's pictures. Returns which episode is drawn."""
     from xplain.report import plots, trace
 
     figure, _, drawn = trace.draw_typical(folder, results)

@@ -1,8 +1,9 @@
-"""Sends results to MLflow: a run for each result, and for a sweep a parent whose children are its
-jobs.
+"""Sends results to MLflow: a run for each result; for a sweep, a parent run with its jobs as
+children.
 
-Everything is read from folders on disk when a run or sweep ends, so what MLflow missed can be sent
-later, and what is sent twice is there once. This module imports MLflow, which takes a second.
+Everything is read from folders on disk when a run or sweep ends. So results that MLflow missed can
+be sent later, and results that are sent twice exist once. This module imports MLflow, which takes a
+second.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ log = logging.getLogger(__name__)
 RESULT_TAG, SWEEP_TAG = "xplain.result", "xplain.sweep"
 PARENT_TAG = "mlflow.parentRunId"
 SOURCE = {"mlflow.user": os.environ.get("USER", ""), "mlflow.source.name": "python -m xplain"}
-"""Tags of every run, which MLflow's own client does not set."""
+"""Tags of every run that MLflow's own client does not set."""
 
 FIGURES = {
     "regret": "regret",
@@ -44,11 +45,11 @@ FIGURES = {
     "questions": "solver/questions",
     "steps_until_sure": "solver/steps_until_sure",
 }
-"""Names in MLflow of the figures of a result that people compare. MLflow's comparison of runs
-draws the first metric that was logged, so they are logged in the order of the alphabet."""
+"""MLflow's names of the figures that people compare. MLflow's comparison of runs draws the first
+logged metric, so they are logged in alphabetical order."""
 
 MEASURES = {"regret": "regret", "above_floor": "regret_to_clairvoyant", "cost": "solver/cost"}
-"""Names in MLflow of what the jobs of a sweep are compared by."""
+"""MLflow's names of the measures that compare the jobs of a sweep."""
 
 LEARNED = ("adjusted_rand_index", "labeler_accuracy")
 
@@ -58,7 +59,8 @@ class MLflow(Disk):
     """Sends results to MLflow.
 
     Attributes:
-        uri: of the tracking server or database; None is an SQLite file in the outputs folder.
+        uri: address of the tracking server or database; None is an SQLite file in the outputs
+            folder.
         experiment: name of the MLflow experiment.
     """
 
@@ -66,7 +68,7 @@ class MLflow(Disk):
     experiment: str = "xplain"
 
     def log(self, folder: Path, outputs: Path) -> list[str]:
-        """Sends the results; a failure costs a warning that tells how to send them later."""
+        """Sends the results. After a failure, a warning says how to send them later."""
         try:
             return self.send(folder, outputs)
         except XplainError as error:
@@ -75,19 +77,19 @@ class MLflow(Disk):
             return []
 
     def send(self, folder: Path, outputs: Path) -> list[str]:
-        """Brings MLflow to the state of a run's or sweep's folder.
+        """Updates MLflow to the state of a run's or sweep's folder.
 
         Returns:
             Lines for the terminal: where to look.
 
         Raises:
-            XplainError: MLflow cannot take it, or the experiment was deleted there.
+            XplainError: MLflow fails, or the experiment was deleted there.
         """
         try:
             return [without_passwords(line) for line in self._send(folder, outputs)]
         except XplainError:
             raise
-        except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
+        except Exception as error:  # MLflow passes on errors of SQLAlchemy, requests, the OS
             text = without_passwords(first_line(error))[:200]
             raise XplainError(f"tracking.uri: MLflow did not take this ({text})") from error
 
@@ -123,12 +125,12 @@ class MLflow(Disk):
 
 
 def sync(folders: Sequence[Path], outputs: Path, tracking: MLflow) -> int:
-    """Sends every run and sweep at or below the folders; returns how many results there are. A
-    sweep that is damaged is left out, and told.
+    """Sends every run and sweep at or below the folders. Returns the number of results. A damaged
+    sweep is left out with a warning.
 
     Raises:
-        InputError: a folder is not there, or holds no results.
-        XplainError: MLflow cannot take them.
+        InputError: a folder does not exist, or has no results.
+        XplainError: MLflow fails.
     """
     count = 0
     for folder in folders:
@@ -152,7 +154,7 @@ def sync(folders: Sequence[Path], outputs: Path, tracking: MLflow) -> int:
 
 
 def _make_database(path: Path) -> None:
-    """Makes MLflow's tables, all or none: a database that is cut short can never be used."""
+    """Creates MLflow's tables atomically: an incomplete database could never be used."""
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".mlflow.") as folder:
         new = Path(folder) / path.name
         MlflowClient(tracking_uri=f"sqlite:///{new}").search_experiments(max_results=1)
@@ -175,14 +177,14 @@ class _Store:
         known_by: Mapping[str, str],
         among: Sequence[Run] | None = None,
     ) -> str:
-        """Sends a result unless its run is there; returns the id of the run.
+        """Sends a result unless its run exists. Returns the id of the run.
 
         Args:
             folder, results: of the finished run.
-            label: of its job in a sweep; "" for a run of its own.
+            label: label of its job in a sweep; "" for a run of its own.
             swept: keys of the sweep with this run's values.
-            known_by: tags that tell it from runs of the same result elsewhere.
-            among: runs that may be its; None looks for them.
+            known_by: tags that distinguish it from other runs of the same result.
+            among: candidate runs; None searches for them.
         """
         end = results.started + sum(results.seconds.values())
         times = int(1000 * results.started), int(1000 * end)
@@ -200,7 +202,7 @@ class _Store:
         return self._put(folder, name, "FINISHED", times, known_by, about, among, *figured)
 
     def send_sweep(self, sweep: SweepFolder) -> str:
-        """Sends a sweep's jobs that ended, its report and a view of it; returns the view's key."""
+        """Sends the ended jobs of a sweep, its report and a view of it. Returns the view's key."""
         summary, name = Summary(sweep.path), sweep.path.name
         began, now = int(1000 * summary.about["started"]), int(1000 * time.time())
         tags = {SWEEP_TAG: name, **SOURCE}
@@ -222,7 +224,7 @@ class _Store:
             self.client.log_artifacts(parent, str(report), "report")
         ended = "FAILED" if "failed" in states else "KILLED" if "waiting" in states else "FINISHED"
         self.client.set_terminated(parent, ended)
-        # The form in which MLflow lists views itself, from 3.15 on.
+        # The form in which MLflow itself lists views, since 3.15.
         shared = {"name": name, "createdAt": now, "updatedAt": now}
         text = json.dumps({**shared, "state": json.dumps(view(parent, summary))})
         key = name.rpartition("-")[2]
@@ -241,16 +243,16 @@ class _Store:
         metrics: Sequence[Metric] = (),
         params: Sequence[Param] = (),
     ) -> str:
-        """Writes a run that ended, unless it is there; returns its id. Runs of another status or
-        start are of earlier attempts, or their sender died: they are deleted.
+        """Writes an ended run unless it exists. Returns its id. Existing runs with another status
+        or start come from earlier attempts or from interrupted senders, and are deleted.
 
         Args:
             folder: its artifacts.
             name, status: of the run.
-            times: its start and its end, in milliseconds since 1970.
-            known_by: tags that tell it from all others.
-            tags: more of them.
-            among: runs that may be it.
+            times: its start and end, in milliseconds since 1970.
+            known_by: tags that distinguish it from all other runs.
+            tags: further tags.
+            among: candidate runs.
             metrics, params: of the run.
         """
         kept = None
@@ -270,13 +272,13 @@ class _Store:
         return str(made.info.run_id)
 
     def _known(self, tags: Mapping[str, str]) -> Sequence[Run]:
-        """The runs with these tags, which are not deleted."""
+        """The runs with these tags, without deleted ones."""
         wanted = " and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items())
         return self.client.search_runs([self.experiment], wanted, max_results=50_000)
 
 
 def figures(results: Results) -> dict[str, float]:
-    """Figures that make one number each, by their names in MLflow."""
+    """Figures with one number each, by MLflow's names."""
     known = {FIGURES[key]: own for key, own in results.metrics.items() if key in FIGURES}
     compared = [name for name in known if name in MEASURES.values()]
     every = {
@@ -290,17 +292,17 @@ def figures(results: Results) -> dict[str, float]:
 
 
 def parameters(results: Results, swept: Mapping[str, str]) -> dict[str, str]:
-    """What was swept, the choices by group (``solver = pomcp``), and the experiment's own numbers
-    and words; ``results.json`` among the artifacts has all keys."""
+    """The swept values, the choices by group (``solver = pomcp``), and the experiment's own numbers
+    and texts. The artifact ``results.json`` has all keys."""
     own = {key: value for key, value in results.config.items() if not isinstance(value, Mapping)}
     every = {**{key: swept[key] for key in swept if "." in key}, **results.choices, **own}
     return {key: str(value)[:500] for key, value in every.items()}
 
 
 def view(parent: str, summary: Summary) -> dict[str, Any]:
-    """What MLflow's page of runs shows of a sweep: a row a job with the measure, its interval, the
-    cost and what was swept. Problems stand in their order; the jobs of one problem, if one was
-    swept, by the measure."""
+    """The view of a sweep on MLflow's page of runs: a row for each job with the measure, its
+    interval, the cost and the swept values. Problems keep their order; the jobs of one problem, if
+    one was swept, are sorted by the measure."""
     measure = MEASURES[summary.measure.name] if summary.results else "regret"
     keys = [key for key in summary.keys if len(summary.values(key)) > 1]
     figures = dict.fromkeys((measure, "solver/cost", f"{measure}_low", f"{measure}_high"))

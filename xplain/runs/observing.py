@@ -1,4 +1,4 @@
-"""What the commands ``observe`` and ``questions`` do, from their configurations to their files."""
+"""The commands ``observe`` and ``questions``, from their configurations to their files."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Row = dict[str, Any]
 
 
 def observed(cfg: DictConfig) -> Row:
-    """Writes labels of simulated observers, and their true types beside them; returns both paths
-    and how many there are.
+    """Writes labels of simulated observers, and their true types in a second file. Returns both
+    paths and their numbers.
 
     Args:
-        cfg: conf/observe.yaml with what overrides it, and the ``hydra`` node.
+        cfg: conf/observe.yaml with its overrides, and the ``hydra`` node.
 
     Raises:
-        XplainError: a value that cannot be used, or observers who are no simulated ones.
+        XplainError: a value cannot be used, or the observers are not simulated.
     """
     run_seed(cfg.seed)
     output = Path(cfg.output)
@@ -61,13 +61,13 @@ def observed(cfg: DictConfig) -> Row:
 
 
 def listed_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
-    """Writes the questions to ask; returns them, a row each, and what is known of them.
+    """Writes the questions to ask. Returns a row for each, and a summary.
 
     Args:
-        cfg: conf/questions.yaml with what overrides it, and the ``hydra`` node.
+        cfg: conf/questions.yaml with its overrides, and the ``hydra`` node.
 
     Raises:
-        XplainError: a value that cannot be used, or questions that depend on answers.
+        XplainError: a value cannot be used, or the questions depend on answers.
     """
     run_seed(cfg.seed)
     design = instantiate(cfg.queries)

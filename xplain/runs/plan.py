@@ -1,7 +1,7 @@
-"""Which jobs a sweep consists of, and which of them have to run.
+"""The jobs of a sweep, and which of them have to run.
 
-The command line and Python plan alike: words as Hydra's command line has them, and values that
-Python gives, which never become text.
+The command line and Python plan in the same way: by overrides in Hydra's form, and by Python's
+values, which are never converted to text.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from xplain.runs.job import Job
 log = logging.getLogger(__name__)
 
 MANY = 32
-"""A sweep of so many jobs runs several in one batch, since a worker takes 0.2 s to begin one. At
-least so many batches keep all cores busy to the end."""
+"""From this number of jobs, one batch has several, because a worker needs 0.2 s to start a batch.
+There are at least this number of batches, which keeps all cores busy."""
 
 LAST = ("solver", "lambda", "seed")
-"""Keys that end a job's label, so that labels sort by setting."""
+"""Keys at the end of a job's label, so that labels sort by setting."""
 
 Compose = Callable[[list[str]], DictConfig]
-"""From overrides to a job's configuration, with the ``hydra`` node."""
+"""Makes a job's configuration, with the ``hydra`` node, from overrides."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A sweep that may run.
+    """A planned sweep.
 
     Attributes:
-        folder: of the sweep.
-        jobs: as it lists them.
+        folder: folder of the sweep.
+        jobs: its list of jobs.
         todo: the job of each fingerprint that has to run.
-        finished: fingerprints of the jobs that have results.
-        config: of the process that plans it, with the ``hydra`` node.
-        about: what is kept beside the jobs.
+        finished: fingerprints of the jobs with results.
+        config: configuration of the planning process, with the ``hydra`` node.
+        about: further contents of the sweep's file.
     """
 
     folder: SweepFolder
@@ -69,17 +69,17 @@ class Plan:
         given: Mapping[str, Sequence[Any]],
         compose: Compose,
     ) -> Plan:
-        """Composes and checks every job, so that a mistake shows before the first one starts.
+        """Composes and checks every job, so that errors appear before the first one starts.
 
         Args:
-            config: of the process that plans it, with the ``hydra`` node.
+            config: configuration of the planning process, with the ``hydra`` node.
             words: overrides, swept (``choice``, ``range``, commas) or single.
-            given: values from Python by key.
+            given: Python values by key.
             compose: makes a job's configuration.
 
         Raises:
-            XplainError, HydraException, OmegaConfBaseException: the configuration of some job is
-                wrong, or a kind of sweep has no finite list of values.
+            XplainError, HydraException, OmegaConfBaseException: the configuration of a job is
+                wrong, or a sweep has no finite list of values.
         """
         keys: Any = OmegaConf.to_container(config.hydra.sweeper)
         file = _File(**{key: value for key, value in keys.items() if not key.startswith("_")})
@@ -112,8 +112,8 @@ class Plan:
         return cls(folder, listed([*rows.values()]), todo, finished, config, about)
 
     def batches(self) -> list[list[Job]]:
-        """The jobs to run, by the worker that runs them: those of one data set together, since they
-        wait for the first of them. One batch of each data set comes before further ones."""
+        """The jobs to run, by worker. Jobs of one data set are in the same batch, because the
+        others wait for the first of them. One batch of each data set comes before further ones."""
         by_data: dict[str, list[Job]] = {}
         for job in self.todo.values():
             by_data.setdefault(job.source, []).append(job)
@@ -138,8 +138,8 @@ class _File:
 
 
 def listed(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
-    """The jobs with the values and labels of swept keys alone: those that differ or that some jobs
-    lack."""
+    """The jobs with values and labels of the swept keys only: keys that differ between jobs or that
+    some jobs lack."""
     keys = dict.fromkeys(key for job in jobs for key in job.values)
     varying = [key for key in keys if len({job.values.get(key) for job in jobs}) > 1]
     varying = varying or [key for key in ("domain", "solver", "lambda") if key in keys]
@@ -155,8 +155,8 @@ def listed(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
 
 
 def values_of(keys: Sequence[str], job: Job) -> dict[str, str]:
-    """The values, as text, that a job's configuration has for those of these keys that decide a
-    number: ``{key: value}``."""
+    """The values (as text) of these keys in a job's configuration, if they decide a number: ``{key:
+    value}``."""
     names = dict.fromkeys(key.lstrip("+~").partition("@")[0] for key in keys)
     return {
         key: job.choices[key] if key in job.choices else _text(_inside(job.config, key))
@@ -166,18 +166,18 @@ def values_of(keys: Sequence[str], job: Job) -> dict[str, str]:
 
 
 def _inside(node: Any, key: str) -> Any:
-    """The value at a dotted key; None where there is none."""
+    """The value of a dotted key; None if it is missing."""
     for name in key.split("."):
         node = node.get(name) if isinstance(node, Mapping) else None
     return node
 
 
 def set_values(cfg: DictConfig, values: Mapping[str, Any]) -> dict[str, str]:
-    """Sets values from Python in a configuration; returns the names of the components among them,
-    by group.
+    """Sets Python values in a configuration. Returns the names of the components among them, by
+    group.
 
     Raises:
-        OmegaConfBaseException: there is no such key, or it takes no such value.
+        OmegaConfBaseException: the key does not exist, or does not accept the value.
     """
     names = {}
     for key, value in values.items():
@@ -194,7 +194,7 @@ def set_values(cfg: DictConfig, values: Mapping[str, Any]) -> dict[str, str]:
 def _combinations(
     settings: list[dict[str, Any]], given: dict[str, list[str]]
 ) -> list[dict[str, str]]:
-    """Values of keys, a mapping a job; each only once."""
+    """The distinct combinations of values, a mapping for each job."""
     apart = [key for key in given if len({str(setting.get(key)) for setting in settings}) > 1]
     texts = [{key: _swept_text(value) for key, value in setting.items()} for setting in settings]
     chosen: dict[tuple[str, ...], dict[str, str]] = {}
@@ -229,27 +229,27 @@ def _parse(overrides: Sequence[str]) -> dict[str, list[str]]:
         else:
             asked = (override.input_line or "").partition("=")[2]
             raise InputError(key, asked, "a list, choice(...) or range(...)")
-        # Truth values as YAML has them: Hydra gives them in Python's spelling.
+        # Booleans as in YAML: Hydra writes them as in Python.
         parsed[key] = [{"True": "true", "False": "false"}.get(own, own) for own in values]
     return parsed
 
 
 def _swept_text(value: Any) -> str:
-    """Values of a key in a sweep's file, as an override has them."""
+    """The values of a key in a sweep's file, as an override."""
     return ",".join(map(_text, value)) if isinstance(value, list) else _text(value)
 
 
 def _text(value: Any) -> str:
-    """A value as YAML has it; numbers without zeros at their ends."""
+    """A value as in YAML; numbers have no trailing zeros."""
     if isinstance(value, float):
         return f"{value:.10g}"
     return value if isinstance(value, str) else json.dumps(value)
 
 
 class _Composer:
-    """Composes once for each choice of groups, since Hydra needs a fifth of a second: overrides
-    that only set a value (``lambda=1.5``) change a configuration that is there. All else, and all
-    that goes wrong, is left to Hydra.
+    """Calls Hydra once for each choice of groups, because a call takes a fifth of a second.
+    Overrides that only set a value (``lambda=1.5``) change an existing configuration. Everything
+    else, including errors, is left to Hydra.
 
     Args:
         load: Hydra's composition.
@@ -262,8 +262,8 @@ class _Composer:
         self._lacking: dict[str, tuple[Exception, dict[str, None]]] = {}
 
     def compose(self, values: dict[str, str]) -> DictConfig:
-        """The configuration of one combination. Its values lose the keys that its choice of a group
-        lacks, such as ``solver.simulations`` if another solver searches."""
+        """The configuration of one combination. Keys that the chosen component lacks are dropped,
+        such as ``solver.simulations`` for a solver without a search."""
         try:
             return self._composed([*_overrides(values)])
         except ConfigCompositionException as error:
@@ -276,7 +276,7 @@ class _Composer:
             return self.compose(values)
 
     def require_known(self, jobs: Sequence[Listed]) -> None:
-        """Says which choices lack a swept key.
+        """Reports which choices lack a swept key.
 
         Raises:
             ConfigCompositionException: no choice has it.
@@ -310,7 +310,7 @@ class _Composer:
 
 
 def command(config: DictConfig) -> str:
-    """What starts the same sweep."""
+    """The command that starts the same sweep."""
     given = [*config.hydra.overrides.hydra, *config.hydra.overrides.task]
     words = [word for word in given if not word.startswith("hydra.mode=")]
     prepared = any(word.startswith("sweeps=") for word in words)

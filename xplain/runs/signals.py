@@ -1,4 +1,4 @@
-"""A command's sweep ends cleanly on a signal, and its workers end with it."""
+"""Ends a command's sweep and its workers cleanly on a signal."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from multiprocessing import resource_tracker
 from typing import NoReturn
 
 CAME = threading.Event()
-"""Set by a signal that ends the process: a library may make another error of the interruption."""
+"""Set by a signal that ends the process, because a library may replace the interruption by another
+error."""
 
 
 def end_on_signals() -> None:
-    """From here on SIGTERM and a closed terminal interrupt this process as Ctrl-C does, and Ctrl-C
-    reaches no worker: one that imports would print a traceback."""
+    """From here on SIGTERM and a closed terminal interrupt this process like Ctrl-C. Workers ignore
+    Ctrl-C, because an interrupted import would print a traceback."""
 
     def interrupt(*_: object) -> NoReturn:
         CAME.set()
@@ -27,23 +28,23 @@ def end_on_signals() -> None:
         while signal.sigwait({signal.SIGINT}):
             os.kill(os.getpid(), signal.SIGTERM)
 
-    # A shell's background job ignores Ctrl-C, and shall; nohup a closed terminal.
+    # Keeps what is ignored: Ctrl-C in a background job, a closed terminal under nohup.
     numbers = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
     heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
     for number in heard:
         signal.signal(number, interrupt)
     if signal.SIGINT in heard:
-        resource_tracker.ensure_running()  # its start would lift the block
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which workers inherit
+        resource_tracker.ensure_running()  # its start would remove the block
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # workers inherit this
         threading.Thread(target=wait, daemon=True).start()
 
 
 @cache
 def end_with_parent() -> None:
-    """Watches the process that started this worker of joblib, once a worker, and ends with it.
+    """Ends this joblib worker when the process that started it ends. Call it once in a worker.
 
-    Without it the worker of a sweep killed with -9 works on, beside the rerun's workers, and
-    idles for minutes. Workers of clusters have keepers of their own.
+    Otherwise the worker of a sweep killed with -9 continues beside the workers of a new start, and
+    then waits for minutes. Workers on clusters are ended by their scheduler.
     """
     if not multiprocessing.current_process().name.startswith("LokyProcess"):
         return

@@ -1,4 +1,5 @@
-"""Runs a sweep: gives its batches to a launcher, then writes the report and logs to MLflow.
+"""Runs a sweep: gives its batches to a launcher, then writes the report and sends results to
+MLflow.
 
 The launcher is one of Hydra's on the command line, and joblib in Python.
 """
@@ -34,22 +35,22 @@ from xplain.storage import write_text
 log = logging.getLogger(__name__)
 
 POLL = 1.0
-"""Seconds between looks at how far a sweep is."""
+"""Seconds between two checks of a sweep's progress."""
 
 BATCHES, LISTED = "batches", "job.json"
-"""In a sweep's folder, the batches of its jobs; and in a job's own, where another sweeper than ours
-lists none, what it was."""
+"""The folder of the batches in a sweep's folder; and the file in a job's folder that describes a
+job of another sweeper."""
 
 
 def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
-    """Runs the jobs of a plan that have no result, and returns what the launcher does.
+    """Runs the jobs of a plan without results. Returns the launcher's result.
 
     Args:
-        plan: of the sweep. With ``dry_run=true`` its jobs are printed.
-        launch: runs the batches that these files list.
+        plan: the sweep. With ``dry_run=true`` its jobs are only printed.
+        launch: runs the batches in these files.
 
     Raises:
-        KeyboardInterrupt: it was interrupted; what had ended is in MLflow.
+        KeyboardInterrupt: it was interrupted; ended jobs are in MLflow.
     """
     if plan.config.dry_run:
         _print_jobs(plan)
@@ -73,7 +74,7 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
                     returned = launch(files) if files else []
                 except Exception as error:  # noqa: BLE001  (launchers raise what they like)
                     log.warning("the launcher gave up (%s)", first_line(error)[:160])
-                if CAME.is_set():  # the launcher made another error of the interruption
+                if CAME.is_set():  # the launcher replaced the interruption by another error
                     raise KeyboardInterrupt
         except KeyboardInterrupt:
             tracking: Disk = instantiate(plan.config.tracking)
@@ -83,23 +84,23 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
             raise KeyboardInterrupt(said) from None
         for (job, *_), one in zip(batches, returned or (), strict=False):
             with failing_into(folder.path / "jobs" / job.fingerprint):
-                _ = one.return_value  # raises what it failed with outside of its own code
+                _ = one.return_value  # raises errors from outside of the job's code
     return returned
 
 
 def save_sweep(path: Path, jobs: Sequence[Listed], outputs: Path, about: Mapping[str, Any]) -> None:
-    """Writes the description of a sweep: once, or again where the file is damaged.
+    """Writes the description of a sweep: once, or again if the file is damaged.
 
     Args:
-        path: of its folder.
-        jobs: all of them.
+        path: folder of the sweep.
+        jobs: all jobs.
         outputs: the outputs folder.
-        about: beside the jobs, such as its command and how it is reported.
+        about: further contents, such as its command and the settings of its report.
     """
     with suppress(OSError, InputError):
         _ = SweepFolder(path).about
         return
-    # A path from here: a project may be moved.
+    # A relative path, because a project may be moved.
     results = os.path.relpath(outputs / "results", path)
     made = {"code": code_version(), "git": git_state(), "started": time.time(), "results": results}
     text = json.dumps({**about, **made, "jobs": [asdict(job) for job in jobs]}, indent=1)
@@ -114,22 +115,22 @@ def finish(
     tell: Callable[[str], None],
     shown: bool = True,
 ) -> bool:
-    """Writes the report of a sweep, sends it to MLflow and tells its end; returns whether all of
+    """Writes the report of a sweep, sends it to MLflow and prints its end. Returns True if all of
     its jobs have results.
 
     Args:
-        folder: of the sweep.
-        tracking: where results go besides the disk.
+        folder: folder of the sweep.
+        tracking: where results are sent, besides the disk.
         outputs: the outputs folder.
-        began: when this process began with it, in seconds since 1970.
-        tell: takes a line for people.
-        shown: whether its table is printed.
+        began: when this process started it, in seconds since 1970.
+        tell: receives a line for people.
+        shown: True prints its table.
     """
     from xplain.report.page import write_report
     from xplain.report.terminal import print_sweep
 
     summary = None
-    # The same sweep, started twice, ends twice: both would send the same jobs to MLflow.
+    # A sweep started twice ends twice: both would send the same jobs to MLflow.
     with alone(folder.path, "another process ends this sweep; waiting for it"):
         with attempted("there is no report"):
             summary, _ = write_report(folder.path)
@@ -153,7 +154,7 @@ def finish(
 
 
 def list_job(job: Job, overrides: Sequence[str], folder: Path) -> None:
-    """Leaves word of a job that another sweeper than ours runs, in its own folder."""
+    """Writes the description of another sweeper's job into the job's folder."""
     texts = values_of([one.partition("=")[0] for one in overrides], job)
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(asdict(Listed("", (*overrides,), texts, job.fingerprint)))
@@ -161,8 +162,8 @@ def list_job(job: Job, overrides: Sequence[str], folder: Path) -> None:
 
 
 def collected(config: DictConfig) -> SweepFolder | None:
-    """The sweep that ended: of our sweeper as it was planned, of another one as its jobs left
-    word. None where nothing ran."""
+    """The sweep that ended: from our sweeper's plan, or from the descriptions that another
+    sweeper's jobs wrote. None if nothing ran."""
     folder = SweepFolder(Path(config.hydra.sweep.dir).absolute())
     paths = sorted(folder.path.glob(f"jobs/*/{LISTED}"), key=lambda path: path.stat().st_mtime_ns)
     if rows := [Listed(**json.loads(path.read_text(encoding="utf-8"))) for path in paths]:
@@ -172,9 +173,9 @@ def collected(config: DictConfig) -> SweepFolder | None:
 
 
 def _print_jobs(plan: Plan) -> None:
-    """What ``dry_run=true`` prints: the jobs, those already done, and the time to expect."""
+    """Prints the jobs, the finished ones, and the expected time, for ``dry_run=true``."""
     for job in plan.jobs:
-        if job.fingerprint in {*plan.finished, *plan.todo}:  # resume=failed leaves some
+        if job.fingerprint in {*plan.finished, *plan.todo}:  # resume=failed skips some
             print(f"{'done' if job.fingerprint in plan.finished else 'to run':8}{job.label}")
     print(f"{len(plan.jobs)} jobs: {len(plan.finished)} done, {len(plan.todo)} to run")
     if plan.finished and plan.todo:
@@ -186,13 +187,13 @@ def _print_jobs(plan: Plan) -> None:
 
 @contextmanager
 def _watched(plan: Plan) -> Iterator[None]:
-    """Tells how far the jobs are, by their folders, for the time of the context; and the first
-    that fails."""
+    """A context that reports the progress of the jobs, from their folders, and the first
+    failure."""
     began, folder, done = time.time(), plan.folder, len(plan.finished)
     jobs = [job for job in plan.jobs if job.fingerprint in plan.todo]
     progress, stop, said = stages(), threading.Event(), list[Listed]()
 
-    def ended(path: Path) -> bool:  # now, not in an attempt before
+    def ended(path: Path) -> bool:  # in this attempt, not an earlier one
         return path.exists() and path.stat().st_mtime >= began - 1
 
     def look() -> None:
@@ -223,5 +224,5 @@ def _watched(plan: Plan) -> Iterator[None]:
 
 
 def _duration(seconds: float) -> str:
-    """In hours, minutes and seconds: ``0:03:20``."""
+    """Formats hours, minutes and seconds: ``0:03:20``."""
     return str(timedelta(seconds=round(seconds)))
