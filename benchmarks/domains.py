@@ -39,7 +39,7 @@ from xplain.errors import XplainError
 from xplain.experiment.config import composed
 from xplain.randomness import stream
 from xplain.report.plots import save
-from xplain.report.trace import Story, draw_trace
+from xplain.report.trace import draw_trace
 
 DOMAINS = ("four_rooms", "rescue", "taxi", "cliff_walking", "frozen_lake")
 PICTURES = Path(__file__).parent.parent / "docs" / "pictures"
@@ -156,19 +156,16 @@ def picture(domain: str, folder: Path) -> None:
     number = max(range(len(traces)), key=lambda index: doors(traces[index]))
     trace = traces[number]
     labels = setting.label_table(trace)[0, :, 0].tolist()
-    rows = tuple(tuple(labels[: k + 1]) for k in range(len(trace)))
+    steps = [{"messages": [], "labels": labels[: k + 1]} for k in range(len(trace))]
     places = [setting.domain.position(int(s)) for s in (*trace[:, 0], trace[-1, 2])]
-    story = Story(
-        solver="silence",
-        trace=number,
-        user_type=f"{setting.types[0].name} ({', '.join(setting.types[0].inaccurate)})",
-        cost=float(sum(row.count(0) for row in rows)),
-        phrases=tuple(setting.domain.describe(step) for step in trace),
-        positions=tuple(place for place in places if place is not None),
-        messages=((),) * len(trace),
-        labels=rows,
-    )
-    caption = f"{story.user_type}, to whom nothing is said"
+    kind = f"{setting.types[0].name} ({', '.join(setting.types[0].inaccurate)})"
+    story = {
+        "type": kind,
+        "transitions": [setting.domain.describe(step) for step in trace],
+        "positions": [place for place in places if place is not None],
+        "steps": steps,
+    }
+    caption = f"{kind}, to whom nothing is said"
     save(draw_trace(setting.domain.scene, story, caption, {}), folder / f"{domain}.png")
 
 

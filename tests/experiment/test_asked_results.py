@@ -72,7 +72,7 @@ def test_the_report_counts_questions_step_by_step(asked: Any, tmp_path: Any) -> 
     (tmp_path / EPISODES).write_text(episode_lines(prepared, records))
     object.__setattr__(results, "config", {**results.config, **config})
     for story, record in zip(stories(tmp_path, "solver"), records, strict=True):
-        asked_in_all = sum(map(len, story.questions))
+        asked_in_all = sum(len(step["questions"]) for step in story["steps"])
         assert asked_in_all == record.episode.n_questions
         said = said_in(story, results.messages)
         assert said.count("it asks: “") == min(asked_in_all, LISTED)

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from xplain.report import stages as module
-from xplain.report.stages import Lines, TerminalStages, stages
+from xplain.report.stages import Stages, TerminalStages, stages
 
 
 class Screen(io.StringIO):
@@ -25,7 +25,7 @@ def test_without_a_terminal_short_stages_say_nothing_and_long_ones_a_line(
 ) -> None:
     """A part of a long one is not a line of its own; one that ends in an error says no more."""
     caplog.set_level(logging.INFO, "xplain")
-    assert isinstance(stages(), Lines)
+    assert not isinstance(stages(), TerminalStages)
     told = stages()
     with told.stage("short"):
         assert list(told.track("ab", "part", 2)) == ["a", "b"]
@@ -46,7 +46,7 @@ def test_without_a_terminal_long_stages_tell_how_far_they_are(
     caplog.set_level(logging.INFO, "xplain")
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
-    told = Lines()
+    told = Stages()
     for _ in told.track(range(5), "work", 5):
         now[0] += module.EVERY / 2 + 0.1
     with told.stage("more"):

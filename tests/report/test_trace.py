@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -15,8 +13,12 @@ from xplain.report.trace import Story, describe_choice, draw_trace, typical
 
 
 def story(trace: int, user: str, cost: float) -> Story:
-    positions = ((0, 0), (0, 1), (0, 2))
-    return Story("solver", trace, user, cost, ("a", "b"), positions, (("x",), ()), ((1,), (1, 0)))
+    first = {"messages": ["x"], "labels": [1], "belief": [0.8, 0.2], "questions": []}
+    asked = [{"about": "Do puddles matter", "reply": "yes"}]
+    second = {"messages": [], "labels": [1, 0], "belief": [0.9, 0.1], "questions": asked}
+    steps = {"prior": [0.5, 0.5], "steps": [first, second]}
+    places = {"transitions": ["a", "b"], "positions": [[0, 0], [0, 1], [0, 2]]}
+    return {"trace": trace, "type": user, "cost": cost, **places, **steps}
 
 
 @pytest.mark.parametrize(
@@ -43,9 +45,9 @@ def test_half_of_the_episodes_cost_no_more_and_half_no_less() -> None:
         costs = rng.integers(0, 6, size=rng.integers(1, 12)) * 0.5
         found = [story(i, "B", float(cost)) for i, cost in enumerate(costs)]
         one = typical(found)
-        assert (costs <= one.cost).sum() >= len(costs) / 2
-        assert (costs >= one.cost).sum() >= len(costs) / 2
-        assert all(cost != one.cost for cost in costs[: one.trace])
+        assert (costs <= one["cost"]).sum() >= len(costs) / 2
+        assert (costs >= one["cost"]).sum() >= len(costs) / 2
+        assert all(cost != one["cost"] for cost in costs[: one["trace"]])
 
 
 SENTENCES = {"x": "Puddles cost 3.", "y": "Never said."}
@@ -53,9 +55,7 @@ SENTENCES = {"x": "Puddles cost 3.", "y": "Never said."}
 
 @pytest.mark.parametrize("scene", [None, Scene(1, 3)], ids=["list", "map"])
 def test_the_picture_says_what_the_robot_says_and_which_episode_it_is(scene: Scene | None) -> None:
-    beliefs = ((0.5, 0.5), (0.8, 0.2), (0.9, 0.1))
-    asked = ((), (("Do puddles matter", "yes"),))
-    one = replace(story(12, "E", 2.5), beliefs=beliefs, questions=asked)
+    one = story(12, "E", 2.5)
     caption = describe_choice(one, 100)
     assert caption == (
         "trace 12, user of type E: cost 2.5, the median of 100 episodes (the first that costs this)"
@@ -71,4 +71,4 @@ def test_the_picture_says_what_the_robot_says_and_which_episode_it_is(scene: Sce
     drawn = (line for axes in figure.findobj(Axes) for line in axes.get_lines())
     lines = {line.get_label(): line.get_ydata() for line in drawn}
     for number, name in enumerate(("type 1", "type 2 (the user's)")):
-        np.testing.assert_array_equal(lines[name], np.array(beliefs)[:, number])
+        np.testing.assert_array_equal(lines[name], [[0.5, 0.8, 0.9], [0.5, 0.2, 0.1]][number])

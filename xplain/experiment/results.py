@@ -225,15 +225,15 @@ def episode_lines(prepared: Prepared, records: list[Record]) -> str:
     lines = []
     for record in records:
         episode, case = record.episode, prepared.cases[record.trace]
-        beliefs = episode.beliefs.round(12).tolist()
+        beliefs, labels = episode.beliefs.round(12).tolist(), episode.labels.tolist()
         steps = [
             {
                 **_asked(episode, case, k),
-                "messages": names_of(int(episode.messages[k]), prepared.messages),
-                "labels": episode.labels[k, : k + 1].tolist(),
+                "messages": names_of(given, prepared.messages),
+                "labels": labels[k][: k + 1],
                 "belief": beliefs[k + 1],
             }
-            for k in range(len(episode.messages))
+            for k, given in enumerate(episode.messages.tolist())
         ]
         line = {
             "solver": record.solver,

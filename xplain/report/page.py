@@ -115,7 +115,7 @@ def example(summary: Summary, domain: Any, report: Path) -> dict[str, Any]:
     job, results = min(at, key=lambda one: (rank(one[1].solver), one[1].solver))
     figure, story, which = trace.draw_typical(summary.folder.address(job), results)
     plots.save(figure, path := report / f"trace_{domain}.svg")
-    words = [*job.overrides, "--trace", str(story.trace), "--user", story.user_type]
+    words = [*job.overrides, "--trace", str(story["trace"]), "--user", story["type"]]
     whose = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job.label}”)"
     return {
         "domain": title(domain),

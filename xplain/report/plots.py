@@ -14,7 +14,6 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -113,28 +112,31 @@ def draw(
     figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
     every = figure.subplots(rows, columns, squeeze=False, sharey="row").ravel()
     is_negative = points["low"].min() < 0 or points["mean"].min() < 0
+    is_long = sum(len(str(tick)) for tick in ticks) > 32
+    slope: dict[str, Any] = {"rotation": 30, "ha": "right"} if is_long else {}
     named: dict[str, Any] = {}
     for axes, panel in zip(every, panels, strict=False):
         for index, line in enumerate(lines):
             own = points[(points["panel"] == panel) & (points["line"] == line)]
             at = own["x"].map(place).to_numpy(float) + spread * (index - (len(lines) - 1) / 2)
             style = series_style(index) | ({} if is_numeric else {"linestyle": "none"})
-            ends = [own["mean"] - own["low"], own["high"] - own["mean"]]
+            ends: Any = [own["mean"] - own["low"], own["high"] - own["mean"]]
             many = dict[str, Any](markevery=max(1, len(own) // 12), capsize=2.5, lw=1.4, ms=5)
             if len(own):
-                drawn = axes.errorbar(
-                    at, own["mean"], np.nan_to_num(ends), label=line, **many, **style
-                )
+                ends = np.nan_to_num(ends).clip(0)
+                drawn = axes.errorbar(at, own["mean"], ends, label=line, **many, **style)
                 named.setdefault(line, drawn)
             if own["hollow"].notna().any():
                 look = {"marker": style["marker"], "mfc": "white", "ls": "none", "ms": 8}
                 axes.plot(at, own["hollow"], color=style["color"], zorder=1, **look)
         axes.set(xlabel=x_label)
         axes.set_title(panel, loc="left", weight="bold", fontsize=10)
-        if len(ticks) <= 8:  # the values that were run, and no others
-            axes.set_xticks(list(place.values()), [f"{t:g}" if is_numeric else t for t in ticks])
+        if not is_numeric:
+            axes.set_xticks(range(len(ticks)), ticks, **slope)
+        elif len(ticks) <= 8:  # the values that were run, and no others
+            axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         else:
-            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            axes.xaxis.set_major_locator(MaxNLocator(6, integer=all(t == int(t) for t in ticks)))
         if is_negative:
             axes.axhline(0, color="#222222", lw=0.8)
     if not is_negative:  # once all are drawn: a limit ends the scaling of a row
@@ -147,7 +149,8 @@ def draw(
     if points["hollow"].notna().any():
         look = {"marker": "o", "mfc": "white", "ls": "none", "ms": 8}
         named[hollow] = Line2D([], [], color="#666666", **look)
-    if any(name.strip() for name in named):
+    named.pop("", None)
+    if named:
         figure.legend([*named.values()], [*named], loc="outside right center")
     return figure
 
@@ -264,78 +267,39 @@ def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
     return draw(points.assign(hollow=chosen), CLUSTERS, DISAGREEMENTS, hollow=words)
 
 
-@matplotlib.rc_context(STYLE)
 def posterior(probability: Mapping[int, float], found: int) -> Figure:
-    """P(number of types | labels); the number that was taken is hatched."""
-    figure, axes = _axes((5, 3.2))
-    numbers = np.arange(1, max(*probability, found) + 2)
-    heights = [probability.get(int(k), 0.0) for k in numbers]
-    bars = axes.bar(numbers, heights, color=COLOURS[5], edgecolor="black")
-    bars[found - 1].set(facecolor=COLOURS[0], hatch="//", edgecolor="white")
-    axes.set(
-        xlabel="number of user types",
-        ylabel="posterior probability",
-        title=f"{found} types taken (hatched)",
-        ylim=(0, 1),
-    )
-    axes.xaxis.set_major_locator(MaxNLocator(12, integer=True))
-    return figure
+    """P(number of types | labels), with the number that was taken."""
+    numbers = range(1, max(*probability, found) + 2)
+    points = pd.DataFrame({"panel": "", "line": "", "x": numbers})
+    points["mean"] = [probability.get(k, 0.0) for k in numbers]
+    taken = points["mean"].where(points["x"] == found)
+    words = "number of user types", "posterior probability"
+    return draw(points.assign(hollow=taken), *words, hollow=f"taken: {found}")
 
 
-@matplotlib.rc_context(STYLE)
 def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> Figure:
-    """Share of labels 1 with a message minus the share without it, by type and message; 0 if one
+    """Share of labels 1 with a message minus the share without it, a panel a type; none where one
     of the two was never asked."""
     given = bits_of(dataset.message_set, dataset.n_messages).astype(bool)
-    labels, types = pd.Series(dataset.label), clustering.assignment[dataset.observer]
-    gain = np.zeros((clustering.n_types, dataset.n_messages))
-    for j in range(dataset.n_messages):
-        means = labels.groupby([types, given[:, j]]).mean().unstack().reindex(columns=[False, True])
-        gain[means.index, j] = (means[True] - means[False]).fillna(0)
-    figure, axes = _axes((2.5 + 0.75 * gain.shape[1], 1.6 + 0.32 * len(gain)))
-    image = axes.imshow(gain, cmap="PuOr", vmin=-0.5, vmax=0.5, aspect="auto")
-    axes.set_xticks(range(gain.shape[1]), dataset.messages, rotation=30, ha="right")
-    axes.set_yticks(range(len(gain)), list(names)[: len(gain)])
-    axes.grid(False)
-    if gain.size <= 400:
-        for (t, j), value in np.ndenumerate(gain):
-            ink = "white" if abs(value) > 0.35 else "black"
-            axes.text(j, t, f"{100 * value:+.0f}", ha="center", va="center", color=ink, fontsize=8)
-    axes.set(xlabel="message", title="Explicable labels: given − not given (percentage points)")
-    figure.colorbar(image, ax=axes, label="difference of shares")
-    return figure
+    own = pd.DataFrame({"panel": np.array(names)[clustering.assignment[dataset.observer]]})
+    own["label"], gains = dataset.label, []
+    for j, message in enumerate(dataset.messages):
+        shares = own.groupby(["panel", given[:, j]])["label"].mean().unstack()
+        gain = 100 * shares.reindex(columns=[False, True]).diff(axis=1)[True]
+        gains.append(pd.DataFrame({"x": message, "mean": gain}).reset_index())
+    points = pd.concat(gains, ignore_index=True).assign(line="")
+    order = {name: place for place, name in enumerate(names)}
+    points = points.sort_values("panel", key=lambda own: own.map(order), kind="stable")
+    return draw(points, "message", "explicable labels in %:\ngiven − not given")
 
 
-@matplotlib.rc_context(STYLE)
 def calibration(bins: Sequence[Tenth]) -> Figure:
     """Share of held-out labels that are 1, by their predicted probability, with intervals."""
-    figure, axes = _axes((4, 3.8))
-    said, ones = np.array([one.said for one in bins]), np.array([one.ones for one in bins])
-    ends = np.array([[one.ones - one.low, one.high - one.ones] for one in bins]).T
-    axes.plot([0, 1], [0, 1], color=COLOURS[6], linewidth=1, label="as predicted")
-    words = f"{len(bins)} parts of {min(one.labels for one in bins)} labels or more"
-    look: dict[str, Any] = {
-        "color": COLOURS[0],
-        "marker": MARKERS[0],
-        "linestyle": "none",
-        "capsize": 3,
-    }
-    axes.errorbar(said, ones, ends.clip(0), label=words, **look)
-    axes.set(
-        xlabel="probability of label 1, as predicted",
-        ylabel="share of labels 1 (95 % interval)",
-        title="Calibration on held-out labels",
-        xlim=(-0.02, 1.02),
-        ylim=(-0.02, 1.02),
-        aspect="equal",
-    )
-    axes.legend(loc="upper left", fontsize=8)
-    return figure
-
-
-def _axes(size: tuple[float, float]) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=size)
-    return figure, figure.subplots()
+    found = pd.DataFrame(bins).rename(columns={"said": "x", "ones": "mean"})
+    ideal = pd.DataFrame({"x": [0.0, 1.0], "mean": [0.0, 1.0], "line": "as predicted"})
+    points = pd.concat([found.assign(line="held-out labels"), ideal]).assign(panel="")
+    parts = f"{len(bins)} parts of at least {found['labels'].min()} labels"
+    return draw(points, f"predicted probability of label 1\n({parts})", "share of labels 1")
 
 
 @matplotlib.rc_context(STYLE)

@@ -12,8 +12,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from contextlib import contextmanager, nullcontext
+from typing import TYPE_CHECKING
 
 from xplain.experiment.progress import Progress, is_terminal
 
@@ -26,17 +26,17 @@ EVERY = 10.0
 """Seconds before and between lines of a stage where there is no terminal."""
 
 
-def stages() -> TerminalStages | Lines:
+def stages() -> Stages:
     """Those for the standard error that there is."""
-    return TerminalStages() if is_terminal(sys.stderr) else Lines()
+    return TerminalStages() if is_terminal(sys.stderr) else Stages()
 
 
-class Lines(Progress):
+class Stages(Progress):
     """Lines in the log for what takes long: an error that comes soon is the only line then."""
 
     def __init__(self) -> None:
         self._open: list[str] = []
-        self._said = self._compiling_since = 0.0
+        self._said = 0.0
 
     @contextmanager
     def stage(self, what: str, count: int | None = None) -> Iterator[None]:
@@ -55,19 +55,16 @@ class Lines(Progress):
 
     def note(self, text: str, done: int | None = None) -> None:
         """See :class:`xplain.experiment.progress.Progress`."""
-        if self._open and time.monotonic() - self._said > EVERY:
+        if self._open and text and time.monotonic() - self._said > EVERY:
             self._said = time.monotonic()
             log.info("%s: %s", self._open[-1], text)
 
-    def compiling(self, text: str) -> None:
-        """A kernel is compiled; an empty text where it is done."""
-        if text:
-            self._compiling_since = self._compiling_since or time.monotonic()
-            seconds = time.monotonic() - self._compiling_since
-            self.note(f"compiling (once; later runs load) {text}, {seconds:.0f} s since the first")
+    def compiling(self, kernel: str) -> None:
+        """Tells that a kernel is compiled; an empty text says that it is done."""
+        self.note(kernel and f"compiling {kernel} (once; later runs load it)")
 
 
-class TerminalStages(Progress):
+class TerminalStages(Stages):
     """A moving line for each stage that is open, gone when it ends."""
 
     def __init__(self) -> None:
@@ -79,53 +76,42 @@ class TerminalStages(Progress):
             progress.TextColumn("{task.description}"),
             progress.TimeElapsedColumn(),
             progress.BarColumn(bar_width=20),
-            progress.TextColumn("{task.fields[note]}"),
+            progress.TextColumn("{task.fields[note]}{task.fields[kernel]}"),
             console=Console(stderr=True, highlight=False),
             transient=True,
         )
-        self._open: list[TaskID] = []
-        self._compiling: TaskID | None = None
-        self._streams: list[tuple[logging.StreamHandler[Any], Any]] = []
+        self._tasks: list[TaskID] = []
 
     @contextmanager
     def stage(self, what: str, count: int | None = None) -> Iterator[None]:
         """See :class:`xplain.experiment.progress.Progress`."""
-        if not self._open:
-            self._start()
-        task = self._bars.add_task(what, total=count, note="")
-        self._open.append(task)
-        try:
-            yield
-        finally:
-            self._open.remove(task)
-            self._bars.remove_task(task)
-            if not self._open:
-                self._stop()
+        with nullcontext() if self._tasks else self._moving():
+            self._tasks.append(self._bars.add_task(what, total=count, note="", kernel=""))
+            try:
+                yield
+            finally:
+                self._bars.remove_task(self._tasks.pop())
 
     def note(self, text: str, done: int | None = None) -> None:
         """See :class:`xplain.experiment.progress.Progress`."""
-        if self._open:
-            self._bars.update(self._open[-1], completed=done, note=text)
+        if self._tasks:
+            self._bars.update(self._tasks[-1], completed=done, note=text)
 
-    def compiling(self, text: str) -> None:
-        """A kernel is compiled; an empty text where it is done."""
-        if self._compiling is not None:
-            self._bars.update(self._compiling, note=text, visible=bool(text))
-        elif self._open and text:
-            what = "compiling (once)"
-            self._compiling = self._bars.add_task(what, total=None, note=text)
+    def compiling(self, kernel: str) -> None:
+        """See :class:`Stages`."""
+        if self._tasks:
+            text = kernel and f" compiling {kernel} (once)"
+            self._bars.update(self._tasks[-1], kernel=text)
 
-    def _start(self) -> None:
+    @contextmanager
+    def _moving(self) -> Iterator[None]:
         """Whoever logs meanwhile writes above the moving lines."""
         logged = logging.getLogger().handlers
         own = [h for h in logged if isinstance(h, logging.StreamHandler) and h.stream is sys.stderr]
-        self._bars.start()  # from here on sys.stderr is rich's
-        self._streams = [(handler, handler.setStream(sys.stderr)) for handler in own]
-
-    def _stop(self) -> None:
-        if self._compiling is not None:
-            self._bars.remove_task(self._compiling)
-            self._compiling = None
-        self._bars.stop()
-        for handler, stream in self._streams:
-            handler.setStream(stream)
+        with self._bars:  # from here on sys.stderr is rich's
+            streams = [(handler, handler.setStream(sys.stderr)) for handler in own]
+            try:
+                yield
+            finally:
+                for handler, stream in streams:
+                    handler.setStream(stream)
