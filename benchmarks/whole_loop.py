@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import sys
 import tempfile
 from pathlib import Path
 
@@ -24,18 +25,21 @@ from xplain.experiment.config import composed
 from xplain.interaction.statistics import clustered_mean
 from xplain.learning.data.label_file import write_table
 from xplain.people.collect.bot import Habits as Observing
-from xplain.people.collect.bot import crowd, truth_of
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, material_of
 from xplain.people.collect.tables import dataset_of
 from xplain.people.material import fixed
 from xplain.people.study.analysis import CONDITIONS
-from xplain.people.study.bot import Habits, StudyBot, take_part
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from tests.people.bare_flow import crowd, take_part, truth_of
 
 LABELS, PEOPLE, ERROR = 20, 24, 0.05
 HABITS = {

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.datastructures import ImmutableMultiDict
 
+from tests.people.bare_flow import answer
 from tests.people.kinds import KINDS, bot_of, flow_of
 from xplain.errors import Refused
-from xplain.people.bots import answer
 from xplain.people.flow import CANNOT_TELL, State
 from xplain.people.plan import LabQuestion
 
@@ -140,8 +140,8 @@ def test_questions_take_what_lies_within_their_bounds(
 @kinds
 def test_a_comment_has_no_characters_that_programs_end_at(kind: str) -> None:
     flow, state = flow_of(kind), at(kind, "answers")
-    sent = ImmutableMultiDict({"comment": " a\x00b\x1b[c\nd👩‍🔬 ", "age": "4\x000"})
-    read = flow.read(state, "answers", sent)
+    typed = {"answer_comment": " a\x00b\x1b[c\nd👩‍🔬 ", "answer_age": "4\x000"}
+    read = flow.read(state, "answers", ImmutableMultiDict(typed))
     assert (read["comment"], read["age"]) == ("ab[c\nd👩‍🔬", "40")
 
 

@@ -1,4 +1,4 @@
-"""Simulated people, in the bare flow and against a running server (``study bots``).
+"""Simulated people, against a running server (``study bots``).
 
 They use HTTP and invitations of the stream "bot", so their data is always marked. Their plan is
 read from the server's export, so the server may run anywhere.
@@ -21,10 +21,9 @@ import lxml.html
 import numpy as np
 import requests
 from requests.cookies import RequestsCookieJar
-from starlette.datastructures import ImmutableMultiDict
 
 from xplain.errors import InputError, Probability
-from xplain.people.flow import Fields, Flow, S
+from xplain.people.flow import Fields
 from xplain.people.log import Plan
 from xplain.people.plan import LabQuestion
 from xplain.randomness import below
@@ -86,13 +85,6 @@ class Page:
             hidden=hidden,
             headings=[_text(one) for one in tree.iter("h1")],
         )
-
-    @classmethod
-    def of_view(cls, view: Mapping[str, Any]) -> Page:
-        """Makes a page from a flow's view, without a server."""
-        facts, told, new = (view.get(key, ()) for key in ("briefing", "told", "new"))
-        steps = view.get("transitions", ())
-        return cls(view["stage"], facts, told, new, view.get("fields", {}), steps)
 
 
 def _text(element: Any) -> str:
@@ -291,7 +283,7 @@ class Bot(Generic[P, H]):
         """Answers each required question: with the right answer, or with the first allowed one if
         none is right."""
         return [
-            (q.name, q.right or (q.options or (str(q.low) if q.kind == "number" else "–",))[0])
+            (q.field, q.right or (q.options or (str(q.low) if q.kind == "number" else "–",))[0])
             for q in questions
             if q.needed
         ]
@@ -314,19 +306,6 @@ class Bot(Generic[P, H]):
     def at_questions(self, page: Page) -> Fields:
         """Answers only the required questions."""
         return self.asked(self.plan.asked)  # type: ignore[attr-defined]
-
-
-def answer(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> tuple[str, dict[str, Any]]:
-    """Kind and payload of a bot's answer to a state's page, in the bare flow."""
-    kind, (filled, _) = flow.waits_for(state), bot.fill(Page.of_view(flow.view(state)))
-    return kind, flow.read(state, kind, ImmutableMultiDict(filled))
-
-
-def take_part(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> S:
-    """Moves a bot through the bare flow, from a state to the end or to the page where it leaves."""
-    while not state.over and not bot.leaves(Page.of_view(flow.view(state))):
-        state = flow.advance(state, *answer(flow, bot, state))
-    return state
 
 
 class Researcher:

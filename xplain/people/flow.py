@@ -215,8 +215,7 @@ class Stage(Generic[F, S]):
         return state.to(stage=self.name)
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
-        """The content of the page, in plain values. Simulated people also read it: ``briefing`` and
-        ``told`` are sentences; ``fields`` has (value, text) pairs of each field."""
+        """The content of the page, in plain values."""
         return {}
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
@@ -520,7 +519,7 @@ class QuestionStage(Stage[F, S]):
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """Reads the answers by name."""
         asked = getattr(flow.plan, self.of)
-        return {one.name: one.read(form.get(one.name, "")) for one in asked}
+        return {one.name: one.read(form.get(one.field, "")) for one in asked}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """Checks each answer, and moves on."""

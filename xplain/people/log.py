@@ -285,7 +285,9 @@ def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
     if not path.exists() or not path.stat().st_size:
         return None
     try:
-        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+        with closing(
+            sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+        ) as connection:
             found = connection.execute("SELECT payload FROM event WHERE kind = 'plan'").fetchone()
     except sqlite3.DatabaseError as error:
         raise InputError("database", str(path), f"not a study's database ({error})") from None

@@ -81,9 +81,8 @@ class Ahead:
 
 EDIT = "[EDIT"
 """Start of a text that a lab has to fill in."""
-FORM = ("token", "sequence", "kind", "ms", "action", "method", "elements", "submit")
-"""Reserved names of forms and their own fields."""
-_NUMBER = re.compile(r"([+-]?[0-9]{1,9})([.]0*)?")
+_NUMBER = re.compile(r"([+-]?\d{1,9})([.]0*)?")
+"""A whole number in the digits of any script."""
 
 
 @pydantic.dataclasses.dataclass(frozen=True, config={"strict": True, "extra": "forbid"})
@@ -120,9 +119,6 @@ class LabQuestion:
     def __post_init__(self) -> None:
         """Raises InputError if something is missing that the kind needs."""
         key = f"questions.{self.name}"
-        if self.name in FORM:
-            wanted = f"another name; forms have {', '.join(FORM)}"
-            raise InputError("questions.name", self.name, wanted)
         if self.kind == "choice" and not self.choices:
             raise InputError(f"{key}.choices", [], "at least one choice")
         if self.kind == "scale" and not 1 <= self.high - self.low <= 10:
@@ -145,6 +141,11 @@ class LabQuestion:
         return self.required or bool(self.right)
 
     @property
+    def field(self) -> str:
+        """The name of its field, which is no name that a form or a page has for something else."""
+        return f"answer_{self.name}"
+
+    @property
     def attributes(self) -> dict[str, str | int]:
         """HTML attributes of the question's field."""
         found: dict[str, str | int] = {"required": "required"} if self.needed else {}
@@ -158,7 +159,8 @@ class LabQuestion:
         """Normalises an answer: no surrounding blanks, lines end in a line feed, whole numbers have
         no ".0"."""
         text = text.replace("\r\n", "\n").translate(_NO_TEXT).strip()
-        whole = _NUMBER.fullmatch(text) if self.kind == "number" else None
+        minus = text.replace("\N{MINUS SIGN}", "-")
+        whole = _NUMBER.fullmatch(minus) if self.kind == "number" else None
         return str(int(whole[1])) if whole else text
 
     def problem(self, value: object, words: Mapping[str, str]) -> str:
@@ -171,7 +173,7 @@ class LabQuestion:
             return words["answer_this"].format(label=label)
         if value and self.options and value not in self.options:
             return words["choose_one"].format(label=label)
-        whole = _NUMBER.fullmatch(value)
+        whole = _NUMBER.fullmatch(value) if value.isascii() else None
         allowed = whole is not None and self.low <= int(whole[1]) <= self.high
         if value and self.kind == "number" and not allowed:
             return words["whole_number"].format(label=label, low=self.low, high=self.high)

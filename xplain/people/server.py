@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 from urllib.parse import urlsplit
 
 import jwt
@@ -113,7 +113,7 @@ def _bytes(text: str) -> bytes:
     return text.encode(errors="replace")
 
 
-ENDINGS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full")
+Ending = Literal["declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full"]
 """Ends that can have their own completion code, besides the normal end."""
 LEAST_KEY, LEAST_SECRET = 12, 32
 """Minimum characters of the researcher's key, and minimum bytes of a secret that signs links."""
@@ -170,7 +170,7 @@ class Server:
     keep_ids: bool = False
     completion_url: str = ""
     completion_code: str = ""
-    codes: Mapping[str, str] = field(default_factory=lambda: dict.fromkeys(ENDINGS, ""))
+    codes: Mapping[Ending, str] = field(default_factory=lambda: dict.fromkeys(get_args(Ending), ""))
     address: str = ""
     frames: tuple[str, ...] = ()
     key: str = ""
@@ -234,7 +234,7 @@ class Server:
 
     def lets_in(self, ids: Sequence[str]) -> bool:
         """True if a person with these values of ``id_names`` may come in."""
-        whole = bool(ids) and all(0 < len(one) <= 100 for one in ids)
+        whole = bool(ids) and all(0 < len(one) <= 100 and one.isprintable() for one in ids)
         of_study = not self.studies or ids[1] in self.studies
         return whole and of_study and (not self.ids or ids[0] in self.listed())
 

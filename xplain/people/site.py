@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
+from ipaddress import ip_network
 from typing import Annotated, Any, Literal
 from urllib.parse import parse_qsl, quote
 
@@ -40,7 +42,11 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=(), interest-cohort=()",
 }
-RIGHT_TO_LEFT = ("ar", "arc", "ckb", "dv", "fa", "he", "ks", "ps", "sd", "ug", "ur", "yi")
+RIGHT_TO_LEFT = (
+    *("ar", "arc", "ckb", "dv", "fa", "he", "iw", "ks", "nqo", "ps", "sd", "syr", "ug", "ur", "yi"),
+    *("adlm", "arab", "hebr", "nkoo", "rohg", "syrc", "thaa"),  # scripts, which decide if given
+)
+_PORT = re.compile(r"^(?:\[(.*)\](?::\d+)?|([^:]*):\d+)$")
 
 
 class Site:
@@ -118,7 +124,9 @@ def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
 
 def direction(language: str) -> str:
     """The writing direction of a language: "rtl" or "ltr"."""
-    return "rtl" if language.lower().split("-")[0] in RIGHT_TO_LEFT else "ltr"
+    first, *others = re.split("[-_]", language.lower())
+    script = next((one for one in others if len(one) == 4 and one.isalpha()), first)
+    return "rtl" if script in RIGHT_TO_LEFT else "ltr"
 
 
 @jinja2.pass_context
@@ -197,11 +205,15 @@ class Visit:
 
     @property
     def address(self) -> str:
-        """The browser's address, as the outermost trusted proxy saw it."""
+        """The browser's address, as the outermost trusted proxy saw it, without a port. For IPv6 it
+        is the network, because one person has all of its addresses."""
         hops = ",".join(self.request.headers.getlist("x-forwarded-for")).split(",")
         count = min(self.site.server.proxies, len(hops))
         peer = self.request.client.host if self.request.client else ""
-        return hops[-count].strip() if count else peer
+        found = _PORT.sub(r"\1\2", hops[-count].strip() if count else peer)
+        with suppress(ValueError):
+            return str(ip_network((found, 64 if ":" in found else 32), strict=False))
+        return found
 
     @property
     def participant(self) -> Participant[Any]:

@@ -44,7 +44,7 @@ pages = APIRouter()
 # Entry -----------------------------------------------------------------------------------------
 
 
-@pages.get("/")
+@pages.api_route("/", methods=["GET", "HEAD"])
 def entrance(visit: Visiting) -> Response:
     """The page behind invitations and links of recruiting platforms. Changes nothing yet."""
     visitor, site, given = visit.cookie(VISITOR), visit.site, visit.request.query_params
@@ -74,11 +74,11 @@ def enter(visit: Visiting) -> Response:
         raise HTTPException(403, "not_ready")
     if not visit.genuine(visitor):
         raise HTTPException(403, "old_form")
-    ids = {key: visit.field(key) for key in server.id_names}
+    ids = {key: visit.field(f"id_{key}").strip() for key in server.id_names}
     if "signed" in server.entry:
-        ids = server.verify(visit.field(server.signed_name))
-    # Mail programs cut the last character of a link, or add the full stop of a sentence.
-    invitation = visit.field("invitation").strip().rstrip(".,;-_)>")
+        ids = server.verify(visit.field(f"id_{server.signed_name}"))
+    # A link may come with the full stop of a sentence, or be typed from paper in small letters.
+    invitation = re.sub("[^A-Z]", "", visit.field("invitation").upper())
     try:
         if server.from_platform and server.lets_in([*ids.values()]):
             who = store.enter_from_platform(ids, server.keep_ids)
@@ -219,7 +219,7 @@ def events(visit: Visiting) -> Response:
     return JSONResponse({"kept": len(items)})
 
 
-@pages.get("/alive")
+@pages.api_route("/alive", methods=["GET", "HEAD"])
 def alive(request: Request) -> Response:
     """Reports whether answers can be stored: the server runs, and its disk has space."""
     free = shutil.disk_usage(request.app.state.site.store.path.parent).free
@@ -234,7 +234,7 @@ def alive(request: Request) -> Response:
 def create_app(store: Store, server: Server) -> FastAPI:
     """Creates the application for one open store."""
     site = Site(store, server)
-    app = FastAPI(openapi_url=None)
+    app = FastAPI(openapi_url=None, redirect_slashes=False)
     app.state.site = site
     app.mount("/static", StaticFiles(packages=[("xplain.people", "static")]))
     app.include_router(pages)
@@ -254,6 +254,7 @@ def create_app(store: Store, server: Server) -> FastAPI:
     async def guard(request: Request, go_on: Callable[[Request], Awaitable[Response]]) -> Response:
         """Applies limits and headers. After any error returns a page and logs the traceback."""
         came, path = Visit(site, request), request.scope["path"].removeprefix(server.path)
+        path = path.rstrip("/") or "/"
         fixed, who = path.startswith("/static/"), came.owner or came.researcher
         limit = site.participant_limit if who else site.visitor_limit
         # A proxy in front may or may not remove the path of the address.

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.people.bare_flow import answer, observe
 from tests.people.collect.stand_in import FAULTLESS, street_collection
 from xplain.errors import InputError
 from xplain.learning.data.label_file import read_table, write_table
-from xplain.people.bots import answer
 from xplain.people.collect.asking import ATTENTION, CollectState, shared
-from xplain.people.collect.bot import Habits, bot, take_part
+from xplain.people.collect.bot import Habits, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import (
     compared,
@@ -30,7 +30,7 @@ COLLECTION = street_collection()
 
 
 def person(number: int, habits: Habits = FAULTLESS) -> CollectState:
-    return take_part(COLLECTION, bot(COLLECTION.plan, habits, 0, number), number, {})
+    return observe(COLLECTION, bot(COLLECTION.plan, habits, 0, number), number)
 
 
 def inattentive(state: CollectState) -> CollectState:

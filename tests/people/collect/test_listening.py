@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.people.bare_flow import observe
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan
 from tests.people.kinds import filled
 from xplain.cli.main import main
@@ -27,7 +28,7 @@ from xplain.people.collect.asking import (
     CollectState,
     shared,
 )
-from xplain.people.collect.bot import Observer, take_part
+from xplain.people.collect.bot import Observer
 from xplain.people.collect.tables import Asked, asked_of, listeners_in
 from xplain.people.store import Store
 
@@ -38,7 +39,7 @@ UNKNOWN = habits_of("learned", "learned", "learned")
 
 def somebody(held: int, number: int, habits: bot.Habits = FAULTLESS) -> CollectState:
     person = Observer(COLLECTION.plan, held, habits, np.random.default_rng(number))
-    return take_part(COLLECTION, person, number, {})
+    return observe(COLLECTION, person, number, {})
 
 
 @settings(max_examples=20, deadline=None)
@@ -144,7 +145,7 @@ def test_rates_of_simulated_people_are_found_again(accept: float, forget: float,
         rng = np.random.default_rng([seed, number])
         person = Observer(COLLECTION.plan, role.held, habits, rng)
         others = shared([state.belief for state in states[-10:]])
-        states.append(take_part(COLLECTION, person, number, others))
+        states.append(observe(COLLECTION, person, number, others))
     found = learned_habits([asked_of(COLLECTION.plan, state) for state in states])
     pull = PRIOR_PEOPLE / (people / 2 + PRIOR_PEOPLE)
     rates, stays = {"accept": accept, "forget": forget}, (1 - forget) ** MESSAGES

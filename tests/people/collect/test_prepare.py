@@ -10,13 +10,14 @@ import pytest
 from PIL import Image
 from sklearn.metrics import adjusted_rand_score
 
+from tests.people.bare_flow import crowd, truth_of
 from tests.people.collect.stand_in import street_plan
 from xplain.cli.main import main
 from xplain.cli.people import configured
 from xplain.errors import InputError
 from xplain.experiment.config import CONF
 from xplain.explanation.message_sets import mask_of
-from xplain.people.collect.bot import Habits, crowd, truth_of
+from xplain.people.collect.bot import Habits
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble
 from xplain.people.collect.tables import fact_sets

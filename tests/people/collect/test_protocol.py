@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.people.bare_flow import answer, observe
 from tests.people.collect.stand_in import FAULTLESS, street_collection, telling
 from xplain.errors import InputError
-from xplain.people.bots import answer
 from xplain.people.collect.asking import (
     ATTENTION,
     QUESTION,
@@ -22,7 +22,7 @@ from xplain.people.collect.asking import (
     belief,
     schedule,
 )
-from xplain.people.collect.bot import Habits, Observer, take_part
+from xplain.people.collect.bot import Habits, Observer
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import dataset_of
 from xplain.people.flow import CANNOT_TELL
@@ -39,7 +39,7 @@ def somebody(
 ) -> CollectState:
     """An observer in the bare protocol, to the end."""
     person = Observer(collection.plan, held, habits, np.random.default_rng(number))
-    return take_part(collection, person, number, {})
+    return observe(collection, person, number)
 
 
 def consent(collection: Collection, **changes: Any) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def test_whoever_never_errs_is_found_consistent_and_attentive(design: Battery | 
 def test_between_two_looks_at_a_step_there_are_others(number: int, held: int, listed: bool) -> None:
     collection = LISTED if listed else COLLECTION
     person = Observer(collection.plan, held, Habits(0.2), np.random.default_rng(number))
-    clips = take_part(collection, person, number, {}).answered
+    clips = observe(collection, person, number).answered
     phrases = collection.plan.hypotheses.phrases
     steps = [[phrases[t] for t in clip.transitions] for clip in clips]
     asked = [clip.purpose == QUESTION for clip in clips]
@@ -123,7 +123,7 @@ def test_between_two_looks_at_a_step_there_are_others(number: int, held: int, li
 def test_of_questions_that_tell_about_as_much_new_ones_come_first(number: int, held: int) -> None:
     person = Observer(COLLECTION.plan, held, FAULTLESS, np.random.default_rng(number))
     phrases = COLLECTION.plan.hypotheses.phrases
-    state = take_part(COLLECTION, person, number, {})
+    state = observe(COLLECTION, person, number)
     for place, clip in enumerate(state.answered):
         if clip.purpose != QUESTION:
             continue
@@ -193,7 +193,7 @@ def test_assigned_briefings_tell_what_a_role_knows_and_it_is_found_again() -> No
     for index, role in enumerate(plan.roles):
         # Nothing is known of them but what they read.
         person = Observer(plan, 0, FAULTLESS, np.random.default_rng(index))
-        state = take_part(collection, person, index, {}, role=index)
+        state = observe(collection, person, index, role=index)
         row = int(plan.hypotheses.row(np.array(role.held)))
         assert state.belief[str(plan.hypotheses.essential[row])] > 0.9
         assert [state.stated[j] for j in range(len(plan.facts))] == [

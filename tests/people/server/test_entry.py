@@ -44,7 +44,7 @@ def comes(store: Store, server: Server, token: str) -> int:
     """The status of somebody who opens a link with a signed token, and presses the button."""
     client = Client(create_app(store, server))
     form = client.get(f"{server.path}/?signed={token}").text
-    sent = {"token": field(form, "token"), "signed": token}
+    sent = {"token": field(form, "token"), "id_signed": token}
     return client.post(f"{server.path}/enter", data=sent).status_code
 
 

@@ -51,7 +51,18 @@ KINDS = (
     "",
 )
 NAMES = (
-    *("token", "sequence", "kind", "agree", "text", "label", "ms", "true", "age", "comment"),
+    *(
+        "token",
+        "sequence",
+        "kind",
+        "agree",
+        "text",
+        "label",
+        "ms",
+        "true",
+        "answer_age",
+        "answer_comment",
+    ),
     *("label_0", "label_1", "label_2", "label_3", "q0", "q1", "q2", "q3", "invitation", "count"),
     *("PROLIFIC_PID", "STUDY_ID", "SESSION_ID", "stream", "key", "user_type", "condition"),
     *("orders", "labels", "answers", "chosen", "tab", "items", "belief", "__class__", "a[b]"),

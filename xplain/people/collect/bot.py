@@ -1,24 +1,21 @@
 """Simulated observers. They read the page, answer according to their incorrect beliefs, and
 sometimes make errors, lose attention, or leave.
 
-The same observer can use the bare flow, HTTP, or a real browser.
+The same observer can use HTTP or a real browser.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from xplain.errors import Probability, Range, checks
 from xplain.explanation.message_sets import indices
 from xplain.people import bots
 from xplain.people.bots import Page
-from xplain.people.collect.asking import CollectState, shared
-from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import Fields
 from xplain.randomness import stream
@@ -116,46 +113,3 @@ def bot(plan: CollectPlan, habits: Habits, seed: int, number: int) -> Observer:
     """The simulated observer with a number. Consecutive numbers have different roles."""
     held = plan.roles[number % len(plan.roles)].held
     return Observer(plan, held, habits, stream(seed, "bots", number))
-
-
-def take_part(
-    collection: Collection,
-    person: Observer,
-    number: int,
-    others: Mapping[str, float],
-    role: int | None = None,
-) -> CollectState:
-    """Runs one observer in the bare flow, to the end or until they leave.
-
-    Args:
-        collection: the running collection.
-        person: the observer.
-        number: the participant's number.
-        others: incorrect beliefs of earlier participants
-            (:func:`xplain.people.collect.asking.shared`).
-        role: role of their briefing, if any.
-    """
-    consent = {"number": number, "role": role, "others": others}
-    state = collection.after(CollectState(), **collection.admitted(consent))
-    return bots.take_part(collection, person, state)
-
-
-def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[CollectState]:
-    """Simulated observers one after the other in the bare flow; the roles take turns."""
-    collection = Collection(plan)
-    states: list[CollectState] = []
-    for number in range(people):
-        person = bot(plan, habits, seed, number)
-        others = shared([state.belief for state in states])
-        role = number % len(plan.roles) if plan.assigned else None
-        # Each simulated collection draws its own questions and their order.
-        states.append(take_part(collection, person, seed * 10_000 + number, others, role))
-    return states
-
-
-def truth_of(plan: CollectPlan, people: int) -> NDArray[np.int64]:
-    """[people] the facts that each simulated observer believes incorrectly. Roles that behave alike
-    count as one."""
-    known = plan.hypotheses
-    held = np.array([plan.roles[i % len(plan.roles)].held for i in range(people)])
-    return known.essential[known.row(held)]

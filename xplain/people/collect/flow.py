@@ -130,9 +130,7 @@ class BeliefStage(Stage["Collection", CollectState]):
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """Shows the facts in the participant's order."""
-        shown = statements(flow.plan, state.person)
-        fields = {f"fact_{j}": pair for j, pair in shown}
-        return flow.briefing(state) | {"statements": shown, "fields": fields}
+        return flow.briefing(state) | {"statements": statements(flow.plan, state.person)}
 
     def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
         """Reads an index into STATED for each fact."""

@@ -1,13 +1,13 @@
 """Simulated participants. They read sentences, forget some, sometimes err, and need time.
 
 A :class:`StudyBot` has the plan's table of true labels, but uses only what the pages say. The same
-participant can use the bare flow, HTTP, or a real browser.
+participant can use HTTP or a real browser.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +17,6 @@ from xplain.explanation.message_sets import indices
 from xplain.people import bots
 from xplain.people.bots import Page
 from xplain.people.flow import Fields
-from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
 from xplain.randomness import stream
 
@@ -159,14 +158,3 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
 def bot(plan: StudyPlan, habits: Habits, seed: int, number: int) -> StudyBot:
     """The simulated participant with a number."""
     return StudyBot(plan, habits, stream(seed, "bots", number))
-
-
-def take_part(study: Study, person: StudyBot, user_type: int, condition: str) -> StudyState:
-    """Runs one simulated participant in the bare flow, from the briefing to the end or until they
-    leave."""
-    role = study.plan.roles[user_type]
-    orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}
-    place = {"position": None, "user_type": user_type, "condition": condition}
-    consent = place | {"orders": orders, "width": 9999}
-    state = study.after(StudyState(), **study.admitted(consent))
-    return bots.take_part(study, person, replace(state, stage="briefing"))

@@ -208,7 +208,6 @@ class Explaining(Flow[StudyPlan, StudyState]):
             "old": old,
             "new": new,
             "again": again,
-            "told": old + new,
         }
 
 
@@ -228,7 +227,6 @@ class Evaluation(Stage["Explaining", StudyState]):
             "trace": plan.trace[: state.step + 1],
             "n_steps": plan.n_steps,
             "labels": state.labels,
-            "fields": {f"label_{i}": [] for i in range(state.step + 1)},
         }
 
     def read(self, flow: Explaining, state: StudyState, form: Form) -> dict[str, Any]:
@@ -272,7 +270,6 @@ class Asking(OneLabel["Explaining", StudyState]):
             "clip": flow.plan.clips[question],
             "transitions": (question,),
             "first_picture": flow.plan.n_steps,
-            "fields": {"label": []},
         }
 
     def advance(

@@ -95,10 +95,8 @@ class TrainingStage(Practice["Study", StudyState]):
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """Shows the message only in the second half."""
-        example = flow.plan.training
-        told = [example.message] if state.part else []
         slots = len(flow.plan.facts)
-        return {"training": example, "part": state.part, "slots": slots, "told": told}
+        return {"training": flow.plan.training, "part": state.part, "slots": slots}
 
 
 class Eligibility(Stage["Study", StudyState]):
@@ -111,10 +109,7 @@ class Eligibility(Stage["Study", StudyState]):
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """Shows the questions in the participant's order."""
         questions = flow.role(state).eligibility
-        return {
-            "questions": [(i, questions[i]) for i in (state.orders or {})["eligibility"]],
-            "fields": {f"q{i}": list(enumerate(q.options)) for i, q in enumerate(questions)},
-        }
+        return {"questions": [(i, questions[i]) for i in (state.orders or {})["eligibility"]]}
 
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
         """Reads the answers in the plan's order."""
@@ -141,8 +136,7 @@ class Quiz(Stage["Study", StudyState]):
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """Shows the statements in the participant's order."""
         statements = flow.role(state).quiz
-        shown = [(i, statements[i].text) for i in (state.orders or {})["quiz"]]
-        return {"statements": shown, "fields": {"true": shown}}
+        return {"statements": [(i, statements[i].text) for i in (state.orders or {})["quiz"]]}
 
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
         """Reads the ticked statements."""

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from tests.people.bare_flow import take_part
 from tests.people.study.stand_in import FAULTLESS, SCREENS, street_study
 from xplain.errors import Refused
 from xplain.explanation.belief import Independent, Persistent
@@ -16,7 +17,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
 from xplain.people.flow import CANNOT_TELL
-from xplain.people.study.bot import StudyBot, take_part
+from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study, StudyState
 from xplain.solvers.greedy import QMDP
 

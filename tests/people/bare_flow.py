@@ -1,0 +1,90 @@
+"""Simulated people in the bare flow, without a server: for tests and benchmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from starlette.datastructures import ImmutableMultiDict
+
+from xplain.people.bots import Bot, Page
+from xplain.people.collect.asking import CollectState, shared
+from xplain.people.collect.bot import Habits, Observer, bot
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.plan import CollectPlan
+from xplain.people.flow import Flow, S
+from xplain.people.study.bot import StudyBot
+from xplain.people.study.flow import Study, StudyState
+
+
+def page_of(view: Mapping[str, Any]) -> Page:
+    """What simulated people read of a page, from the view that it is made of."""
+    stage, new, fields = view["stage"], view.get("new", ()), dict[str, Any]()
+    told = view.get("told", [*view.get("old", ()), *new])
+    if stage == "training" and view["part"]:
+        told = [view["training"].message]
+    elif stage == "evaluation":
+        fields = {f"label_{i}": [] for i in range(view["step"] + 1)}
+    elif stage == "quiz":
+        fields = {"true": view["statements"]}
+    elif stage == "beliefs":
+        fields = {f"fact_{j}": pair for j, pair in view["statements"]}
+    return Page(stage, view.get("briefing", ()), told, new, fields, view.get("transitions", ()))
+
+
+def answer(flow: Flow[Any, S], person: Bot[Any, Any], state: S) -> tuple[str, dict[str, Any]]:
+    """Kind and payload of somebody's answer to the page of a state."""
+    kind, (filled, _) = flow.waits_for(state), person.fill(page_of(flow.view(state)))
+    return kind, flow.read(state, kind, ImmutableMultiDict(filled))
+
+
+def walk(flow: Flow[Any, S], person: Bot[Any, Any], state: S) -> S:
+    """Leads somebody from a state to the end, or to the page where they leave."""
+    while not state.over and not person.leaves(page_of(flow.view(state))):
+        state = flow.advance(state, *answer(flow, person, state))
+    return state
+
+
+def take_part(study: Study, person: StudyBot, user_type: int, condition: str) -> StudyState:
+    """One simulated participant of a study, from the briefing on."""
+    role = study.plan.roles[user_type]
+    orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}
+    place = {"position": None, "user_type": user_type, "condition": condition}
+    consent = place | {"orders": orders, "width": 9999}
+    state = study.after(StudyState(), **study.admitted(consent))
+    return walk(study, person, replace(state, stage="briefing"))
+
+
+def observe(
+    collection: Collection,
+    person: Observer,
+    number: int,
+    others: Mapping[str, float] | None = None,
+    role: int | None = None,
+) -> CollectState:
+    """One simulated observer of a collection; ``others``: what those before believe incorrectly."""
+    consent = {"number": number, "role": role, "others": others or {}}
+    return walk(collection, person, collection.after(CollectState(), **consent))
+
+
+def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[CollectState]:
+    """Simulated observers one after the other; the roles take turns."""
+    collection, states = Collection(plan), list[CollectState]()
+    for number in range(people):
+        person = bot(plan, habits, seed, number)
+        others = shared([state.belief for state in states])
+        role = number % len(plan.roles) if plan.assigned else None
+        # Each simulated collection draws questions and their order anew.
+        states.append(observe(collection, person, seed * 10_000 + number, others, role))
+    return states
+
+
+def truth_of(plan: CollectPlan, people: int) -> NDArray[np.int64]:
+    """[people] the facts that each simulated observer believes incorrectly; roles that behave alike
+    are one."""
+    known = plan.hypotheses
+    held = np.array([plan.roles[i % len(plan.roles)].held for i in range(people)])
+    return known.essential[known.row(held)]
