@@ -11,8 +11,8 @@ from sklearn.tree import DecisionTreeClassifier
 from xplain import LearnedTypes
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits
-from xplain.learning.data.dataset import Dataset, encoded
-from xplain.learning.data.label_file import read_table
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.label_file import encoded, read_table
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import learn_types

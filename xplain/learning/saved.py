@@ -20,8 +20,8 @@ from xplain.errors import InputError
 from xplain.explanation.belief import OPEN, fact_sets
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.data.dataset import Dataset, encoded, places
-from xplain.learning.data.label_file import MAX_MASK
+from xplain.learning.data.dataset import Dataset, places
+from xplain.learning.data.label_file import MAX_MASK, encoded
 from xplain.learning.labelers import FittedLabeler, Labeler, MeasuredLabeler
 from xplain.learning.user_types import UserTypes, label_table
 

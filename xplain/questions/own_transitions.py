@@ -14,8 +14,7 @@ from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
-from xplain.learning.data.cells import MISSING, one_hot, read_cells
-from xplain.learning.data.label_file import read_features
+from xplain.learning.data.label_file import MISSING, Column, features_of, read_cells
 
 TEXT, IMAGE, ALT, WHEN = "text", "image", "alt", "inexplicable_if"
 
@@ -75,7 +74,7 @@ def with_features(known: Hypotheses) -> Hypotheses:
     """Hypotheses whose transitions have features; where they have none, the text is one."""
     if known.features is not None:
         return known
-    features, names = one_hot(TEXT, known.phrases)
+    features, names = features_of([Column.of("transitions", TEXT, known.phrases)])
     return replace(known, features=features, feature_names=names)
 
 
@@ -102,9 +101,9 @@ def read_transitions(path: str | Path) -> OwnTransitions:
     if WHEN in words:
         cells = ("" if cell in MISSING else cell for cell in words[WHEN])
         facts = tuple(tuple(filter(None, map(str.strip, cell.split(";")))) for cell in cells)
-    described = table.drop(columns=[TEXT, IMAGE, ALT, WHEN], errors="ignore")
-    named = len(described.columns) > 0
-    features, names = read_features(described, key="transitions") if named else (None, ())
+    described = [name for name in table.columns if name not in (TEXT, IMAGE, ALT, WHEN)]
+    columns = [Column.of("transitions", name, table[name]) for name in described]
+    features, names = features_of(columns) if columns else (None, ())
     nothing = ("",) * len(table)
     return OwnTransitions(
         path=str(path),

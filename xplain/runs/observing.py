@@ -13,8 +13,7 @@ from omegaconf import DictConfig
 from xplain.errors import InputError
 from xplain.experiment import pipeline
 from xplain.explanation.message_sets import names_of
-from xplain.learning.data.cells import check_format
-from xplain.learning.data.label_file import write_table
+from xplain.learning.data.label_file import is_parquet, write_table
 from xplain.questions.designs import Battery, battery
 from xplain.questions.own_transitions import known_facts
 from xplain.randomness import run_seed
@@ -35,7 +34,7 @@ def observed(cfg: DictConfig) -> Row:
     """
     run_seed(cfg.seed)
     output = Path(cfg.output)
-    check_format(output, "output")
+    is_parquet(output, "output")
     named = output.name.removesuffix(".gz").removesuffix(".csv").removesuffix(".parquet")
     beside = output.with_name(f"{named}.types.csv") if cfg.truth is None else Path(cfg.truth)
     if output.resolve() == beside.resolve():

@@ -14,8 +14,13 @@ from hypothesis import strategies as st
 
 from tests.learning.data.test_label_file import table
 from xplain.errors import InputError
-from xplain.learning.data.cells import option, read_cells
-from xplain.learning.data.label_file import read_questions, read_table, write_table
+from xplain.learning.data.label_file import (
+    option,
+    read_cells,
+    read_questions,
+    read_table,
+    write_table,
+)
 
 WORDS = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs", "Zl", "Zp")))
 ROWS = st.lists(st.tuples(WORDS, WORDS, WORDS), min_size=1, max_size=6)
@@ -82,7 +87,7 @@ def test_a_random_table_is_the_same_after_writing_and_reading(
     given_ = {*items} - {"NA", "null"}
     are_numbers = given_ <= {"7", "1.10", "1.1"} and not given_ >= {"1.10", "1.1"}
     if (are_numbers or given_ <= {"true"}) and given_ != {*items}:  # a number is missing
-        with pytest.raises(InputError, match=r"item.*missing in"):
+        with pytest.raises(InputError, match=r"missing in .* of item"):
             read_table(table(folder, **own), **how)
         return
     dataset = read_table(table(folder, **own), **how)
@@ -99,7 +104,7 @@ def test_a_random_table_is_the_same_after_writing_and_reading(
 
 @given(st.lists(st.text(st.characters(exclude_categories=("Cc", "Cs"))), min_size=1))
 def test_what_to_write_reaches_the_configuration_as_it_is(values: list[str]) -> None:
-    (word,) = shlex.split(option("ignore", values))
+    (word,) = shlex.split(option("data", "ignore", *values))
     (override,) = OverridesParser.create().parse_overrides([word])
     assert override.value() == values
 
@@ -120,6 +125,99 @@ def test_columns_that_cannot_be_features_are_named_and_the_advice_works(
     assert len(read_table(path, features=advised).feature_names) == 5
 
 
+def followed(text: str, advice: str) -> list[str]:
+    """What the advice in a text sets its key to."""
+    (word,) = shlex.split(text.partition(advice)[2].partition("\n")[0])
+    (override,) = OverridesParser.create().parse_overrides([word])
+    value = override.value()
+    assert isinstance(value, list)
+    return value
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("shuffled", [True, False])
+def test_a_number_of_the_row_is_no_feature_however_it_counts(
+    told: bool,
+    shuffled: bool,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    rng_of_the_day: np.random.Generator,
+) -> None:
+    """As of an experiment's log: trials of each person from 0, and seconds since the start. Where
+    all are asked alike and nothing is told, the number of a trial is one of its step as well."""
+    rows: dict[str, list[Any]] = {x: [] for x in ("observer", "messages", "step", "trial", "date")}
+    asked = [(h, s) for h in (("", "m0", "m1") if told else ("",)) for s in "abcdef"]
+    for observer in "pqrstuvw":
+        order = rng_of_the_day.permutation(len(asked)) if shuffled else range(len(asked))
+        for trial, i in enumerate(order):
+            own = observer, *asked[i], trial, f"2026-11-{1 + trial % 2:02d} 10:{trial:02d}"
+            for column, value in zip(rows.values(), own, strict=True):
+                column.append(value)
+    label = rng_of_the_day.integers(2, size=len(rows["step"])).tolist()
+    path = table(tmp_path, row=None, action=None, label=label, **rows)
+    dataset = read_table(path)
+    if told or shuffled:
+        assert dataset.feature_names == tuple(f"step={s}" for s in "abcdef")
+        assert "trial (it counts the rows of each person), date" not in caplog.text
+        assert "it counts the rows of each person" in caplog.text
+        again = read_table(path, features=followed(caplog.text, "to take all: "))
+        assert {"trial", "step=a"} < {*again.feature_names}
+    assert len(dataset.features) == 6
+    assert "date (dates or times)" in caplog.text
+
+
+def test_numbers_that_name_the_steps_are_features(tmp_path: Path) -> None:
+    """They rise from row to row of each person, but each is one step, asked about under different
+    messages."""
+    people = ["a", "b", "c"]
+    path = table(
+        tmp_path,
+        observer=[x for x in people for _ in range(4)],
+        messages=["", "m0", "", "m0", "m0", "", "m0", "", "", "", "m0", "m0"],
+        row=[1, 2, 3, 4] * 3,
+        action=["up", "up", "left", "left"] * 3,
+        label=[0, 1] * 6,
+    )
+    assert "row" in read_table(path).feature_names
+
+
+@pytest.mark.parametrize(
+    ("header", "meant"),
+    [
+        ("Observer", "observer"),
+        ("MESSAGES", "messages"),
+        ("message", "messages"),
+        ("Label", "label"),
+    ],
+)
+def test_a_column_with_nearly_the_name_is_asked_about_and_the_advice_works(
+    header: str, meant: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path)
+    written, expected = path.read_text(), read_table(path)
+    path.write_text(written.replace(meant, header, 1))
+    with pytest.raises(InputError, match=f"data='{header}': rename this column to {meant}$"):
+        read_table(path)
+    path.write_text(written.replace(meant, f"{meant} ", 1))
+    assert read_table(path).messages == expected.messages
+
+
+@pytest.mark.parametrize("alike", ["Up", "up\u200b", "\uff55p"])
+def test_values_that_look_alike_are_named(
+    alike: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = table(tmp_path, action=["up", alike, "left", "up", alike, "left"])
+    assert f"action={alike}" in read_table(path).feature_names
+    assert "in the column action look alike; they count as two" in caplog.text
+
+
+def test_a_name_that_would_be_that_of_a_value_is_refused(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text().replace("row", "zone=river", 1))
+    with pytest.raises(InputError, match="data='zone=river': rename this column"):
+        read_table(path)
+
+
 def test_where_no_column_can_be_a_feature_it_is_asked_and_the_advice_works(tmp_path: Path) -> None:
     path = table(tmp_path, row=[1, 1, 1, 2, 2, 2], action=None)
     with pytest.raises(InputError, match="the same in all rows of a person") as caught:
@@ -136,6 +234,10 @@ def test_where_no_column_can_be_a_feature_it_is_asked_and_the_advice_works(tmp_p
         (
             ["", "go on", "m1", "go on + m1", "", ""],
             "data='go on . m1': looks like messages",
+        ),
+        (
+            ["", "go on/turn left", "turn left/wait here", "", "", ""],
+            "data='go on/turn left': looks like messages",
         ),
         *(
             (["", "m0", "m1", f"m0{joint}m1", "", "m0"], "looks like messages joined")

@@ -1,10 +1,13 @@
-"""Tables of labels, CSV or Parquet: one row for each label (docs/your-own-data.md).
+"""People's own tables, CSV or Parquet, such as tables of labels: one row for each label
+(docs/your-own-data.md).
 
 Columns: ``observer``; ``messages``, names joined by ``;``, empty for none (without this column
 nobody received messages); ``label``, 0 or 1. The other columns are features of the transition
-(:func:`read_table`). Numbers stay numbers; text becomes one 0/1 feature for each value
-(``action=left``; :mod:`xplain.learning.data.cells`). Rows with equal features are the same
-transition.
+(:func:`read_table`). Rows with equal features are the same transition.
+
+Every cell is first a text, exactly as in the file. A column becomes numbers only if its texts lose
+nothing: ``007``, ``1E2``, and ``1.1`` beside ``1.10`` stay texts. Text becomes one 0/1 feature for
+each value (``action=left``).
 
 An observer with few labels is kept, with a warning. If an observer answers the same question in
 both ways, both labels count, because people err. Errors are: a missing value, a label other than 0
@@ -14,34 +17,37 @@ message set).
 
 from __future__ import annotations
 
+import codecs
+import csv
+import gzip
+import io
 import logging
+import math
 import re
+import shlex
 import unicodedata
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import InputError, first_line, one_of, quoted
 from xplain.explanation.message_sets import mask_of, names_of
-from xplain.learning.data.cells import (
-    MISSING,
-    as_numbers,
-    check_format,
-    one_hot,
-    option,
-    read_cells,
-    stripped,
-)
-from xplain.learning.data.dataset import Dataset, align, columns_of, query_index
+from xplain.learning.data.dataset import Dataset, query_index
 
 if TYPE_CHECKING:
     import pandas as pd
 
 log = logging.getLogger(__name__)
 
+MISSING = frozenset(("", "NA", "N/A", "NaN", "nan", "null", "NULL", "<NA>", "#N/A"))
+NUMBER = r"[+-]?(?:(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:e[+-]?\d+|E[+-]\d+)?|inf)"
+"""A number as programs write it. R and spreadsheets write a sign as in 1E+05, so 1E2 is a name."""
+TIME = r".*(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\b\d\d?:\d\d(:\d\d|\b)).*"
+SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 COLUMNS = ("observer", "messages", "label")
 NEARLY_ALL = 0.9
 """A column with more distinct values than this share of the rows cannot describe a transition."""
@@ -51,6 +57,159 @@ MAX_MASK = 62
 """Maximum number of messages in a table; a message set is the bits of one integer."""
 MIN_QUERIES = 4
 """Minimum number of distinct (transition, message set); a split of fewer has no meaning."""
+PREFIXES = {"data": "", "observers.path": "observers."}
+"""The beginning of the other keys about a table of labels, by the key of its path."""
+
+
+class Column(NamedTuple):
+    """A column of P cells with U different texts.
+
+    Attributes:
+        key: the user's key, for errors.
+        name: name of the column.
+        words: [U] the distinct texts without spaces around them, sorted.
+        code: [P] index into ``words``.
+    """
+
+    key: str
+    name: str
+    words: NDArray[Any]
+    code: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, key: str, name: str, cells: Any) -> Column:
+        """Numbers the texts of some cells."""
+        import pandas as pd
+
+        first, texts = pd.factorize(np.asarray(cells, dtype=object))
+        stripped = np.array([text.strip() for text in texts], dtype=object)
+        again, words = pd.factorize(stripped, sort=True)
+        return cls(key, name, words, again[first].astype(np.int64))
+
+    def different_with(self, *others: Column) -> int:
+        """Counts the distinct rows of this column and others."""
+        code = self.code
+        for other in others:
+            code = np.unique(code * len(other.words) + other.code, return_inverse=True)[1]
+        return len(np.unique(code))
+
+    def refuse(self, bad: Any, what: str, advice: str = "") -> None:
+        """Raises InputError if some words [U] are bad; the line gives the row of the first one."""
+        rows = np.flatnonzero(np.asarray(bad, dtype=bool)[self.code])
+        if len(rows):
+            word = self.words[self.code[rows[0]]] or self.name
+            where = f"{what} in {len(rows)} rows of {self.name}, first in row {rows[0] + 1}"
+            raise InputError(self.key, word, where + advice)
+
+    def numbers(self) -> NDArray[np.float64] | None:
+        """[U] the words as numbers; true is 1, false is 0, a missing cell is NaN. None if some words
+        are no numbers."""
+        given = [word for word in self.words if word not in MISSING]
+        if {word.lower() for word in given} <= {"true", "false"}:
+            found = {word: float(word.lower() == "true") for word in given}
+        elif all(re.fullmatch(NUMBER, word) for word in given):
+            found, first = {word: float(word) for word in given}, dict[float, str]()
+            for word, number in found.items():
+                if (other := first.setdefault(number, word)) != word:
+                    alike = f"{other} and {word} would be one number"
+                    log.warning("the column %s is text: %s", self.name, alike)
+                    return None
+        else:
+            if all(re.fullmatch(rf"{NUMBER}|\d+,\d+", word) for word in given):
+                log.warning("the column %s is text: a number is written 1.5, not 1,5", self.name)
+            return None
+        return np.array([found.get(word, math.nan) for word in self.words])
+
+    def warn_of_similar(self) -> None:
+        """Warns about words that differ only by invisible marks, case, or two encodings of one
+        character or number."""
+        seen: dict[str, str] = {}
+        for word in self.words:
+            plain = unicodedata.normalize("NFKC", word).casefold()
+            plain = re.sub(r"[\u200b-\u200f\ufeff]|^0+(?=\d)|(?<=\d)\.0+$", "", plain)
+            if (other := seen.setdefault(plain, word)) != word:
+                text = "%s: %a and %a in the column %s look alike; they count as two"
+                log.warning(text, self.key, other, word, self.name)
+
+    def features(self, like: Sequence[str] = ()) -> tuple[NDArray[Any], tuple[str, ...]]:
+        """Returns the features of each word [U, F], and their names.
+
+        Args:
+            like: names of features; they decide whether the column is read as numbers or text.
+
+        Raises:
+            InputError: a value is missing, infinite, or not among the values in ``like``.
+        """
+        prefix = f"{self.name}="
+        known = [name.removeprefix(prefix) for name in like if name.startswith(prefix)]
+        numbers = None if known else self.numbers()
+        absent, mend = [word in MISSING for word in self.words], "; leave those rows out"
+        if self.key in PREFIXES:
+            mend += f", or the column by {option(self.key, 'ignore', self.name)}"
+        if self.name in like and numbers is None:
+            numbers = np.array([_float(word) for word in self.words])
+            self.refuse(np.isnan(numbers) & ~np.array(absent), "no number")
+        if numbers is not None:
+            self.refuse(np.isnan(numbers), "missing", mend)
+            self.refuse(np.isinf(numbers), "infinite")
+            return numbers[:, None], (self.name,)
+        self.refuse(self.words == "", "missing", mend)
+        if any(absent):
+            word = self.words[absent.index(True)]
+            log.warning("%s: %s in the column %s is a text", self.key, word, self.name)
+        self.warn_of_similar()
+        values = known or [*self.words]
+        others = [word not in values for word in self.words]
+        self.refuse(others, "unknown value", f"; known: {', '.join(values)}")
+        return self.words[:, None] == np.array(values, object), tuple(prefix + x for x in values)
+
+
+def _float(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
+
+
+def features_of(
+    columns: Iterable[Column], like: Sequence[str] = ()
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Returns the features [P, F] of some columns, and their names: those of ``like`` if there are
+    any."""
+    made = [(column, *column.features(like)) for column in columns]
+    found = np.hstack([values[column.code] for column, values, _ in made]).astype(np.float64)
+    names = tuple(name for *_, own in made for name in own)
+    if not like:
+        return found, names
+    key = made[0][0].key
+    for name in names:
+        one_of(key, name, like, "feature")
+    for name in like:
+        if name not in names:
+            raise InputError(key, name.partition("=")[0], "this column is missing")
+    return found[:, [names.index(name) for name in like]], tuple(like)
+
+
+def encoded(
+    transition: Mapping[str, float | str], feature_names: Sequence[str]
+) -> tuple[float, ...]:
+    """Returns the F features of a transition, in order.
+
+    Args:
+        transition: a number or a text for each column that the features come from.
+        feature_names: F names.
+
+    Raises:
+        InputError: a column is missing or unknown, or has a text that the labels do not have.
+    """
+    alone = np.zeros(1, dtype=np.int64)
+    columns = [
+        Column("trace", name, np.array([str(value).strip()], dtype=object), alone)
+        for name, value in transition.items()
+    ]
+    if not columns:
+        raise InputError("trace", dict(transition), "a value for each column")
+    return tuple(features_of(columns, feature_names)[0][0].tolist())
 
 
 def read_table(
@@ -60,41 +219,48 @@ def read_table(
     ignore: Sequence[str] = (),
     under_way: bool = False,
     like: Sequence[str] = (),
+    key: str = "data",
 ) -> Dataset:
     """Reads a table of labels.
 
     Args:
         path: ends in ``.csv``, ``.csv.gz`` or ``.parquet``.
         messages: the allowed names, in order; None: all names in the table, sorted.
-        features: columns that describe the transition; None: all suitable columns. A column that is
-            constant for each person, or different in nearly every row, is not suitable.
+        features: columns that describe the transition; None: all suitable columns. A column is not
+            suitable if it is constant for each person, different in nearly every row, a date or a
+            time, or a number that counts the rows of each person.
         ignore: columns to leave out, if ``features`` is None.
         under_way: accept a table that is too small to learn types from, because more labels will
             follow.
         like: names of the required features, in order; they also decide between number and text.
+        key: the user's key, for errors.
 
     Raises:
         InputError: a rule of this module is broken. The line gives the column, the first bad value
             and its row (1 is the first row of data).
     """
-    table = _load(Path(path), features, ignore, like)
-    told = _told(table, messages)
-    columns = table.drop(columns=list(COLUMNS))
-    described, names = read_features(columns, like)
-    distinct, transition = _distinct(described)
-    dataset = Dataset(
-        features=distinct,
-        feature_names=names,
-        transition=transition,
-        label=_labels(table["label"]),
-        **told,
-    )
+    table = read_cells(Path(path), key)
+    _require(table, path, key, ("observer", "label", *(features or ()), *ignore))
+    table = table if "messages" in table.columns else table.assign(messages="")
+    columns = {name: Column.of(key, name, table[name]) for name in table.columns}
+    if features is None:
+        others = [name for name in columns if name not in {*COLUMNS, *ignore}]
+        features = _choose_features(columns, others, {name.partition("=")[0] for name in like})
+    if len({*COLUMNS, *features}) < len(COLUMNS) + len(features):
+        raise InputError(key, [*COLUMNS, *features], "each column once")
+    if not features:
+        raise InputError(key, str(path), "needs a column that describes the transition")
+    described = features_of([columns[name] for name in features], like)
+    label = columns["label"]
+    label.refuse([word in MISSING for word in label.words], "missing")
+    truth = {"true": 1.0, "false": 0.0}
+    numbers = np.array([truth.get(word.lower(), _float(word)) for word in label.words])
+    label.refuse(~np.isin(numbers, (0, 1)), "no label", "; a label is 0 or 1")
+    dataset = _dataset(columns, described, numbers.astype(np.uint8)[label.code], messages)
     if not under_way:
-        _check(dataset)
-    if like:
-        dataset = align(dataset, tuple(like))
+        _check(dataset, key)
     rows, steps = len(dataset), len(dataset.features)
-    log.info("data: %d steps by the features %s", steps, ", ".join(map(str, columns)))
+    log.info("data: %d steps by the features %s", steps, ", ".join(features))
     if steps > NEARLY_ALL * rows:
         log.warning("data: nearly every answer is about another step; leave columns out by ignore=")
     log.info("data: nothing was told in %d of %d rows", int((dataset.message_set == 0).sum()), rows)
@@ -116,20 +282,15 @@ def read_questions(path: str | Path, like: Dataset) -> tuple[pd.DataFrame, Datas
     Raises:
         InputError: the rows do not fit ``like``.
     """
-    table = read_cells(Path(path), "predict")
-    columns = dict.fromkeys(name.partition("=")[0] for name in like.feature_names)
-    try:
-        for name in ("observer", *columns):
-            if name not in table.columns:
-                raise InputError("data", str(path), f"lacks the column {name}")
-        told = _told(table.assign(messages=table.get("messages", "")), like.messages)
-        distinct, names = read_features(table[[*columns]], like.feature_names, "predict")
-        distinct, transition = _distinct(distinct)
-        label = np.zeros(len(table), dtype=np.uint8)
-        questions = Dataset(distinct, names, transition=transition, label=label, **told)
-        return table, align(questions, like.feature_names)
-    except InputError as error:
-        raise InputError("predict", error.value, error.allowed) from None
+    table, names = read_cells(Path(path), "predict"), like.feature_names
+    features = dict.fromkeys(name.partition("=")[0] for name in names)
+    _require(table, path, "predict", ("observer", *features))
+    asked = table if "messages" in table.columns else table.assign(messages="")
+    wanted = ("observer", "messages", *features)
+    columns = {name: Column.of("predict", name, asked[name]) for name in wanted}
+    described = features_of([columns[name] for name in features], names)
+    label = np.zeros(len(table), dtype=np.uint8)
+    return table, _dataset(columns, described, label, like.messages)
 
 
 def write_table(dataset: Dataset, path: str | Path) -> None:
@@ -137,233 +298,278 @@ def write_table(dataset: Dataset, path: str | Path) -> None:
     import pandas as pd
 
     distinct, mask = np.unique(dataset.message_set, return_inverse=True)
-    names = np.array([";".join(names_of(int(one), dataset.messages)) for one in distinct])
+    sets = np.array([";".join(names_of(int(one), dataset.messages)) for one in distinct])
     columns: dict[str, Any] = {
         "observer": np.array(dataset.observers)[dataset.observer],
-        "messages": names[mask],
+        "messages": sets[mask],
     }
-    for name, values in columns_of(dataset).items():
-        columns[name] = values[dataset.transition]
+    groups: dict[str, list[int]] = {}
+    for j, name in enumerate(dataset.feature_names):
+        groups.setdefault(name.partition("=")[0], []).append(j)
+    for name, own in groups.items():
+        values = dataset.features[:, own]
+        if (texts := np.array([dataset.feature_names[j] for j in own]))[0] == name:
+            columns[name] = values[dataset.transition, 0]
+        else:
+            said = np.array([text.partition("=")[2] for text in texts])
+            columns[name] = said[values.argmax(axis=1)][dataset.transition]
     columns["label"] = dataset.label
     table = pd.DataFrame(columns)
-    if check_format(Path(path), "data") == "parquet":
+    if is_parquet(Path(path), "data"):
         table.to_parquet(path, index=False)
     else:
         table.to_csv(path, index=False)
 
 
-def _load(
-    path: Path, features: Sequence[str] | None, ignore: Sequence[str], like: Sequence[str]
-) -> pd.DataFrame:
-    """Loads the used columns, :data:`COLUMNS` first. Without a column of messages all message sets
-    are empty."""
-    table = read_cells(path, "data")
+def is_parquet(path: Path, key: str) -> bool:
+    """Whether a table is Parquet rather than CSV, by the end of its name.
+
+    Raises:
+        InputError: another ending; ``key`` is the key that the user set.
+    """
+    name = path.name.lower()
+    if not name.endswith((".csv", ".csv.gz", ".parquet")):
+        raise InputError(key, str(path), "a file that ends in .csv, .csv.gz or .parquet")
+    return name.endswith(".parquet")
+
+
+def read_cells(path: Path, key: str) -> pd.DataFrame:
+    """Reads a table of texts; a missing cell is "". A column without a name gets a name as in
+    pandas, such as "Unnamed: 0".
+
+    Args:
+        path: a CSV file (comma, semicolon, tab or bar; UTF-8 or UTF-16), or a Parquet file.
+        key: the user's key, for errors.
+
+    Raises:
+        InputError: the file cannot be read, two columns have the same name, a row has more or fewer
+            cells than the header, or there are no rows. Rows without any text do not count.
+    """
+    import pandas as pd
+
+    parquet = is_parquet(path, key)
+    if not path.is_file():
+        raise InputError(key, str(path), "no such file")
+    try:
+        table = _as_texts(pd.read_parquet(path)) if parquet else _read_csv(path, key)
+    except UnicodeDecodeError:
+        raise InputError(key, str(path), 'not in UTF-8; save it as "CSV UTF-8"') from None
+    except InputError:
+        raise
+    except (OSError, EOFError, zlib.error, ValueError, csv.Error, pd.errors.ParserError) as error:
+        raise InputError(key, str(path), f"not a readable table ({first_line(error)})") from None
+    if not len(table):
+        raise InputError(key, str(path), "has no rows")
+    return table
+
+
+def _as_texts(table: pd.DataFrame) -> pd.DataFrame:
+    """Converts all cells and column names to texts; a missing cell becomes ""."""
+    cells = table.astype(object).where(table.notna(), "").astype(str).astype(object)
+    return cells.set_axis(table.columns.map(str), axis=1)
+
+
+def _read_csv(path: Path, key: str) -> pd.DataFrame:
+    import pandas as pd
+
+    content = path.read_bytes()
+    content = gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    text = content.decode("utf-16" if wide else "utf-8-sig")
+    text = re.sub(r"^\ufeff*(sep=.[\r\n]+)?", "", text)  # written by Excel
+    if not text.strip():
+        raise ValueError("it is empty")
+    if "\0" in text:
+        raise UnicodeDecodeError("utf-8", content, 0, 1, "UTF-16 without its mark")
+    first = re.split(r"[\r\n]", re.sub('"[^"]*"', "", text.lstrip()), maxsplit=1)[0]
+    separator = max(SEPARATORS, key=first.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
+    names = (" ".join(name.split()) for name in next(filter(any, reader)))
+    header = [name or f"Unnamed: {i}" for i, name in enumerate(names)]
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(key, name, "two columns have this name")
+    rows: list[list[str]] = []
+    for row in reader:
+        if not "".join(row).strip():
+            continue
+        if len(row) != len(header):
+            allowed = (
+                f"line {reader.line_num} has {len(row)} cells, the header has {len(header)}; write "
+                f'a text that holds a {SEPARATORS[separator]} in double quotes, "like this"'
+            )
+            if len(header) == 1:
+                allowed = f"the first line, {header[0]!r}, is no header; delete it"
+            if len(row) == len(header) + 1 and not rows and row[-1]:  # row names, written by R
+                begin = f"begin the header with a {SEPARATORS[separator]}"
+                allowed += f"; if each line begins with its number, {begin}"
+            raise InputError(key, str(path), allowed)
+        rows.append(row)
+    if len(rows) > 1 and rows[1][0].startswith('{"ImportId"'):
+        log.warning("%s: the second and third row of the header (Qualtrics) are left out", key)
+        del rows[:2]
+    return pd.DataFrame(rows, columns=header, dtype=object)
+
+
+def option(key: str, name: str, *values: str) -> str:
+    """The command-line option that sets the key ``name``, beside the key of the table's path, to a
+    list of texts."""
+    return shlex.quote(f"{PREFIXES.get(key, '')}{name}=[{','.join(map(_quote, values))}]")
+
+
+def _quote(value: str) -> str:
+    """Quotes a text for Hydra; a word needs no quotation marks."""
+    word = re.fullmatch(r"(?!(?i:null|true|false|nan|inf)$)[A-Za-z_]\w*", value, re.ASCII)
+    return value if word else quoted(value, '"')
+
+
+def _require(table: pd.DataFrame, path: str | Path, key: str, names: Iterable[str]) -> None:
+    """Raises InputError if a column is missing, or if the name of a column is nearly one of
+    :data:`COLUMNS`."""
     columns = [*table.columns]
-    for name in ("observer", "label", *(features or ()), *ignore):
+    for name in columns:
+        if "=" in name:
+            raise InputError(key, name, "rename this column: a name has no =")
+        for near in {*COLUMNS} - {*columns}:
+            if name.casefold().rstrip("s") == near.rstrip("s"):
+                raise InputError(key, name, f"rename this column to {near}")
+    for name in names:
         if name not in columns:
-            raise InputError("data", str(path), f"lacks the column {name}; it has {columns}")
-    if "messages" not in columns:
-        table["messages"] = ""
-    if features is not None and len({*COLUMNS, *features}) < len(COLUMNS) + len(features):
-        raise InputError("data", [*COLUMNS, *features], "each column once")
-    wanted = features
-    if wanted is None:
-        others = [name for name in columns if name not in {*COLUMNS, *ignore}]
-        wanted = _choose_features(table, others, {name.partition("=")[0] for name in like})
-    if not wanted:
-        raise InputError("data", str(path), "needs a column that describes the transition")
-    return table[[*COLUMNS, *wanted]]
+            raise InputError(key, str(path), f"lacks the column {name}; it has {columns}")
 
 
-def _choose_features(table: pd.DataFrame, columns: Sequence[str], sure: set[str]) -> list[str]:
+def _choose_features(
+    columns: Mapping[str, Column], names: Sequence[str], sure: set[str]
+) -> list[str]:
     """Chooses the columns that can describe a transition. A log line gives the others with the
     reason.
 
     Args:
-        table: the whole table.
-        columns: columns to choose from.
+        columns: all columns of the table.
+        names: columns to choose from.
         sure: columns that are always features.
 
     Raises:
         InputError: no column is suitable.
     """
-    people, left = table["observer"].nunique(), {}
-    for name in (name for name in columns if name not in sure):
-        if people < len(table) and len(table[["observer", name]].drop_duplicates()) == people:
+    observer, left = columns["observer"], dict[str, str]()
+    people, rows = len(observer.words), len(observer.code)
+    for name in (name for name in names if name not in sure):
+        column = columns[name]
+        if people < rows and column.different_with(observer) == people:
             left[name] = "the same in all rows of a person"
-        elif table[name].nunique() > NEARLY_ALL * len(table):
+        elif len(column.words) > NEARLY_ALL * rows:
             left[name] = "another value in nearly every row"
-    taken = [name for name in columns if name not in left]
+        elif all(re.fullmatch(TIME, word, re.DOTALL) for word in column.words):
+            left[name] = "dates or times"
+    for name in [name for name in names if name not in {*left, *sure}]:
+        others = [columns[x] for x in names if x not in {name, *left}]
+        if others and _counts_rows(columns[name], observer, others, columns["messages"]):
+            left[name] = "it counts the rows of each person"
+    taken, key = [name for name in names if name not in left], observer.key
     reasons = ", ".join(f"{name} ({why})" for name, why in left.items())
-    if columns and not taken:
+    if names and not taken:
         name, why = next(iter(left.items()))
-        raise InputError("data", name, f"{why}; if it is a feature: {option('features', [name])}")
+        raise InputError(key, name, f"{why}; if it is a feature: {option(key, 'features', name)}")
     if left:
-        log.warning("data: left out: %s; to take all: %s", reasons, option("features", columns))
+        log.warning("data: left out: %s; to take all: %s", reasons, option(key, "features", *names))
     return taken
 
 
-def _row(bad: Any) -> int:
-    """The number of the first bad row, from 1."""
-    return int(np.flatnonzero(np.asarray(bad))[0]) + 1
+def _counts_rows(
+    column: Column, observer: Column, others: Sequence[Column], messages: Column
+) -> bool:
+    """True if a column has numbers that rise from row to row of each person and do not name the
+    transition. Rows with the same number then differ in other columns, or have the same message
+    set."""
+    number = np.array([_float(word) for word in column.words])[column.code]
+    order, values = np.argsort(observer.code, kind="stable"), len(column.words)
+    rises = np.diff(number[order])[np.diff(observer.code[order]) == 0] > 0
+    if not len(rises) or not rises.all():
+        return False
+    fixed = len(messages.words) > 1 and column.different_with(messages) == values
+    return fixed or column.different_with(*others) > values
 
 
-def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+def _dataset(
+    columns: Mapping[str, Column],
+    described: tuple[NDArray[np.float64], tuple[str, ...]],
+    label: NDArray[np.uint8],
+    messages: Sequence[str] | None,
+) -> Dataset:
+    """Makes the dataset of labels [P] about transitions with these features [P, F] and names."""
     import pandas as pd
 
-    code, names = pd.factorize(column, sort=True)
-    return code.astype(np.int64), tuple(str(name) for name in names)
-
-
-def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]:
-    """Reads the observers and the messages that they received. Returns these attributes of a
-    dataset."""
-    who = stripped(table["observer"])
-    _refuse_missing("observer", who == "")
-    observer, observers = _factorized(who)
-    seen: dict[str, str] = {}
-    for name in observers:  # ignores invisible marks, case, and two encodings of one character
-        plain = unicodedata.normalize("NFKC", name).casefold()
-        plain = re.sub(r"[\u200b-\u200f\ufeff]|^0+(?=\d)|(?<=\d)\.0+$", "", plain)
-        if (other := seen.setdefault(plain, name)) != name:
-            log.warning("data: the observers %a and %a look alike; they count as two", other, name)
-    message_set, known = _message_sets(table["messages"], messages)
-    return {
-        "observer": observer,
-        "observers": observers,
-        "message_set": message_set,
-        "messages": known,
-    }
-
-
-def _refuse_missing(name: str, missing: Any, mend: str = "", key: str = "data") -> None:
-    """Raises InputError if a value is missing in a row; ``mend`` is the suggested correction."""
-    if missing.any():
-        allowed = f"missing in {missing.sum()} rows, first in row {_row(missing)}{mend}"
-        raise InputError(key, name, allowed)
+    features, names = described
+    table = pd.DataFrame(features)
+    transition = table.groupby([*table.columns], sort=True).ngroup().to_numpy(dtype=np.int64)
+    observer = columns["observer"]
+    observer.refuse(observer.words == "", "missing")
+    observer.warn_of_similar()
+    message_set, known = _message_sets(columns["messages"], messages)
+    return Dataset(
+        features=features[np.unique(transition, return_index=True)[1]],
+        feature_names=names,
+        messages=known,
+        observers=tuple(observer.words),
+        observer=observer.code,
+        transition=transition,
+        message_set=message_set,
+        label=label,
+    )
 
 
 def _message_sets(
-    column: pd.Series[Any], messages: Sequence[str] | None
+    column: Column, messages: Sequence[str] | None
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    code, cells = _factorized(stripped(column))
-    absent = {*MISSING} - {*(messages or ())}
-    given = [[" ".join(name.split()) for name in cell.split(";") if name.strip()] for cell in cells]
+    """Returns the message set of each row [P], and the names of all messages."""
+    absent = MISSING - {*(messages or ())}
+    given = [[" ".join(x.split()) for x in cell.split(";") if x.strip()] for cell in column.words]
     given = [[] if len(names) == 1 and names[0] in absent else names for names in given]
     found = sorted({name for names in given for name in names})
     if messages is None:
-        _ask_about_names(found)
-    known = tuple(messages) if messages is not None else tuple(found)
+        _ask_about_names(column.key, found)
+    known = tuple(found if messages is None else messages)
     if len(known) > MAX_MASK:
-        raise InputError("data", len(known), f"at most {MAX_MASK} different messages")
-    for at, names in enumerate(given):
-        if unknown := [name for name in names if name not in known]:
-            allowed = f"unknown message in row {_row(code == at)}; known: {', '.join(known)}"
-            raise InputError("data", unknown[0], allowed)
-    masks = np.array([mask_of(names, known, "data") for names in given], dtype=np.int64)
-    return masks[code], known
+        raise InputError(column.key, len(known), f"at most {MAX_MASK} different messages")
+    unknown = [not {*names} <= {*known} for names in given]
+    column.refuse(unknown, "unknown message", f"; known: {', '.join(known)}")
+    masks = np.array([mask_of(names, known, column.key) for names in given], dtype=np.int64)
+    return masks[column.code], known
 
 
-def _ask_about_names(names: Sequence[str]) -> None:
+def _ask_about_names(key: str, names: Sequence[str]) -> None:
     """Raises InputError for a name that looks like several names, like no message, or like another
     name."""
-    one = f"if it is one message: {option('messages', names)}"
-    for name in names:
-        parts = [part.strip() for part in re.split(r"[,|+&/\\]", name)]
-        single = not any(" " in part for part in parts)
-        joined = len(parts) > 1 and all(parts) and (single or {*parts} & {*names})
+    one = f"if it is one message: {option(key, 'messages', *names)}"
+    parts = {x: [part.strip() for part in re.split(r"[,|+&/\\]", x)] for x in names}
+    for name, own in parts.items():
+        single = not any(" " in part for part in own)
+        elsewhere = {part for other in names if other != name for part in parts[other]}
+        joined = len(own) > 1 and all(own) and (single or {*own} & elsewhere)
         others = "|".join(re.escape(other) for other in names if other != name)
         several = rf"\W*({others})((\W|_)+(and\W+)?({others}))+\W*"
         if name in MISSING or re.fullmatch(NOTHING, name, re.IGNORECASE):
-            raise InputError("data", name, f"leave the cell empty if nothing was told; {one}")
+            raise InputError(key, name, f"leave the cell empty if nothing was told; {one}")
         bracket = name[0] in "[{('\"" or name[-1] in ")}]"
         if bracket or joined or (others and re.fullmatch(several, name)):
             allowed = f"looks like messages joined by something else than a semicolon; {one}"
-            raise InputError("data", name, allowed)
+            raise InputError(key, name, allowed)
         for other in names:
             if name < other and name.casefold() == other.casefold():
-                raise InputError("data", name, f"differs from {other} by case alone; {one}")
+                raise InputError(key, name, f"differs from {other} by case alone; {one}")
 
 
-def _labels(column: pd.Series[Any]) -> NDArray[np.uint8]:
-    import pandas as pd
-
-    words = stripped(column)
-    _refuse_missing("label", words.isin(MISSING))
-    truth = words.str.lower().replace({"true": "1", "false": "0"})
-    numbers = pd.to_numeric(truth, errors="coerce")
-    bad = ~numbers.isin([0, 1])
-    if bad.any():
-        first = words[bad].iloc[0]
-        raise InputError("data", first, f"label in row {_row(bad)}: a label is 0 or 1")
-    return np.asarray(numbers, dtype=np.uint8)
-
-
-def read_features(
-    table: pd.DataFrame, like: Sequence[str] = (), key: str = "data"
-) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Reads the features [P, F] from all columns of a table, with their names. Text columns become
-    one-hot features in alphabetical order of their values.
-
-    Args:
-        table: a table of :func:`~xplain.learning.data.cells.read_cells`.
-        like: names of features; they decide whether a column is read as numbers or text.
-        key: the user's key, for errors.
-
-    Raises:
-        InputError: a value is missing or infinite, or no number although ``like`` has numbers.
-    """
-    import pandas as pd
-
-    columns: list[NDArray[np.float64]] = []
-    names: list[str] = []
-    for name in table.columns:
-        words = stripped(table[name])
-        numbers = as_numbers(words)
-        if name in like and numbers is None:
-            numbers = pd.to_numeric(words, errors="coerce").to_numpy(dtype=float)
-            bad = np.isnan(numbers) & ~words.isin(MISSING)
-            if bad.any():
-                raise InputError(key, words[bad].iloc[0], f"a number in row {_row(bad)} of {name}")
-        mend = "; leave those rows out"
-        mend += f", or the column by {option('ignore', [name])}" if key == "data" else ""
-        if numbers is None or any(other.startswith(f"{name}=") for other in like):
-            _refuse_missing(name, words == "", mend, key)
-            if (absent := words[words.isin(MISSING)]).any():
-                log.warning("%s: %s in the column %s is a text", key, absent.iloc[0], name)
-            own, named = one_hot(name, words)
-        else:
-            _refuse_missing(name, np.isnan(numbers), mend, key)
-            if np.isinf(numbers).any():
-                raise InputError(key, name, f"infinite in row {_row(np.isinf(numbers))}")
-            own, named = numbers[:, None], (name,)
-        columns.append(own)
-        names += named
-    return np.hstack(columns), tuple(names)
-
-
-def _distinct(
-    features: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Returns the distinct rows, sorted, and the index of each row among them."""
-    import pandas as pd
-
-    table = pd.DataFrame(features)
-    number = table.groupby([*table.columns], sort=True).ngroup().to_numpy(dtype=np.int64)
-    first = np.unique(number, return_index=True)[1]
-    return features[first], np.asarray(number, dtype=np.int64)
-
-
-def _check(dataset: Dataset) -> None:
+def _check(dataset: Dataset, key: str) -> None:
     if len(dataset.observers) < 2:
-        raise InputError("data", dataset.observers[0], "one observer; types need at least two")
+        raise InputError(key, dataset.observers[0], "one observer; types need at least two")
     if dataset.label.min() == dataset.label.max():
-        raise InputError("data", int(dataset.label[0]), "all labels are equal; nothing to learn")
+        raise InputError(key, int(dataset.label[0]), "all labels are equal; nothing to learn")
     query = query_index(dataset)
     count = int(query.max()) + 1
     if count < MIN_QUERIES:
         raise InputError(
-            "data", count, f"a split needs at least {MIN_QUERIES} distinct (transition, messages)"
+            key, count, f"a split needs at least {MIN_QUERIES} distinct (transition, messages)"
         )
     single = np.bincount(dataset.observer) == 1
     if single.any():

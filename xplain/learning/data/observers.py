@@ -186,11 +186,7 @@ class FileObservers:
         Raises:
             InputError: the file cannot be read, or its messages or features are not the domain's.
         """
-        try:
-            like, own = transition_feature_names(setting.domain), (self.features, self.ignore)
-            dataset = read_table(self.path, setting.message_names, *own, like=like)
-            return Observed(dataset, setting=setting)
-        except InputError as error:
-            if error.key != "data":  # the key that the command to find types uses
-                raise
-            raise InputError("observers.path", error.value, error.allowed) from error
+        names, like = setting.message_names, transition_feature_names(setting.domain)
+        own = self.features, self.ignore
+        dataset = read_table(self.path, names, *own, like=like, key="observers.path")
+        return Observed(dataset, setting=setting)
