@@ -102,8 +102,8 @@ class Column(NamedTuple):
             raise InputError(self.key, word, where + advice)
 
     def numbers(self) -> NDArray[np.float64] | None:
-        """[U] the words as numbers; true is 1, false is 0, a missing cell is NaN. None if some words
-        are no numbers."""
+        """[U] the words as numbers; true is 1, false is 0, a missing cell is NaN. None if some
+        words are no numbers."""
         given = [word for word in self.words if word not in MISSING]
         if {word.lower() for word in given} <= {"true", "false"}:
             found = {word: float(word.lower() == "true") for word in given}
