@@ -502,7 +502,8 @@ def _dataset(
 
     features, names = described
     table = pd.DataFrame(features)
-    transition = table.groupby([*table.columns], sort=True).ngroup().to_numpy(dtype=np.int64)
+    number = table.groupby([*table.columns], sort=True).ngroup()
+    transition = np.asarray(number, dtype=np.int64)
     observer = columns["observer"]
     observer.refuse(observer.words == "", "missing")
     observer.warn_of_similar()
