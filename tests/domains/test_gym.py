@@ -233,6 +233,21 @@ def test_an_environment_that_cannot_be_made_is_refused_in_a_line(
         read_model("Mine", {}, 0.9)
 
 
+def test_wrappers_that_change_what_is_observed_change_no_states() -> None:
+    """The model is that of the environment inside; the wrapper shows the place alone."""
+    gymnasium.register(
+        "Shown-v0",
+        entry_point=lambda: gymnasium.wrappers.TransformObservation(
+            gymnasium.make("CliffWalking-v1"), lambda s: s % 12, gymnasium.spaces.Discrete(12)
+        ),
+    )
+    (shown_model, starts), (own, expected) = (
+        read_model(id, {}, 0.9) for id in ("Shown-v0", "CliffWalking-v1")
+    )
+    assert np.array_equal(shown_model.successor, own.successor)
+    assert np.array_equal(starts, expected)
+
+
 def test_an_end_that_depends_on_the_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     ways = {0: [(1.0, 1, 0.0, True)], 1: [(1.0, 1, 0.0, False)]}
     shown({0: ways, 1: ways}, monkeypatch)

@@ -60,6 +60,7 @@ PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
         ("file", COST, "(decrease (total-cost) 1)", "line 19: Undefined predicate: decrease"),
         ("file", ACTIONS, "(:durative-action pick-up", "line 15: .*:durative-action pick-up"),
         ("file", ACTIONS, DERIVED, "line 15: derived predicates are not supported"),
+        ("file", ":action put-down", ":action pick-up", "line 21: two actions are called pick-up"),
         (
             "file",
             "(?x - block)\n",

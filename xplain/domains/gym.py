@@ -299,7 +299,8 @@ def read_model(
         ]
         s, a, k, after = np.array([numbers for numbers, _ in rows]).T
         listed = [_whole(state) for state, _ in _pairs(table)]
-        spaces = (getattr(environment, f"{x}_space", None) for x in ("observation", "action"))
+        inner = environment.unwrapped  # wrappers may have other spaces
+        spaces = (getattr(inner, f"{x}_space", None) for x in ("observation", "action"))
         most = max(after.max(), *listed), a.max()
         states, actions = (getattr(x, "n", n + 1) for x, n in zip(spaces, most, strict=True))
         initial = getattr(environment.unwrapped, "initial_state_distrib", None)

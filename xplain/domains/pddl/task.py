@@ -243,6 +243,9 @@ def read_task(
     typed = [(domain, y) for x in found.predicates for y in x.arguments]
     for action in found.actions:
         name, cost = action.name, action.cost and action.cost.expression
+        if Item("action", name) in items:
+            at = domain.text.rfind(f":action {name}")
+            raise domain.refusal(f"two actions are called {name}; rename one of them", at)
         items[Item("action", name)] = sign(action.parameters)
         items[Item("cost", name)] = _value(cost, numbers) if found.use_min_cost_metric else 1.0
         items |= {Item("precondition", name, write(x)): x for x in conjuncts(action.precondition)}
