@@ -1,4 +1,4 @@
-"""What a command is: a function with click's options, its help, and its place behind the door."""
+"""A command: a function with click's options, its help, and its position in the command line."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Command(click.Command):
     """A command.
 
     Attributes:
-        meaning: in a line.
-        config: name of its file in conf/, "" where it has none of its own.
-        text: its help, before the names of the commands below it and its file.
+        meaning: its description in one line.
+        config: name of its file in conf/, or "".
+        text: its help, before the names of its subcommands and its file.
     """
 
     meaning: str
@@ -30,7 +30,7 @@ class Command(click.Command):
     text: str
 
     def get_help(self, ctx: click.Context) -> str:
-        """The docstring of its function, the commands below it, and its file in conf/."""
+        """The docstring of its function, its subcommands, and its file in conf/."""
         from xplain.experiment.config import CONF
 
         parts = [self.text, "\n".join(lines_of(str(self.name)))]
@@ -47,12 +47,12 @@ def command(name: str, meaning: str, config: str = "", of: str = "", **settings:
     """Makes a function a command.
 
     Args:
-        name: as it is typed.
-        meaning: in a line.
-        config: name of its file in conf/, if it has one.
-        of: study or collect, for a function that both have: it takes this first, and it stands for
-            NAME in the help.
-        settings: of click's parser.
+        name: name on the command line.
+        meaning: its description in one line.
+        config: name of its file in conf/, if any.
+        of: study or collect, for a function that both have. The function receives it as its first
+            argument, and it replaces NAME in the help.
+        settings: settings of click's parser.
     """
 
     def register(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -69,8 +69,8 @@ def command(name: str, meaning: str, config: str = "", of: str = "", **settings:
 
 
 def keys(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Lets a command take ``key=value`` words, and ``--config-dir FOLDER`` as Hydra's own command
-    line does: the function gets one list of words."""
+    """Makes a command accept ``key=value`` words, and ``--config-dir FOLDER`` like Hydra's own
+    command line. The function receives one list of words."""
 
     @wraps(function)
     def with_keys(*given: Any, words: tuple[str, ...], config_dir: str | None, **more: Any) -> Any:
@@ -87,7 +87,7 @@ def keys(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def lines_of(group: str) -> list[str]:
-    """A line a command of the group ("" is the door), in whose line its own are named."""
+    """A line for each command of the group ("" is the top level), with its subcommands."""
     lines = []
     for name, made in COMMANDS.items():
         if name.rpartition(" ")[0] == group:

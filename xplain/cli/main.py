@@ -1,6 +1,6 @@
-"""The one door: ``xplain [command] key=value …``; without a command, the experiment.
+"""The entry point: ``xplain [command] key=value …``; without a command, the experiment.
 
-Nothing heavy is imported before it is known what to do.
+Slow imports happen only after the command is known.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ FLAGS = (
     *("help", "hydra-help", "version", "cfg", "resolve", "package", "run", "multirun"),
     *("shell-completion", "config-path", "config-name", "config-dir", "info"),
 )
-"""Hydra's."""
+"""Flags of Hydra."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs the command; an error that a person can put right is one line, exit code 2.
+    """Runs the command. An error that the user can correct is one line, with exit code 2.
 
     Args:
         arguments: of the command line; None takes those of the process.
@@ -62,7 +62,8 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _tell(given: list[str], what: str) -> None:
-    """On a terminal, what an experiment is at before its first stage, whose line covers this."""
+    """On a terminal, shows the current work before an experiment's first stage, which replaces this
+    line."""
     if all("=" in word or word == "-m" for word in given) and is_terminal(sys.stderr):
         print(what, end="\r", file=sys.stderr, flush=True)
 
@@ -79,11 +80,11 @@ def _command(name: str, words: list[str]) -> None:
 
 
 def _experiment(words: list[str]) -> None:
-    """One run, or a sweep, as Hydra's command line has it.
+    """Runs the experiment or a sweep with Hydra's command line.
 
     Raises:
-        XplainError: a flag that Hydra has not, or where it cannot take it.
-        SystemExit: 1 when jobs of a sweep failed.
+        XplainError: a flag that Hydra does not have, or in a wrong place.
+        SystemExit: 1 if jobs of a sweep failed.
     """
     with left_at_once():
         from xplain.experiment.config import require_names
@@ -101,18 +102,18 @@ def _experiment(words: list[str]) -> None:
         raise XplainError("-m and other flags stand before all keys, or after all of them")
     require_names(words)
     _tell(words, "composing …")
-    # A person waits: MLflow would try a server that is away for minutes.
+    # Otherwise MLflow tries an unavailable server for minutes.
     os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
     os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")  # read when MLflow is imported
-    logging.getLogger("mlflow").setLevel(logging.ERROR)  # where it is imported already
+    logging.getLogger("mlflow").setLevel(logging.ERROR)  # if it is already imported
     command.main()
 
 
 def split(words: list[str]) -> tuple[str | None, list[str]]:
-    """The command (None is the experiment) and what follows it.
+    """The command (None is the experiment) and the words after it.
 
     Raises:
-        InputError: a word where a command should be that is none.
+        InputError: an unknown command.
     """
     for length in (2, 1):
         name = " ".join(words[:length])

@@ -1,4 +1,4 @@
-"""The commands around the experiment. Each is a face of a function that Python calls as well."""
+"""The commands around the experiment. Each calls a function that Python code can also call."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands that the study and a collection share; ``name`` is study or collect, and stands for
+"""The commands that the study and a collection share. ``name`` is study or collect, and replaces
 NAME in the docstrings, which are the commands' help."""
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def flow(name: str) -> type[Flow[Any, Any]]:
 def _of_both(
     name: str, study: str, collect: str = "", config: bool = False, **settings: Any
 ) -> Decorator:
-    """Makes a function a command of the study and of a collection; ``name`` is "" for those that
-    serve pages."""
+    """Makes a function a command of the study and of a collection; ``name`` is "" for the commands
+    that serve pages."""
 
     def register(function: Callable[..., Any]) -> Callable[..., Any]:
         for of, meaning in (("collect", collect or study), ("study", study)):
@@ -58,7 +58,7 @@ def serve(name: str, words: list[str]) -> None:
     from xplain.people.server import LOOPBACK
 
     cfg = configured(name, words)
-    # Before the work of a plan: a key that cannot be is refused at once.
+    # Before the plan is made, so that a wrong key is refused at once.
     server, path = server_of(cfg), database_of(cfg)
     kind = flow(name)
     made = kind.of(running(name, cfg, path, kind))
@@ -71,11 +71,11 @@ def serve(name: str, words: list[str]) -> None:
 
 
 def configured(name: str, arguments: list[str]) -> DictConfig:
-    """The configuration. With a table of one's own transitions no domain's texts are in it;
-    ``domain=null`` may say so.
+    """The configuration. With a table of one's own transitions it has no domain's texts;
+    ``domain=null`` is allowed.
 
     Raises:
-        InputError: both a domain and a table, or none.
+        InputError: both a domain and a table, or neither.
     """
     given = [one for one in arguments if one != "domain=null"]
     cfg = composed(name, given)
@@ -90,7 +90,7 @@ def configured(name: str, arguments: list[str]) -> DictConfig:
 
 
 def database_of(cfg: DictConfig) -> Path:
-    """The database's path, in a folder that is there.
+    """The database's path; its folder exists.
 
     Raises:
         InputError: it cannot be written to.
@@ -103,10 +103,10 @@ def database_of(cfg: DictConfig) -> Path:
 
 
 def server_of(cfg: DictConfig) -> Server:
-    """How the pages are served: the keys of ``server``, and those in the file ``server.file``.
+    """The settings of the server: the keys of ``server``, and those in the file ``server.file``.
 
     Raises:
-        InputError: a key that cannot be.
+        InputError: a key or value is not allowed.
     """
     from xplain.people.plan import typed
     from xplain.people.server import Server
@@ -123,7 +123,8 @@ def server_of(cfg: DictConfig) -> Server:
 
 
 def running(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]) -> Any:
-    """The plan in the database, or a new one. Names the keys of ``cfg`` that it does not follow."""
+    """The plan in the database, or a new one. Logs the keys of ``cfg`` that differ from a stored
+    plan."""
     from xplain.people.log import read_plan
     from xplain.people.material import fixed
 
@@ -148,7 +149,7 @@ def running(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]) 
 def run_server(
     flow: Flow[Any, Any], name: str, server: Server, path: Path, cfg: DictConfig
 ) -> None:
-    """Serves until it is stopped."""
+    """Serves pages until it is stopped."""
     import uvicorn
 
     from xplain.people.server import Keys

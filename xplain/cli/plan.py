@@ -1,4 +1,4 @@
-"""What the command ``plan`` does with a saved problem."""
+"""The command ``plan``, for a saved problem."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Row = dict[str, Any]
 
 
 def compared(words: list[str]) -> list[Row]:
-    """Prints a table of all solvers on one problem; returns a row each.
+    """Prints a table of all solvers on one problem. Returns a row for each.
 
     Args:
         words: overrides of conf/plan.yaml, without the solver.
@@ -52,11 +52,11 @@ def compared(words: list[str]) -> list[Row]:
 
 
 def planned(cfg: DictConfig, known: Bounds | None = None) -> Row:
-    """One solver's row, as the command's help says.
+    """One solver's row, as described in the command's help.
 
     Args:
-        cfg: conf/plan.yaml with what overrides it, and the ``hydra`` node.
-        known: bounds of the optimum, where they are known already.
+        cfg: conf/plan.yaml with its overrides, and the ``hydra`` node.
+        known: bounds of the optimum, if already known.
     """
     run_seed(cfg.seed)
     problem = load(cfg.problem)
@@ -89,7 +89,7 @@ def planned(cfg: DictConfig, known: Bounds | None = None) -> Row:
 
 
 def _first_question(problem: Problem, policy: Policy) -> Row:
-    """What the policy asks first, and what it expects of asking."""
+    """The policy's first question, and the values of its possible questions."""
 
     def words(number: int) -> Row:
         return {"number": number, "question": str(problem.questions.question(number))}
@@ -114,7 +114,7 @@ def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
 
 
 def how_known(row: Row) -> str:
-    """``simulated ± 0.0412``, half of the 95 % interval."""
+    """``simulated ± 0.0412``, with half of the 95 % interval."""
     if "value_half_width" not in row:
         return str(row["value_is"])
     upper = row["optimal_upper"]

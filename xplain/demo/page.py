@@ -14,17 +14,17 @@ from xplain.interaction.session import Why
 from xplain.storage import encode, write_text
 
 SHOWN = 6
-"""Number of values shown for a decision, the best ones."""
+"""Number of values shown for a decision, best first."""
 
 
 def write_page(overrides: Sequence[str], trace: int | None, user: str | None, path: Path) -> None:
     """Plays one session with a simulated user and writes its page.
 
     Args:
-        overrides: of the experiment's configuration.
-        trace: which one; None takes one that shows much.
-        user: the simulated user's true type; None takes one for whom the trace shows most.
-        path: of the page.
+        overrides: overrides of the experiment's configuration.
+        trace: number of the trace; None chooses an instructive one.
+        user: true type of the simulated user; None chooses the most instructive one.
+        path: path of the page.
 
     Raises:
         XplainError, HydraException: a value that is not allowed.
@@ -36,13 +36,13 @@ def write_page(overrides: Sequence[str], trace: int | None, user: str | None, pa
 def page(stage: DemoSetup, played: Played) -> str:
     """The HTML of the page, with the session's data in it."""
     template = files("xplain.demo").joinpath("player.html").read_text(encoding="utf-8")
-    # Inside a script element only "</" and "<!--" could end or change what follows.
+    # Inside a script element only "</" and "<!--" have a special meaning.
     data = json.dumps(content(stage, played), ensure_ascii=False).replace("<", "\\u003c")
     return template.replace("/*DATA*/null", data)
 
 
 def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
-    """What the page draws, in plain JSON."""
+    """The page's data, in plain JSON."""
     prepared, case = stage.prepared, stage.case
     return {
         "domain": stage.domain,
@@ -74,7 +74,7 @@ def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
 
 
 def _values(why: Why) -> list[dict[str, Any]]:
-    """The best messages and questions by value, the best first."""
+    """The best messages and questions by value, best first."""
     found: list[dict[str, Any]] = [
         *({"messages": names, "value": value} for names, value in why.values.items()),
         *({"question": str(q), "messages": (), "value": value} for q, value in why.questions),

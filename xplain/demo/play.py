@@ -1,4 +1,4 @@
-"""The session that the demo plays, from the configuration to its last step."""
+"""The demo's session, from the configuration to its last step."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from xplain.solvers.base import Solver
 
 @dataclass(frozen=True)
 class DemoSetup:
-    """What is fixed before the first step.
+    """The data before the first step.
 
     Attributes:
         domain, solver: their names.
         prepared: the learned types, and the traces.
         case: the trace that is explained.
-        explainer: for the learned types.
-        explainee: what simulated users are like.
-        beliefs: for each true type by name, its wrong beliefs as sentences.
+        explainer: explains to users of the learned types.
+        explainee: how simulated users behave.
+        beliefs: for each true type by name, its incorrect beliefs as sentences.
         trade_off: λ.
-        suggested: the true type of a simulated user for whom the trace shows most.
-        chosen: which trace it is and why, as a sentence; empty if the caller named it.
+        suggested: true type of the most instructive simulated user.
+        chosen: a sentence that says which trace was chosen and why; "" if the caller chose it.
     """
 
     domain: str
@@ -52,7 +52,8 @@ class DemoSetup:
     chosen: str = ""
 
     def session(self, explainer: Explainer | None = None) -> Session:
-        """The trace, explained to somebody new: by this explainer, or the stage's own."""
+        """A session that explains the trace to a new user, with this explainer or the setup's
+        own."""
         steps, asked = len(self.case.transitions), self.case.questions
         explainer = explainer or self.explainer
         if asked is None or explainer.ask is None:
@@ -80,7 +81,7 @@ class DemoSetup:
         ]
 
     def title(self, learned: str) -> str:
-        """A learned type's name for people: the true types that match it, if they are known."""
+        """A readable name of a learned type: the matching true types, if known."""
         prepared = self.prepared
         number = dict(zip(prepared.learned_types, prepared.matched_true_type, strict=True))
         alike = prepared.distinct == number.get(learned, -1)
@@ -94,11 +95,11 @@ class Step:
     """One step: the messages, the reason for them, and the user's labels.
 
     Attributes:
-        said: messages given before the transition was shown, by name.
-        why: the values of the choices.
-        labels: of every transition shown so far, 1 = explicable.
-        belief: in each learned type, after the labels.
-        cost: Definition 2 up to here, and κ of each question.
+        said: names of the messages given before the transition was shown.
+        why: values of the possible actions.
+        labels: labels of all transitions shown so far, 1 = explicable.
+        belief: belief in each learned type, after the labels.
+        cost: Definition 2 so far, and κ of each question.
         asked: questions before the messages, with the user's answers.
     """
 
@@ -115,8 +116,8 @@ class Played:
     """A session from beginning to end.
 
     Attributes:
-        user: the true type of the user.
-        prior: the belief before the first step.
+        user: true type of the user.
+        prior: belief before the first step.
         steps: one for each transition.
     """
 
@@ -128,16 +129,16 @@ class Played:
 TRIED = 5
 """Number of traces from which the most instructive one is chosen."""
 SURE = 0.9
-"""A type counts as found from this belief on."""
+"""A type counts as found at this belief."""
 
 
 def stage(overrides: Sequence[str], trace: int | None = None, user: str | None = None) -> DemoSetup:
     """Learns the user types as an experiment does, and chooses one of its traces.
 
     Args:
-        overrides: of the experiment's configuration.
-        trace: its number; None: the one of the first five that shows most.
-        user: the true type for which it should show most; None: any type.
+        overrides: overrides of the experiment's configuration.
+        trace: number of the trace; None chooses the most instructive of the first five.
+        user: true type that the choice of the trace is for; None: any type.
 
     Raises:
         XplainError, HydraException, OmegaConfBaseException: something in ``overrides`` is wrong.
@@ -184,7 +185,7 @@ def _rule(prepared: Prepared, best: DemoSetup) -> str:
 
 
 def _tells(scene: DemoSetup) -> tuple[bool, bool, int, float]:
-    """How much a session shows of the method (larger is more): the type is found, with at least one
+    """A key that orders sessions by how instructive they are: the type is found, with at least one
     message, and with few."""
     played = play(scene, scene.suggested)
     belief = sum(played.steps[-1].belief[name] for name in scene.right(scene.suggested))

@@ -1,8 +1,8 @@
-"""The state that a decision sees, and what may be decided.
+"""The state that a decision depends on, and the possible actions.
 
-An explainer sees how many transitions were shown, which messages were given, and which questions
-were asked; what it does not see, the user, is a belief beside it (mixed observability: Ong, Png,
-Hsu & Lee 2010).
+Visible to the explainer are the number of shown transitions, the given messages, and the asked
+questions. The user is hidden, and described by a belief (mixed observability: Ong, Png, Hsu & Lee
+2010).
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 
 class VisibleState(NamedTuple):
-    """What is visible before a decision.
+    """The visible state before a decision.
 
     Attributes:
-        step: k, transitions shown so far, 0 … m − 1.
+        step: k, number of transitions shown so far, 0 … m − 1.
         given: bitmask of the messages given so far.
-        asked: bitmask of the questions asked so far, or whose answer is known already.
+        asked: bitmask of the questions that were asked or whose answer is already known.
     """
 
     step: int = 0
@@ -27,7 +27,7 @@ class VisibleState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Explain:
-    """Show the first k + 1 transitions, and hear the user's labels of them."""
+    """Show the first k + 1 transitions, and receive the user's labels of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class AskQuestion:
     """Ask a question, then decide again.
 
     Attributes:
-        question: its number.
+        question: index of the question.
     """
 
     question: int
@@ -57,5 +57,6 @@ EXPLAIN = Explain()
 
 
 def give(messages: int) -> Action:
-    """To give these messages (a bitmask) and then explain; of none, to explain at once."""
+    """The action that gives these messages (a bitmask) and then explains; without messages, it
+    explains."""
     return GiveMessages(messages) if messages else EXPLAIN

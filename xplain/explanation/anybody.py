@@ -1,15 +1,15 @@
-"""People nobody assumed: further hidden types beside the user types that were found.
+"""People nobody assumed: further hidden types besides the user types that were found.
 
 A hidden type is a set W of facts believed incorrectly, with a way of listening and answering. The
-types that were found have most of the prior. The rest has
+found types have most of the prior. The rest is for
 
-- other sets of facts: none, all, each single fact, and what either of two types believes
-  incorrectly. Each size of a set has the same share, so that the many large sets do not outweigh
-  the few small ones;
-- people who answer 1 where they think 0, and people who err in both directions;
-- people for whom one fact stays wrong until all messages were given;
-- people whose answers tell nothing. They are one hidden type: labels are as of the mean of all
-  others, and each answer is as likely 0 as 1, so that a policy plans for them without listening.
+- other sets of facts: none, all, each single fact, and the union of any two types. Each size of a
+  set has the same share, so that the many large sets do not outweigh the few small ones;
+- people who answer 1 although they think 0, and people who err in both directions;
+- people who keep one incorrect belief until all messages are given;
+- people whose answers give no information. They are one hidden type: its labels are the mean of all
+  others, and each answer is 0 or 1 with equal probability. So a policy plans for them without
+  learning from answers.
 
 Nothing else changes: the problem has more hidden types, and is the same POMDP.
 """
@@ -29,20 +29,20 @@ from xplain.explanation.label_table import DENSE, LabelTable, joined
 from xplain.explanation.problem import Problem
 
 STUCK = 0.01
-"""Share of people for whom one fact stays wrong, of each set."""
+"""Share of people who keep one incorrect belief, for each set."""
 LISTENING, ERRING, POLITE, COIN = 12 / 15, 1 / 15, 1 / 15, 1 / 15
 """Shares of people who answer what they think, err in both directions, answer 1 for 0, and answer
 at random."""
 ERROR, GUESS = 0.1, 0.4
-"""P(the opposite answer) of those who err, and P(answer 1) of the polite who think 0."""
+"""P(the opposite answer) of people who err, and P(answer 1) of polite people who think 0."""
 NUMBERS = 1 << 24
-"""Of a label table, at most: hidden types beyond it are left out, the least likely first."""
+"""Maximum size of a label table; the least likely hidden types beyond it are left out."""
 NONE_OF_THESE = "none of these"
 
 
 class _People(NamedTuple):
-    """Hidden types, side by side: labels and answers [rows, 2^n, K], prior [K], user type [K],
-    whether they are as assumed [K]."""
+    """Hidden types: labels and answers [rows, 2^n, K], prior [K], user type [K], and whether they
+    were assumed [K]."""
 
     p: NDArray[np.float64]
     answered: NDArray[np.float64]
@@ -51,7 +51,7 @@ class _People(NamedTuple):
     as_found: NDArray[np.bool_]
 
     def take(self, which: NDArray[np.int64]) -> _People:
-        """Some of them."""
+        """Selects some of them."""
         p, answered, prior, whose, as_found = self
         return _People(
             p[..., which], answered[..., which], prior[which], whose[which], as_found[which]
@@ -60,10 +60,10 @@ class _People(NamedTuple):
 
 @dataclass(frozen=True)
 class Open(Independent):
-    """People may be of no type found, answer otherwise than they think, or miss messages.
+    """People may have no found type, answer otherwise than they think, or miss messages.
 
-    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. A rate of errors that
-    is told or learned takes the place of those of people who err in both directions.
+    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. An assumed or learned
+    error rate replaces that of people who err in both directions.
     """
 
     open: ClassVar[bool] = True
@@ -84,15 +84,15 @@ class Open(Independent):
 def with_anybody(
     problem: Problem, facts: Facts | None, erring: float, error: float, messages_land: bool
 ) -> Problem:
-    """The problem where people may be as nobody assumed; one more user type stands for all who are
-    of none.
+    """The problem with people nobody assumed; one further user type represents all who have none of
+    the found types.
 
     Args:
         problem: of M user types, with at most DENSE messages.
-        facts: that people may believe incorrectly; None where nobody knows.
-        erring: share of those who err in both directions among all who answer what they think.
-        error: P(the opposite answer) of these.
-        messages_land: whether nothing else says that a message may be without effect.
+        facts: the facts that people may believe incorrectly; None if unknown.
+        erring: share of people who err in both directions among all who answer what they think.
+        error: P(the opposite answer) of these people.
+        messages_land: True if no other part models messages without effect.
     """
     n, count = problem.n_messages, problem.n_types
     every, sets = (1 << n) - 1, np.arange(1 << n)
@@ -145,13 +145,14 @@ def with_anybody(
 
 
 def _other_sets(found: tuple[int, ...], n: int) -> list[int]:
-    """None, all, each fact, and each union of two types, without those that were found."""
+    """The empty set, the full set, each single fact, and each union of two types, without the found
+    sets."""
     unions = [one | other for one, other in combinations(found, 2)]
     return sorted({0, (1 << n) - 1, *(1 << j for j in range(n)), *unions} - {*found})
 
 
 def _joined(parts: list[_People]) -> _People:
-    """All of them, side by side."""
+    """Concatenates hidden types."""
     p, answered, prior, whose, as_found = zip(*parts, strict=True)
     return _People(
         np.concatenate(p, axis=-1),
@@ -163,15 +164,15 @@ def _joined(parts: list[_People]) -> _People:
 
 
 def _never(people: _People) -> _People:
-    """The same, as nobody assumed them."""
+    """Marks all of them as not assumed."""
     return people._replace(as_found=np.zeros_like(people.as_found))
 
 
 def _stuck(
     people: _People, share: NDArray[np.float64], wrong: tuple[int, ...], every: int
 ) -> _People:
-    """For each of these people, and each fact that they believe incorrectly: whoever believes it
-    until all messages were given."""
+    """For each of these hidden types and each of its incorrect facts: people who believe this fact
+    incorrectly until all messages are given."""
     which = [
         (k, j) for k, own in enumerate(wrong) for j in range(every.bit_length()) if own >> j & 1
     ]

@@ -1,17 +1,17 @@
 """Questions to the user, as actions of the explanation POMDP (docs/method.md, section 5).
 
-A question is answered by 1 or 0, costs κ whatever the answer, and changes nothing but the belief.
-It never discounts: an action that did would pay for itself by putting off what is to come. It is
-asked before the messages of a step, once at most. There are two kinds:
+A question has the answer 1 or 0, costs κ for either answer, and changes only the belief. It never
+discounts, because a discounting action would gain by delaying later costs. It is asked before the
+messages of a step, at most once. There are two kinds:
 
-- a *clip*, (τ, H): "does this step make sense to you?", of a transition of the task that need not
-  be on the trace, with the messages H given so far. The answer is the label of τ under H;
-- a *belief*: "which do you think?", of the two sentences of a fact. The answer is 1 where the user
-  has it right.
+- a *clip*, (τ, H): "does this step make sense to you?", about a transition of the task, on the
+  trace or not, with the messages H given so far. The answer is the label of τ under H;
+- a *belief*: "which do you think?", about the two sentences of a fact. The answer is 1 if the user
+  believes the fact correctly.
 
-Clips are alike where their columns, thresholded, are. Of these only the one nearest to the trace
-may be asked; once it was, the next nearest: a second opinion, where answers err. What all hidden
-types answer alike is no question.
+Clips are alike if their columns, thresholded, are equal. Among them only the one nearest to the
+trace may be asked, and then the next nearest: a second opinion for users who err. A question that
+all hidden types answer alike is left out.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from xplain.explanation.label_table import LabelTable
 When = Literal["anytime", "first"]
 Kind = Literal["clips", "beliefs"]
 SENSE = "Does this step make sense to you?"
-"""What a clip is shown with."""
+"""The question that is shown with a clip."""
 WHICH = "Which do you think?"
-"""What the two sentences of a fact are shown with."""
+"""The question that is shown with the two sentences of a fact."""
 
 
 @checks("ask")
 @dataclass(frozen=True)
 class Limits:
-    """What asking costs, how often it is done, and when.
+    """Cost, number and time of questions.
 
     Args:
         cost: κ ≥ 0 of a question, in units of cost.
-        most: questions in one explanation.
+        most: maximum number of questions in one explanation.
         when: ``anytime``, before the messages of any step; or ``first``, before the first step.
     """
 
@@ -53,11 +53,11 @@ class Limits:
 @checks("ask")
 @dataclass(frozen=True)
 class Pool:
-    """Which questions an explanation may choose from.
+    """The questions that an explanation may choose from.
 
     Args:
         kinds: ``clips``, ``beliefs``, or both.
-        clips: kept for a trace, the nearest of each kind first.
+        clips: maximum number for a trace, the nearest of each kind first.
     """
 
     kinds: tuple[Kind, ...] = ("clips",)
@@ -72,13 +72,13 @@ class Pool:
 
 @dataclass(frozen=True)
 class Question:
-    """A question, for people.
+    """A question in words.
 
     Attributes:
-        number: among the trace's questions.
-        text: what is asked.
-        about: the step that a clip shows; empty of a belief.
-        replies: (words, answer), in the order to be shown.
+        number: index among the trace's questions.
+        text: the question.
+        about: the step of a clip; "" for a belief.
+        replies: (words, answer), in the order of display.
     """
 
     number: int
@@ -92,17 +92,17 @@ class Question:
 
 @dataclass(frozen=True)
 class Questions:
-    """Q questions that one trace's explanation may ask, the nearest to the trace first; none by
+    """Q questions that one trace's explanation may ask, nearest to the trace first; none by
     default.
 
     Attributes:
-        table: Q transitions or beliefs in the place of transitions: P(label is 1), and what is
-            answered where users err.
-        limits: of asking.
-        shows: [Q, m] whether a question is a clip of this transition of the trace.
-        texts: Q, for people, or none: what a clip shows; of a belief its two sentences, a line
-            each, in the order to be shown.
-        right: [Q] which line of a belief is right, 0 or 1; −1 of clips. None for clips alone.
+        table: P(label is 1), and P(answer is 1) if users err, for Q transitions or beliefs in the
+            place of transitions.
+        limits: cost, number and time.
+        shows: [Q, m] True if a question is a clip of this transition of the trace.
+        texts: Q texts, or none: the step of a clip; the two sentences of a belief, one on each
+            line, in the order of display.
+        right: [Q] index of the true line of a belief, 0 or 1; −1 for clips. None for clips alone.
     """
 
     table: LabelTable = field(
@@ -114,7 +114,7 @@ class Questions:
     right: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __post_init__(self) -> None:
-        """Raises InputError: tables of other lengths."""
+        """Raises InputError if lengths differ."""
         count = len(self.table.p)
         if not self.right.size:
             object.__setattr__(self, "right", np.full(count, -1))
@@ -128,13 +128,13 @@ class Questions:
         return len(self.table.p)
 
     def question(self, number: int) -> Question:
-        """The one with this number, for people."""
+        """The question with this number in words."""
         text = self.texts[number] if self.texts else f"question {number + 1}"
         return worded(number, text, int(self.right[number]))
 
 
 def worded(number: int, text: str, right: int) -> Question:
-    """A question for people, of what :class:`Questions` has of it."""
+    """Makes a question in words from the fields of :class:`Questions`."""
     if right < 0:
         return Question(number, SENSE, text, (("yes", 1), ("no", 0)))
     first, second = text.split("\n")
@@ -142,11 +142,11 @@ def worded(number: int, text: str, right: int) -> Question:
 
 
 def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
-    """Which questions of a long list, the nearest first, are worth keeping: at most so many.
+    """Selects at most ``most`` questions of a long list, which has the nearest first.
 
-    First the nearest of each kind of column before anything is said, then the nearest of those
-    that differ after some message, then second opinions, in turn. What all types answer alike,
-    whatever was said, is left out.
+    First come the nearest of each kind of column before any message, then the nearest of those that
+    differ after some message, then second opinions, in turn. Questions that all types answer alike,
+    with any messages, are left out.
     """
     yes = table.p >= 0.5
     same = (table.answered == table.answered[:, :, :1]).all(axis=(1, 2))
@@ -164,9 +164,9 @@ def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
 def nearest_first(
     features: NDArray[np.float64], of_trace: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """[Q] the order of transitions with these features [Q, F] by how near they are to a trace's
-    [m, F]: by the number of features that differ from the nearest transition's, the sum of the
-    differences among equals."""
+    """[Q] the order of transitions with features [Q, F] by their distance to a trace's [m, F]: the
+    number of features that differ from the nearest transition's, then the sum of the
+    differences."""
     if not len(features):
         return np.empty(0, np.int64)
     scale = np.ptp(np.concatenate([features, of_trace]), axis=0)

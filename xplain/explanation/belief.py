@@ -1,13 +1,13 @@
 """Beliefs over user types (docs/method.md §5, paper's belief update).
 
-A belief is an array [N] that sums to 1. Where messages may be missed or forgotten, a message said
-is no fact known: hidden are the type t, with its habits, and K, the facts that the user knows right
-now. Of these only the facts relevant to t matter, and a row of a label table is such a K. So a
-belief is an array [rows · N], and what happens to it is linear: a message moves a part α of the
-rows without the fact to those with it, and forgetting moves a part φ back.
+A belief is an array [N] that sums to 1. If messages may be missed or forgotten, a given message is
+not always a known fact. Hidden are then the type t, with its habits, and K, the facts that the user
+currently believes correctly. Only the facts relevant to t matter, and a row of a label table is
+such a K. So a belief is an array [rows · N] with linear updates: a message moves a share α of the
+rows without the fact to those with it, and forgetting moves a share φ back.
 
-A *belief update* is a function of what the user was shown and answered; which labels count as
-evidence is the choice made here.
+A *belief update* is a function of what the user saw and answered. It chooses which labels count as
+evidence.
 """
 
 from __future__ import annotations
@@ -24,22 +24,23 @@ from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 
 Evidence = slice | NDArray[np.bool_]
-"""Which labels of an answer are evidence: [k + 1] by place."""
+"""The labels of an answer that are evidence: [k + 1] by position."""
 
 
 OPEN = 0.1
-"""Share of people whose set of facts is none that was found, where nobody counted."""
+"""Share of people with none of the found fact sets, if it was not counted."""
 
 
 class Facts(NamedTuple):
-    """What is known of sets of facts that people may believe incorrectly.
+    """Sets of facts that people may believe incorrectly.
 
     Attributes:
-        everything: P(label is 1) of a trace's transitions, of one type: who believes every fact
-            incorrectly. Told all but W, they are as somebody who believes W incorrectly.
-        asked: the same of the questions; None where there are none.
-        wrong: the facts that each user type believes incorrectly, bitmasks.
-        new: P(the next person is of no user type found).
+        everything: P(label is 1) of a trace's transitions, of one type that believes every fact
+            incorrectly. Given all messages except those of W, this type behaves like people who
+            believe W incorrectly.
+        asked: the same for the questions; None without questions.
+        wrong: bitmasks of the facts that each user type believes incorrectly.
+        new: P(the next person has no found type).
     """
 
     everything: LabelTable
@@ -49,11 +50,11 @@ class Facts(NamedTuple):
 
 
 NO_FIT = 0.5
-"""No found type fits somebody of whom the fit (:meth:`Problem.fit`) is below this."""
+"""No found type fits a person with a smaller fit (:meth:`Problem.fit`)."""
 
 
 def fact_sets(wrong: NDArray[np.float64]) -> tuple[int, ...]:
-    """The facts that each type more likely believes incorrectly than not, as bitmasks, of
+    """Bitmasks of the facts that each type believes incorrectly with a probability above ½, from
     probabilities [N, n]."""
     return tuple(sum(1 << j for j in np.flatnonzero(own >= 0.5).tolist()) for own in wrong)
 
@@ -62,41 +63,41 @@ class BeliefUpdate(Protocol):
     """How labels change the belief.
 
     Attributes:
-        fresh_labels: whether each label of each step is drawn independently and is evidence, as in
-            the POMDP that solvers and certificates are about; else people repeat themselves, and
-            :func:`xplain.interaction.dialogue.advance` leaves out what is no news.
-        open: whether people may be of no type that was found.
+        fresh_labels: True if each label of each step is drawn independently and is evidence, as in
+            the POMDP of solvers and certificates. Otherwise people repeat themselves, and
+            :func:`xplain.interaction.dialogue.advance` leaves out labels without news.
+        open: True if people may have no found type.
     """
 
     fresh_labels: ClassVar[bool]
     open: ClassVar[bool] = False
 
     def habits(self, learned: Habits | None) -> Habits:
-        """How users are taken to listen and to answer.
+        """The assumed habits of listening and answering.
 
         Args:
-            learned: what observers' answers tell of it, if anything.
+            learned: habits that were learned from observers' answers, if any.
         """
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
-        """The problem of user types who listen and answer so.
+        """The problem of user types with these habits.
 
         Args:
             problem: of the user types that were found.
-            learned: as :meth:`habits` has it.
-            facts: that people may believe incorrectly, where they are known.
+            learned: see :meth:`habits`.
+            facts: facts that people may believe incorrectly, if known.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Assuming:
-    """What a belief takes users to be like; the defaults are the paper's.
+    """Assumptions of a belief about users; the defaults are the paper's.
 
     Attributes:
-        error: how often an answer is the opposite of what it would have been.
-        accept: how often a message is taken in when it is said.
-        forget: how often a corrected fact is lost, a step.
+        error: probability that an answer is flipped.
+        accept: probability that a given message is accepted.
+        forget: probability that a corrected fact is forgotten at a step.
     """
 
     open: ClassVar[bool] = False
@@ -121,17 +122,18 @@ class Assuming:
 
 @dataclass(frozen=True)
 class Independent(Assuming):
-    """The paper: the labels of the prefix are drawn anew at every step, and all are evidence."""
+    """The paper's update: the labels of the prefix are drawn again at every step, and all are
+    evidence."""
 
     fresh_labels: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
 class Persistent(Assuming):
-    """A label of (transition, message set) given before is no new evidence, of a copy of the
-    transition neither: people who learned nothing new repeat themselves. Messages only accumulate,
-    so only the newest transition's label is news unless something was said. After that people err
-    independently of what they said before."""
+    """Only new labels are evidence. A repeated label of (transition, message set), or of a copy of
+    the transition, is none: without new information people repeat themselves. Messages only
+    accumulate, so only the newest transition's label is new unless a message was given. After a
+    message people err independently of their earlier labels."""
 
     fresh_labels: ClassVar[bool] = False
 
@@ -143,20 +145,20 @@ def update(
     labels: NDArray[np.uint8],
     evidence: Evidence = slice(None),
 ) -> NDArray[np.float64]:
-    """b'(t) ∝ b(t) · Π_i P(l_i | τ_i, H, t) over the answers that are evidence; then facts that
-    users knew may be forgotten.
+    """Updates the belief: b'(t) ∝ b(t) · Π_i P(l_i | τ_i, H, t) over the answers that are evidence.
+    Then known facts may be forgotten.
 
     Args:
         problem: of N hidden types.
-        belief: [N], or [rows · N] where users may miss or forget messages.
+        belief: [N], or [rows · N] if users may miss or forget messages.
         message_set: H, all messages given so far.
-        labels: [k + 1] the user's labels of the prefix, 0 or 1; 2 where they cannot tell, which is
-            no evidence.
-        evidence: which of them count.
+        labels: [k + 1] the user's labels of the prefix, 0 or 1; 2 is "cannot tell", which is no
+            evidence.
+        evidence: the labels that count.
 
     Returns:
-        As the belief. Labels that no type with positive belief can give (only with probabilities of
-        exactly 0 or 1) tell nothing about the type: the belief stays as it was.
+        The new belief, in the same form. Labels that are impossible for all types with positive
+        belief (only with probabilities of exactly 0 or 1) leave the belief unchanged.
     """
     posterior = _after(problem, problem.table, belief, message_set, labels, evidence)
     return posterior if problem.messages_land else after_forgetting(posterior, problem.forget)
@@ -166,9 +168,7 @@ def answered(
     problem: Problem, belief: NDArray[np.float64], message_set: int, question: int, answer: int
 ) -> NDArray[np.float64]:
     """The belief, as in :func:`update`, after the answer 0 or 1 to one of the problem's questions.
-
-    Nothing is forgotten meanwhile.
-    """
+    Nothing is forgotten at a question."""
     table = problem.questions.table.of_steps([question])
     labels = np.array([answer], np.uint8)
     return _after(problem, table, belief, message_set, labels, slice(None))
@@ -182,7 +182,7 @@ def _after(
     labels: NDArray[np.uint8],
     evidence: Evidence,
 ) -> NDArray[np.float64]:
-    """The belief after answers about the first so many transitions of a table."""
+    """The belief after answers about the first transitions of a table."""
     if not problem.messages_land:
         p = table.answered[: len(labels)].reshape(len(labels), -1).T[:, evidence]
     else:
@@ -200,7 +200,7 @@ def _after(
 
 
 def told(problem: Problem, belief: NDArray[np.float64], new: int) -> NDArray[np.float64]:
-    """The belief after these messages were said: the same, unless users may miss some."""
+    """The belief after these messages; unchanged unless users may miss some."""
     if problem.messages_land:
         return belief
     for message in indices(new):
@@ -214,8 +214,8 @@ def after_message(
     message: int,
     accept: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The belief [rows · N] after a message was said once, whose bits in a row are ``relevant``
-    [N, r], and which is taken in with α, ``accept`` [N]."""
+    """The belief [rows · N] after a message was given once. Its bits in a row are ``relevant`` [N,
+    r], and ``accept`` [N] is the probability α that it is accepted."""
     after, landing = belief.copy(), np.where(relevant == message, accept[:, None], 0.0)
     for bit in np.flatnonzero(landing.any(axis=0)).tolist():
         pairs = after.reshape(-1, 2, 1 << bit, len(accept))
@@ -226,8 +226,8 @@ def after_message(
 
 
 def after_forgetting(belief: NDArray[np.float64], lose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The beliefs [..., rows · N] after a step, at whose end each fact known is lost with φ,
-    ``lose`` [N]."""
+    """[..., rows · N] the beliefs after a step, at whose end each known fact is forgotten with
+    probability φ, ``lose`` [N]."""
     after, width = np.array(belief, order="C"), len(lose)
     while width < after.shape[-1]:
         pairs = after.reshape(-1, 2, width // len(lose), len(lose))
@@ -239,6 +239,6 @@ def after_forgetting(belief: NDArray[np.float64], lose: NDArray[np.float64]) -> 
 
 
 def rounded(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The belief to 12 decimals, its zeros without a sign: the same evidence in another order gives
+    """The belief to 12 decimals, without negative zeros: the same evidence in another order gives
     the same bytes."""
     return np.round(belief, 12) + 0.0

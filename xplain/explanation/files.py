@@ -1,13 +1,13 @@
 """Explanation problems in files.
 
-- ``.npz``: arrays of numbers and text only, never unpickled; read and written.
-- ``.pomdp``, Cassandra's text, which the field's programs read; written. It is the reduced problem,
-  flat: states are (k, H, type) and one absorbing end; actions are *explain* and the n messages;
-  observations are "nothing" and the distinguishable answers at each (k, H), numbered. It is
-  explicit and numeric, without names: parsers are fast on that. Rewards alone have wildcards, one
-  line a (state, action): SARSOP refuses rewards that name an end state and an observation. The
-  format cannot say that a message already given, or without effect, is no action: such a message
-  leads to the end at a price above any cost, so no optimal policy gives it.
+- ``.npz``: arrays of numbers and text only, never unpickled; can be read and written.
+- ``.pomdp``: Cassandra's text format of other POMDP programs; can be written. It is the reduced
+  problem without structure: states are (k, H, type) and one absorbing end; actions are *explain*
+  and the n messages; observations are "nothing" and the distinguishable answers at each (k, H),
+  numbered. All entries are explicit numbers without names, because parsers read these fast. Only
+  rewards have wildcards, one line for each (state, action): SARSOP refuses rewards with an end
+  state and an observation. The format cannot exclude actions. So a message that was already given,
+  or that has no effect, leads to the end at a price above any cost, and no optimal policy gives it.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from xplain.explanation.problem import Problem, numbers
 
 DENSE = ("p_explicable",)
 BY_TYPE = ("relevant", "p_relevant")
-"""The arrays of a table, of both forms."""
+"""The arrays of a table in either form."""
 PREFIX = "question_"
-"""Of the names of the arrays of questions."""
+"""Prefix of the names of the arrays of questions."""
 EXPLAIN, NOTHING = 0, 0
 """Numbers of an action and an observation in the text."""
 MAX_LINES = 20_000_000
 
 
 def save(problem: Problem, path: str | Path) -> None:
-    """Writes a file that :func:`load` reads.
+    """Writes a file for :func:`load`.
 
-    The table is ``p_explicable`` [N, m, 2^n] where messages are few, else ``relevant`` [N, r] and
-    ``p_relevant`` [N, m, 2^r]. Where users fail there are ``p_answered``, of the same shape, and
-    ``habits`` [4, F], the fields of :class:`~xplain.explanation.habits.Habits`. Where something may
-    be asked there are the same arrays of the questions' table, by type, with the fields of
+    The table is ``p_explicable`` [N, m, 2^n] for few messages, else ``relevant`` [N, r] and
+    ``p_relevant`` [N, m, 2^r]. If users err or miss messages there are ``p_answered``, of the same
+    shape, and ``habits`` [4, F], the fields of :class:`~xplain.explanation.habits.Habits`. With
+    questions there are the same arrays of the questions' table, by type, with the fields of
     :class:`~xplain.explanation.asking.Questions` and its limits, each with PREFIX.
     """
     habits, questions = problem.habits, problem.questions
@@ -66,7 +66,7 @@ def save(problem: Problem, path: str | Path) -> None:
 
 
 def _arrays_of(table: LabelTable, dense_of: int = -1) -> dict[str, NDArray[Any]]:
-    """The arrays of a table; dense where it is over all of so many messages."""
+    """The arrays of a table; dense if it covers all of ``dense_of`` messages."""
     p = table.p.transpose(2, 0, 1)
     dense = table.is_dense(dense_of)
     arrays = {"p_explicable": p} if dense else {"relevant": table.relevant, "p_relevant": p}
@@ -75,8 +75,8 @@ def _arrays_of(table: LabelTable, dense_of: int = -1) -> dict[str, NDArray[Any]]
 
 
 def load(path: str | Path) -> Problem:
-    """Reads a file of :func:`save`, or of anyone: only ``message_cost`` and either ``p_explicable``
-    or ``relevant`` and ``p_relevant`` are mandatory.
+    """Reads a file of :func:`save`, or of another program: only ``message_cost`` and either
+    ``p_explicable`` or ``relevant`` and ``p_relevant`` are required.
 
     Raises:
         InputError: no such file, not an ``.npz``, a missing or unknown array, or values out of
@@ -86,8 +86,8 @@ def load(path: str | Path) -> Problem:
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: _as_python(value) for key, value in file.items()}
     except (OSError, zipfile.BadZipFile, EOFError, ValueError, TypeError) as error:
-        # A ValueError means that numpy would have to unpickle, which is never done here; a
-        # TypeError, that it holds one array.
+        # A ValueError means that numpy would have to unpickle, which is forbidden here; a
+        # TypeError means that the file has a single array.
         reason = getattr(error, "strerror", None) or "it must hold named arrays of numbers"
         raise InputError("problem", str(path), f"not a readable .npz file ({reason})") from None
     own = {k.removeprefix(PREFIX): arrays.pop(k) for k in [*arrays] if k.startswith(PREFIX)}
@@ -103,17 +103,17 @@ def load(path: str | Path) -> Problem:
 
 
 def _as_python(array: NDArray[Any]) -> Any:
-    """A single number or text, and texts, as Python has them."""
+    """A single number or text, or several texts, as Python values."""
     if not array.ndim:
         return array.item()
     return tuple(array.tolist()) if array.dtype.kind == "U" else array
 
 
 def _table_of(arrays: dict[str, Any], needed: set[str], *kinds: Any) -> Any:
-    """The table of these arrays, which are taken out; the others must be fields of these classes.
+    """Makes a table from these arrays and removes them; the others must be fields of these classes.
 
     Raises:
-        InputError: a missing or unknown array, or no table.
+        InputError: a missing or unknown array, or an invalid table.
     """
     form = BY_TYPE if arrays.keys() & {*BY_TYPE} else DENSE
     if missing := {*needed, *form} - arrays.keys():
@@ -133,7 +133,7 @@ def pomdp_lines(problem: Problem) -> Iterator[str]:
     """The lines of a ``.pomdp`` file.
 
     Raises:
-        InputError: only steps discount, or something may be asked, which the format cannot say.
+        InputError: only steps discount, or there are questions; the format has neither.
         TooLargeError: more than MAX_LINES lines.
     """
     if problem.discount_per == "step" and problem.discount < 1:
@@ -177,7 +177,7 @@ def pomdp_lines(problem: Problem) -> Iterator[str]:
         zeros = float((1 - problem.table.label_probabilities(k + 1, shown)[t]).sum())
         yield f"T: {EXPLAIN} : {here} : {after} 1.0"
         yield f"R: {EXPLAIN} : {here} : * : * {-problem.inexplicability_cost * zeros!r}"
-        # At the last step what is answered changes nothing.
+        # At the last step the answers change nothing.
         for o, weights in enumerate(answers.get((k, shown), []), start=1):
             if weights[t] > 0:
                 yield f"O: {EXPLAIN} : {after} : {o} {weights[t]!r}"
@@ -204,8 +204,9 @@ def _check_lines(expected: int) -> None:
 
 
 def _answers_of(problem: Problem, step: int, shown: int) -> list[list[float]]:
-    """P(answer | type) for the distinguishable answers to *explain* at (k, H): transitions with
-    equal columns answer by their number of 1s, those that all types label alike not at all."""
+    """P(answer | type) for the distinguishable answers to *explain* at (k, H). Transitions with
+    equal columns are answered by their number of labels 1; those that all types label alike are
+    left out."""
     labels = problem.table.answer_probabilities(step + 1, shown)
     columns: dict[tuple[float, ...], int] = {}
     for i in range(step + 1):

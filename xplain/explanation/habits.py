@@ -1,9 +1,9 @@
-"""How users listen and answer: the paper's take in every message for ever, and never err.
+"""How users listen and answer. The paper's users accept every message for ever, and never err.
 
-A user answers the opposite of what they would have with probability e; takes a message in with
-probability α when it is said; and loses a corrected fact with probability φ at each step, after
-their labels. Nobody's *habits* are known, so they are a hidden part of the explanation beside the
-user type, on a small grid. Costs depend on what a user thinks, evidence on what they answer.
+A user gives the opposite answer with probability e, accepts a given message with probability α, and
+forgets a corrected fact with probability φ at each step, after the labels. These *habits* are
+unknown, so they are a hidden part of the explanation besides the user type, on a small grid. Costs
+depend on what a user thinks, evidence on what they answer.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from xplain.errors import InputError, Range
 
 Assumed = float | Mapping[float, float] | Literal["learned"]
-"""A rate that all users share; rates with their shares among users; or ``learned``: the rates that
-people's answers tell, and where they tell nothing of it a documented grid."""
+"""A rate that all users share; rates with their shares among users; or ``learned``: rates learned
+from people's answers, or a documented grid if these give no information."""
 MOST = 45
-"""Habits on a grid, at most: tables and beliefs grow by so much."""
+"""Maximum number of habits on a grid; tables and beliefs grow by this factor."""
 
 
 RANGES = {"error": Range(0, 0.5, "[)"), "accept": Range(0, 1, "(]"), "forget": Range(0, 1, "[)")}
-"""Rates that users may have. Whoever errs more often than not means the opposite."""
+"""Possible rates. An error rate above ½ would mean the opposite."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Habits:
     """F habits.
 
     Attributes:
-        error: [F] e, each ≥ 0 and below ½: whoever errs more often means the opposite.
-        accept: [F] α in (0, 1].
-        forget: [F] φ in [0, 1).
-        prior: [F] how likely each is; sums to 1.
+        error: [F] e, in [0, ½).
+        accept: [F] α, in (0, 1].
+        forget: [F] φ, in [0, 1).
+        prior: [F] probability of each habit; sums to 1.
     """
 
     error: NDArray[np.float64]
@@ -47,7 +47,7 @@ class Habits:
     prior: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Raises InputError for a rate that no user has, or no probabilities."""
+        """Raises InputError for a rate out of its range, or an invalid prior."""
         for key in ("error", "accept", "forget", "prior"):
             object.__setattr__(self, key, np.asarray(getattr(self, key), float))
         rates = {key: getattr(self, key) for key in RANGES}
@@ -66,30 +66,31 @@ class Habits:
 
     @cached_property
     def never_err(self) -> bool:
-        """Whether everybody answers what they think."""
+        """True if all users answer what they think."""
         return not self.error.any()
 
     @cached_property
     def take_all_in(self) -> bool:
-        """Whether everybody takes every message in and keeps it: what was said is what a user
-        knows."""
+        """True if all users accept every message and keep it, so that they know all given
+        messages."""
         return bool((self.accept == 1).all()) and not self.forget.any()
 
     def shares(self, key: str) -> dict[float, float]:
-        """How likely each rate of a kind (``error``, ``accept``, ``forget``) is, ascending."""
+        """Probability of each rate of a kind (``error``, ``accept``, ``forget``), by ascending
+        rate."""
         rates = getattr(self, key)
         return {rate: float(self.prior[rates == rate].sum()) for rate in np.unique(rates).tolist()}
 
     def answered(self, meant: NDArray[np.float64]) -> NDArray[np.float64]:
-        """P(answer is 1) of a table [..., N] of what answers would be without errors: [..., N F],
-        the habits side by side within a type."""
+        """[..., N F] P(answer is 1), from P(answer is 1) without errors ``meant`` [..., N]; the
+        habits of one type are neighbours."""
         e = np.tile(self.error, meant.shape[-1])
         a = meant.repeat(len(self), axis=-1)
         return (1 - e) * a + e * (1 - a)
 
 
 PAPER = Habits(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
-"""Users take every message in for ever, and answer what they think."""
+"""Users accept every message for ever, and answer what they think."""
 
 Grid = tuple[tuple[float, ...], tuple[float, ...]]
 UNKNOWN: dict[str, Grid] = {
@@ -97,19 +98,20 @@ UNKNOWN: dict[str, Grid] = {
     "accept": ((1.0, 0.8, 0.6), (0.6, 0.25, 0.15)),
     "forget": ((0.0, 0.05, 0.1), (0.6, 0.25, 0.15)),
 }
-"""Where no answers were learned from: rates and how likely they are. Half of the people
-make no mistake of their own; the mean error rate is .05."""
+"""Rates and their probabilities if no answers were learned from. Half of the people never err by
+themselves; the mean error rate is 0.05."""
 
 
 def habits_of(
     error: Assumed, accept: Assumed, forget: Assumed, learned: Habits | None = None
 ) -> Habits:
-    """The habits that a belief assumes: each rate as told, or learned; independent of each other.
+    """The habits that a belief assumes: each rate as given or learned, independent of each other.
 
     Args:
         error, accept, forget: the settings ``belief.error``, ``belief.accept``, ``belief.forget``.
-        learned: from people's answers. UNKNOWN where there were none, or where everybody has the
-            paper's rate: answers to questions alone tell nothing of messages that do not land.
+        learned: habits learned from people's answers. UNKNOWN is used without them, or if all
+            people have the paper's rate: answers to questions alone do not show messages that do
+            not land.
 
     Raises:
         InputError: neither ``learned`` nor a rate in its range.
@@ -133,7 +135,7 @@ def habits_of(
 
 
 def check_assumed(key: str, assumed: Assumed) -> None:
-    """Raises InputError: neither ``learned`` nor rates in their range."""
+    """Raises InputError for anything except ``learned`` and rates in their range."""
     if assumed == "learned":
         return
     try:

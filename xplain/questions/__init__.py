@@ -1,1 +1,1 @@
-"""Questions that tell apart hypotheses of what people believe incorrectly."""
+"""Questions that separate hypotheses of what people believe incorrectly."""

@@ -1,9 +1,9 @@
-"""Query designs that know what people might believe incorrectly: one list for everybody, which
-tells all candidates apart, or a questionnaire for each person (docs/what-to-ask.md).
+"""Query designs that use hypotheses of incorrect beliefs: one list for everybody that separates all
+candidates, or a questionnaire for each person (docs/what-to-ask.md).
 
-A question separates two candidates when they label it differently. The list is a greedy cover of
-all pairs of candidates that behave differently, each ``redundancy`` times, so that errors are
-borne; greedy covers are near-optimal, as the number of pairs covered is submodular.
+A question separates two candidates if they label it differently. The list is a greedy cover of all
+pairs of candidates with different behaviour, each ``redundancy`` times, so that it tolerates
+errors. Greedy covers are near-optimal, because the number of covered pairs is submodular.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed, stream
 
 MAX_CELLS = 1 << 26
-"""Different questions × classes of candidates that a list is chosen for."""
+"""Maximum number of distinct questions × classes of candidates for a list."""
 QuestionList = tuple[NDArray[np.int64], NDArray[np.int64]]
 """Transitions [Q] and message sets [Q]."""
 
@@ -35,16 +35,15 @@ QuestionList = tuple[NDArray[np.int64], NDArray[np.int64]]
 def battery(
     hypotheses: Hypotheses, redundancy: int = 1, seed: int = 0, at_least: int = 0
 ) -> QuestionList:
-    """The list, those questions first that separate most; of questions that separate the same,
-    one about a transition not asked about before, with few messages to read.
+    """Chooses the list. Questions that separate most come first; among equal ones, those about a
+    new transition with few messages to read.
 
     Args:
         hypotheses: the candidates.
-        redundancy: questions, at least, that separate each pair. Two that do may be the same,
-            where no other does.
-        seed: decides between questions that are as good.
-        at_least: questions in the list; beyond those needed, it goes on as for a larger
-            redundancy.
+        redundancy: minimum number of questions that separate each pair. A question may occur twice
+            if no other separates the pair.
+        seed: breaks ties between questions.
+        at_least: minimum number of questions; a longer list continues as with a larger redundancy.
 
     Raises:
         InputError: redundancy < 1.
@@ -79,11 +78,11 @@ def battery(
 def distinct_questions(
     hypotheses: Hypotheses,
 ) -> tuple[list[NDArray[np.int64]], NDArray[np.bool_]]:
-    """The questions by which classes of candidates they separate from which.
+    """Groups the questions by the classes of candidates that they separate.
 
     Returns:
-        For each of D partitions its questions, [·, 2] transition and message set (no more messages
-        than matter); and [D, classes] who labels them unlike the first class.
+        For each of D partitions its questions, [·, 2] transition and message set (only messages
+        that matter); and [D, classes] True for classes with another label than the first class.
 
     Raises:
         TooLargeError: questions × classes > MAX_CELLS.
@@ -101,7 +100,7 @@ def distinct_questions(
     asked = np.array(every, dtype=np.int64).reshape(-1, 2)
     held = hypotheses.facts[first] & ~asked[:, 1:]
     labels = hypotheses.labels[hypotheses.row(held), asked[:, :1]].astype(bool)
-    labels ^= labels[:, :1]  # 0 and 1 exchanged separate the same
+    labels ^= labels[:, :1]  # exchanging 0 and 1 separates the same classes
     partition, which = np.unique(labels, axis=0, return_inverse=True)
     groups = [asked[which.ravel() == d] for d in range(len(partition))]
     tells = [d for d in range(len(partition)) if partition[d].any()]
@@ -109,23 +108,23 @@ def distinct_questions(
 
 
 LONGEST = 40
-"""Steps of a trace whose transitions are checked."""
+"""Maximum number of steps of a trace whose transitions are checked."""
 RARE = 1e-3
-"""Visits a trace that every transition counts for at least."""
+"""Minimum number of visits of a transition for each trace."""
 AGAIN = 0.25
-"""How likely a transition is checked again, of anybody, against before."""
+"""Factor on the weight of a transition that was already checked with any person."""
 KEPT = 0.01
-"""Candidates of a list that grew with a person's answers are remembered for the next from here."""
+"""Minimum posterior of a person's additional candidates to be kept for the next person."""
 Share = Annotated[float, Range(0, 1, "[)")]
 Posterior = tuple[NDArray[np.int64], NDArray[np.float64]]
 """Candidates (bitmasks), and the probability of each."""
 
 
 def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64]:
-    """[T, 3] what the robot does, of each transition of the hypotheses.
+    """[T, 3] the transitions of the hypotheses as (s, a, s').
 
     Raises:
-        InputError: the hypotheses are of another task.
+        InputError: the hypotheses are about another task.
     """
     reachable = setting.reachable
     if hypotheses.messages != setting.message_names:
@@ -158,7 +157,7 @@ class Battery:
     """One list of questions for everybody; see :func:`xplain.questions.designs.battery`.
 
     Attributes:
-        redundancy: questions that separate each pair of candidates, at least.
+        redundancy: minimum number of questions that separate each pair of candidates.
         hypotheses: an ``.npz`` file; None: those of the domain.
     """
 
@@ -168,7 +167,8 @@ class Battery:
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """The first ``sizes`` questions of one list, which is as long as the longest of them."""
+        """Asks observer o the first ``sizes[o]`` questions of one list, which has the length of the
+        largest size."""
         known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         chosen, told = battery(
             known, self.redundancy, derived_seed(seed, "queries"), int(sizes.max())
@@ -179,25 +179,23 @@ class Battery:
 @checks("queries")
 @dataclass(frozen=True)
 class Adaptive:
-    """A questionnaire for each observer; what is thought of a person at first comes half from
-    those asked before.
+    """A questionnaire for each observer. Half of a person's prior comes from earlier persons.
 
-    A person is asked as many labels as agreed: once it is known what they believe incorrectly,
-    further questions go on telling the most they can, which confirms it, and finds where hypotheses
-    err.
+    Each person gives the agreed number of labels. Once their incorrect beliefs are known, the
+    remaining questions still have maximum information: they confirm the result and find errors of
+    the hypotheses.
 
     Attributes:
-        error: share of wrong answers to be expected; not 0, as people err.
-        clip: transitions a question.
+        error: expected share of wrong answers; above 0, because people err.
+        clip: number of transitions in a question.
         misread: share of clips that are misunderstood as a whole.
         none: probability that no hypothesis fits a person.
-        from_others: weight of the observers before in the prior of the next.
-        check: once it is known what a person believes incorrectly, share of the questions that ask
-        whether
-            it is all: every fact that hypotheses know of is told, and what the robot often does
+        from_others: weight of earlier observers in the prior of the next one.
+        check: share of the questions, once a person's incorrect beliefs are known, that check
+            whether there are others: with all known facts told, the robot's frequent transitions
             should be explicable.
-        in_turn: a question each in turn, as of people who answer at the same time, each by what is
-            thought of all others by then; else one person after the other.
+        in_turn: True asks one question of each person in turn, like people who answer at the same
+            time, each with a prior from all others so far; False asks one person after the other.
         hypotheses: an ``.npz`` file; None: those of the domain.
     """
 
@@ -213,7 +211,7 @@ class Adaptive:
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Exactly ``sizes`` labels an observer; the last clip is cut."""
+        """Asks each observer exactly ``sizes`` labels; the last clip is cut."""
         known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         transitions = transitions_of(known, setting)
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
@@ -222,7 +220,7 @@ class Adaptive:
         )
         asked: dict[int, Questionnaire] = {}
         found: dict[int, Posterior] = {}
-        with threadpool_limits(1):  # small products: threads would cost more than the work
+        with threadpool_limits(1):  # small products: threads would cost more than they save
             for o, now in self._turns(sizes.tolist()):
                 others = [one for other, one in found.items() if other != o]
                 before = asked.get(o) or blank.anew(None, derived_seed(seed, "queries", o))
@@ -240,7 +238,7 @@ class Adaptive:
         return [_answered(asked[o], transitions, found[o][0]) for o in range(len(sizes))]
 
     def _turns(self, sizes: list[int]) -> list[tuple[int, int]]:
-        """(observer, labels), one after the other."""
+        """(observer, number of labels) of each turn."""
         if not self.in_turn:
             return list(enumerate(sizes))
         return [
@@ -251,15 +249,14 @@ class Adaptive:
         ]
 
     def _questions(self, before: Questionnaire, others: list[Posterior]) -> Questionnaire:
-        """A person's questionnaire, whose prior follows from the posteriors of all other people so
-        far."""
+        """A person's questionnaire, with a prior from the posteriors of all other people so far."""
         listed = before.hypotheses
         if others:
             listed = listed.with_sets(np.concatenate([facts for facts, _ in others]))
         return before.over(listed, self._prior(listed, others))
 
     def _prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
-        """[C] before anything is asked, by the observers before."""
+        """[C] prior before the first question, from the earlier observers."""
         share = self.from_others if others else 0.0
         asked = np.zeros(len(known.facts))
         for facts, posterior in others:
@@ -267,7 +264,7 @@ class Adaptive:
         return (1 - share) * known.prior + share * asked / max(len(others), 1)
 
     def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
-        """Adds the candidates that answers have made likely."""
+        """Adds the candidates that answers made likely."""
 
         def over(known: Hypotheses) -> Questionnaire:
             if known is questions.hypotheses:
@@ -283,12 +280,12 @@ class Adaptive:
 
 @dataclass(frozen=True)
 class _Checks:
-    """Questions to which all hypotheses have the same answer: everything that they know of is told.
+    """Questions with the same answer under all hypotheses, because all of their facts are told.
 
     Attributes:
         told: the facts of all hypotheses.
-        weight: [T] visits of each transition that is then explicable, fewer where checked before.
-        rng: of every draw.
+        weight: [T] visits of each transition that is then explicable, lower if already checked.
+        rng: random stream.
     """
 
     told: int
@@ -309,14 +306,14 @@ class _Checks:
         return cls(int(np.bitwise_or.reduce(known.facts)), weight, rng)
 
     def next(self) -> tuple[int, int]:
-        """A transition, drawn by its weight, and the message set."""
+        """Draws a transition by its weight. Returns it with the message set."""
         chosen = int(self.rng.choice(len(self.weight), p=self.weight / self.weight.sum()))
         self.weight[chosen] *= AGAIN
         return chosen, self.told
 
 
 def _likely(questions: Questionnaire) -> Posterior:
-    """The posterior of a person; if the list of candidates grew, of the likely ones alone."""
+    """The posterior of a person; only its likely candidates if the list of candidates grew."""
     known, posterior = questions.hypotheses, questions.posterior / questions.posterior.sum()
     kept = posterior >= (0.0 if known.further is None else KEPT)
     return known.facts[kept], posterior[kept] / posterior[kept].sum()
@@ -325,7 +322,7 @@ def _likely(questions: Questionnaire) -> Posterior:
 def _answered(
     questions: Questionnaire, transitions: NDArray[np.int64], likely: NDArray[np.int64]
 ) -> Answered:
-    """All that a questionnaire asked, label by label."""
+    """All questions of a questionnaire with their answers, one for each label."""
     which, told, labels = questions.answers
     found = None if questions.hypotheses.further is None else likely
     return Answered(transitions[which], told, labels, found)

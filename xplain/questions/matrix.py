@@ -1,18 +1,18 @@
-r"""How much questions tell: all questions as one matrix of labels, and mutual information under
-what is known of a person.
+r"""The information of questions: all questions as one matrix of labels, and their mutual
+information given what is known about a person.
 
-A question is a transition τ and messages H. Under weights w over the candidates R (and variants)::
+A question is a transition τ and messages H. With weights w over the candidates R (and variants)::
 
     P(label 1 | τ, H) = Σ_R w(R) f_τ(R \ H)
 
-When the facts K are not told, this is a sum over the sets R ∩ K, which are candidates too: the
-weights of all R with the same R ∩ K are added, and multiplied by the matrix of labels. A question
-tells the more the nearer its P(label 1) is to ½.
+If the facts K are not told, this is a sum over the sets R ∩ K, which are candidates too: the
+weights of all R with the same R ∩ K are added and multiplied by the matrix of labels. A question
+has more information if its P(label 1) is closer to ½.
 
-Where facts are few, every K is weighed. Otherwise random sets K are weighed for the label functions
-in random order, until a question is about as near to ½ as the most probable candidate allows. From
-the best question found, one fact after the other is then added to K or removed from it, as long as
-the question comes nearer to ½.
+With few facts, every K is evaluated. Otherwise random sets K are evaluated for the label functions
+in random order, until a question is about as close to ½ as the most probable candidate allows.
+Starting at the best question, single facts are then added to K or removed from it as long as the
+question comes closer to ½.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from xplain.domains.users.hypotheses import Hypotheses
 from xplain.explanation.message_sets import indices, subsets
 
 EQUAL = 1e-11
-"""Questions tie when their P(label 1) lie as far from ½, but for this."""
+"""Questions tie if the distances of their P(label 1) from ½ differ by less."""
 CLOSE = 1e-3
-"""A question this near to the best possible P(label 1) ends the search: it tells at most 1e-5 bits
-less, unless an answer is nearly certain."""
+"""A question within this distance of the best possible P(label 1) ends the search. It loses at most
+1e-5 bits unless an answer is almost certain."""
 SETS = 64
-"""Random sets of facts that a search weighs."""
+"""Number of random sets of facts in a search."""
 PRODUCTS = 1 << 26
-"""Multiplications at a time."""
+"""Maximum number of multiplications at a time."""
 
 
 class Nearest(NamedTuple):
-    """Questions, P of them, whose P(label 1) lies near the middle.
+    """P questions with P(label 1) near a value.
 
     Attributes:
-        off: [P] how far from it.
+        off: [P] distance from the value.
         function: [P] index of the label function.
-        told: [P] the message sets, of facts on which the function depends.
+        told: [P] message sets, restricted to the facts of the function.
     """
 
     off: NDArray[np.float64]
@@ -60,10 +60,10 @@ class QuestionMatrix:
     Attributes:
         hypotheses: C candidates.
         labels: [G, (1 + V) · C] uint8, by function, variant and candidate.
-        facts: [G] those on which a function depends, as a bitmask.
-        transitions: [P] those whose label tells anything.
-        function: [P] the label function of each.
-        sets: [M] all sets of the facts that matter; None where they are too many.
+        facts: [G] facts that a function depends on, as a bitmask.
+        transitions: [P] transitions with an informative label.
+        function: [P] label function of each transition.
+        sets: [M] all sets of the facts that matter; None if there are too many.
     """
 
     hypotheses: Hypotheses
@@ -75,7 +75,7 @@ class QuestionMatrix:
 
     @classmethod
     def of(cls, hypotheses: Hypotheses) -> QuestionMatrix:
-        """All questions about the transitions whose label tells anything."""
+        """Takes all questions about transitions with an informative label."""
         own = np.flatnonzero(hypotheses.matters)
         tables = hypotheses.tables[:, :, own].reshape(-1, len(own))
         bits = np.packbits(tables, axis=0)
@@ -87,16 +87,16 @@ class QuestionMatrix:
         return cls(hypotheses, labels, facts, own, which.ravel(), sets)
 
     def having(self, function: int) -> NDArray[np.int64]:
-        """The transitions that have a label function."""
+        """The transitions with a label function."""
         return self.transitions[self.function == function]
 
     def probability(
         self, functions: NDArray[np.int64], kept: NDArray[np.int64], weight: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """P(label 1) of some functions [g] when the facts K [M] are not told: [g, M].
+        """[g, M] P(label 1) of some functions [g] if the facts K [M] are not told.
 
         Args:
-            functions: their indices.
+            functions: indices of the functions.
             kept: the sets K.
             weight: [1 + V, C].
         """
@@ -114,8 +114,8 @@ class QuestionMatrix:
         count: int,
         rng: np.random.Generator,
     ) -> Nearest:
-        """The ``count`` questions found with P(label 1) nearest to ``middle`` under the weights
-        [1 + V, C], those tied with the last of them, and maybe others. Of all questions, where
+        """Finds the ``count`` questions with P(label 1) nearest to ``middle`` under the weights [1
+        + V, C], all ties with the last of them, and possibly others. The search is complete if
         ``sets`` has all sets of facts."""
         # The most probable candidate is on one side of every question.
         enough = max(float(weight.max()) - middle, 0.0) + CLOSE
@@ -137,13 +137,13 @@ class QuestionMatrix:
             kept = own[off.argmin()] ^ (1 << np.arange(n))
 
     def _random_sets(self, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Some sets of facts, of all sizes."""
+        """Random sets of facts of all sizes."""
         n = self.hypotheses.n_messages
         bits = rng.random((SETS, n)) < rng.random((SETS, 1))
         return np.asarray(bits @ (1 << np.arange(n)), dtype=np.int64)
 
     def _batches(self, sets: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
-        """The functions in parts that fit into memory, in random order; all at once, where facts
+        """Splits the functions into parts that fit into memory, in random order; one part if facts
         are few."""
         every = np.arange(len(self.facts))
         if self.sets is not None:
@@ -159,9 +159,9 @@ class QuestionMatrix:
         middle: float,
         count: int,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-        """The questions nearest to the middle: how far from it, their functions, the sets K."""
+        """The questions nearest to the middle: their distance, their functions, the sets K."""
         off = np.abs(self.probability(functions, kept, weight) - middle)
-        # Facts that do not matter to a function make no other question.
+        # Facts without influence on a function make no other question.
         other = self.sets is None or (kept & ~self.facts[functions, None]) == 0
         g, m = np.nonzero(np.broadcast_to(other, off.shape))
         values = off[g, m]
@@ -171,21 +171,21 @@ class QuestionMatrix:
 
 
 TIE = 1e-9
-"""Clips tie when their mutual informations (bits) differ by less."""
+"""Clips tie if their mutual informations (bits) differ by less."""
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """What is known of a person, layer by layer: the values as assumed, V variants, and somebody
-    whom no hypothesis fits.
+    """The knowledge about a person, by layer: the assumed values, V variants, and a person whom no
+    hypothesis fits.
 
     Attributes:
         hypotheses: C candidates.
         weight: [2 + V, C] posterior; sums to 1.
-        error: [2 + V] probability that an answer is the opposite of what it would have been.
+        error: [2 + V] probability that an answer is flipped.
         misread: probability that a clip is misread.
-        rates: [2, T] slip, P(0 | f = 1), and guess, P(1 | f = 0), of each transition, before that;
-            None: nobody slips or guesses.
+        rates: [2, T] slip, P(0 | f = 1), and guess, P(1 | f = 0), of each transition, before the
+            flip; None: no slips or guesses.
     """
 
     hypotheses: Hypotheses
@@ -195,14 +195,16 @@ class Posterior:
     rates: NDArray[np.float64] | None = None
 
     def labels(self, transitions: ArrayLike, told: int) -> NDArray[np.int64]:
-        """[2 + V, C, Q] labels by layer and candidate; whom none fits goes by those assumed."""
+        """[2 + V, C, Q] labels by layer and candidate; the layer without a fitting hypothesis has
+        the labels at the assumed values."""
         labels = self.hypotheses.label(transitions, told).astype(np.int64)
         return np.concatenate([labels, labels[:1]])
 
     def likelihood(
         self, transitions: Sequence[int], told: int, answers: Sequence[int]
     ) -> NDArray[np.float64]:
-        """P(answers | layer, candidate) of one question, a label a transition: [2 + V, C]."""
+        """[2 + V, C] P(answers | layer, candidate) of one question, with one label for each
+        transition."""
         labels, given = self.labels(transitions, told), np.array(answers)
         one = self._answered_one(labels, np.asarray(transitions))
         each = np.where(given == 1, one, 1 - one).prod(axis=2)
@@ -211,7 +213,7 @@ class Posterior:
     def _answered_one(
         self, labels: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(answer 1) where the labels are these [2 + V, C, Q]."""
+        """P(answer 1) given the labels [2 + V, C, Q]."""
         one = labels.astype(np.float64)
         if self.rates is not None:
             slip, guess = self.rates[:, transitions]
@@ -220,7 +222,7 @@ class Posterior:
         return np.asarray((1 - error) * one + error * (1 - one))
 
     def gains(self, transitions: NDArray[np.int64], told: int) -> NDArray[np.float64]:
-        """Bits that the answer tells, of Q questions about one transition each: [Q]."""
+        """[Q] information in bits of the answers to Q questions about one transition each."""
         one = self._answered_one(self.labels(transitions, told), transitions)
         one = (1 - self.misread) * one + self.misread / 2
         weight = self.weight[:, :, None]
@@ -230,7 +232,7 @@ class Posterior:
     def best_of(
         self, questions: Sequence[tuple[int, int]], rng: np.random.Generator
     ) -> tuple[int, int]:
-        """The question about one transition, of these, that tells most; of equal ones any."""
+        """The most informative of these questions about one transition; ties at random."""
         asked = np.array(questions, dtype=np.int64)
         value = np.empty(len(asked))
         for told in np.unique(asked[:, 1]).tolist():
@@ -243,18 +245,18 @@ class Posterior:
     def best_questions(
         self, questions: QuestionMatrix, count: int, seen: list[int], rng: np.random.Generator
     ) -> list[tuple[int, int]]:
-        """The ``count`` best questions about one transition, the best first; of equal ones those
-        about transitions not asked about before, else at random.
+        """The ``count`` most informative questions about one transition, best first. Among ties,
+        those about new transitions come first, then at random.
 
-        All errors are those of a symmetric channel, so that a question tells more the nearer its
-        P(label 1) is to ½.
+        All errors are those of a symmetric channel, so a question has more information if its
+        P(label 1) is closer to ½.
         """
         found = self._nearest(questions, count, rng)
         known = np.zeros(self.hypotheses.n_transitions, dtype=bool)
         known[seen] = True
         fresh = np.zeros(len(questions.facts), dtype=bool)
         fresh[questions.function[~known[questions.transitions]]] = True
-        level = np.round(found.off / EQUAL)  # equal but for rounding
+        level = np.round(found.off / EQUAL)  # equal up to rounding
         order = np.lexsort((rng.random(len(level)), ~fresh[found.function], level))[:count]
         chosen = []
         for at in order.tolist():
@@ -267,8 +269,8 @@ class Posterior:
     def best_near_even(
         self, questions: QuestionMatrix, count: int, rng: np.random.Generator
     ) -> tuple[int, int]:
-        """The best question about one transition among those of which the labels of the
-        hypotheses, without slips and guesses, are nearest to even odds; ``count`` at least."""
+        """The best question about one transition, among at least ``count`` questions whose labels
+        under the hypotheses, without slips and guesses, are nearest to even odds."""
         found = self._nearest(questions, count, rng)
         pairs = zip(found.function.tolist(), found.told.tolist(), strict=True)
         every = {(int(t), told) for at, told in pairs for t in questions.having(at)}
@@ -283,8 +285,8 @@ class Posterior:
     def best_clip(
         self, starts: list[tuple[int, int]], length: int, rng: np.random.Generator
     ) -> tuple[list[int], int]:
-        """The best clip of those grown transition by transition, each time by the one that tells
-        most by itself."""
+        """The best clip among those that grow one transition at a time, each time by the most
+        informative one."""
         best, most = ([starts[0][0]], starts[0][1]), -1.0
         every = np.arange(self.hypotheses.n_transitions)
         gains = {told: self.gains(every, told) for told in {told for _, told in starts}}
@@ -298,12 +300,12 @@ class Posterior:
         return best
 
     def _beside(self, clip: list[int]) -> NDArray[np.int64]:
-        """The transitions by which a clip can grow: those that follow its last one."""
+        """The transitions that can extend a clip: those that follow its last one."""
         states = self.hypotheses.states
         others = np.setdiff1d(np.arange(self.hypotheses.n_transitions), clip)
         return others if states is None else others[states[others, 0] == states[clip[-1], 1]]
 
 
 def _binary(one: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bits of an answer that is 1 with this probability."""
+    """Entropy in bits of an answer that is 1 with this probability."""
     return np.asarray((entr(one) + entr(1 - one)) / np.log(2))

@@ -1,4 +1,4 @@
-"""A table of one's own transitions: real robots are no grids."""
+"""A table of one's own transitions, for robots without a grid."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ TEXT, IMAGE, ALT, WHEN = "text", "image", "alt", "inexplicable_if"
 
 @dataclass(frozen=True)
 class OwnTransitions:
-    """A designer's T transitions.
+    """T transitions from a user's table.
 
     Attributes:
-        path: of the table.
-        texts: of each transition, what the robot does.
-        images: of each transition, a path or address; "" where it has none.
-        features: [T, F] the columns of the table that mean nothing else; None without any.
+        path: path of the table.
+        texts: description of each transition.
+        images: path or address of an image of each transition; "" without an image.
+        features: [T, F] all other columns of the table; None without any.
         feature_names: F names.
-        facts: of each transition, the facts of which each makes it inexplicable to who holds it
-            wrong; None where nobody wrote them down.
-        alts: of each image, what it shows, in words; "" where nobody wrote it.
+        facts: for each transition, the facts that make it inexplicable to people who believe one of
+            them incorrectly; None if the table has none.
+        alts: description of each image; "" without one.
     """
 
     path: str
@@ -44,11 +44,11 @@ class OwnTransitions:
 
     @cached_property
     def hypotheses(self) -> Hypotheses:
-        """All sets of the facts; a transition is labelled 0 by whoever believes one of its own
-        incorrectly.
+        """All sets of the facts. A person who believes one of a transition's facts incorrectly
+        labels it 0.
 
         Raises:
-            InputError: nobody wrote facts down, or too many.
+            InputError: the table has no facts, or too many.
         """
         if self.facts is None:
             raise InputError("transitions", self.path, f"lacks the column {WHEN}")
@@ -71,7 +71,7 @@ class OwnTransitions:
 
 
 def with_features(known: Hypotheses) -> Hypotheses:
-    """Hypotheses whose transitions have features; where they have none, the text is one."""
+    """Hypotheses with features for transitions; without any, the text becomes a feature."""
     if known.features is not None:
         return known
     features, names = features_of([Column.of("transitions", TEXT, known.phrases)])
@@ -79,16 +79,16 @@ def with_features(known: Hypotheses) -> Hypotheses:
 
 
 def read_transitions(path: str | Path) -> OwnTransitions:
-    """Reads a table with one row a transition.
+    """Reads a table with one row for each transition.
 
     Columns: ``text``, what the robot does; optionally ``image``, and ``alt``, a description of the
     image; ``inexplicable_if``, the facts joined by ``;``. A transition is inexplicable to a person
-    who believes any of these facts incorrectly. ``inexplicable_if`` is not needed to ask without
-    hypotheses. All other columns are features: numbers, or text, which becomes one column a value,
-    as in tables of labels.
+    who believes any of these facts incorrectly. Questions without hypotheses need no
+    ``inexplicable_if``. All other columns are features: numbers, or text, which becomes one column
+    for each value, as in tables of labels.
 
     Raises:
-        InputError: no such table, a row without text, or a feature missing.
+        InputError: no such table, a row without text, or a missing feature.
     """
     table = read_cells(Path(path), "transitions")
     if TEXT not in table.columns:
@@ -119,12 +119,11 @@ def read_transitions(path: str | Path) -> OwnTransitions:
 def known_facts(
     transitions: str | Path | None, hypotheses: str | None, domain: Domain | None
 ) -> tuple[Hypotheses | None, tuple[str, ...], dict[str, str]]:
-    """What people may believe incorrectly, by a table of transitions, a file of hypotheses, or else
-    a domain; None without any. With the images of the transitions, and the sentences of messages,
-    as far as they are known.
+    """The hypotheses of a table of transitions, of a file, or of a domain; None without any. Also
+    returns the images of the transitions and the sentences of messages, if known.
 
     Raises:
-        InputError: a table and a file were given, or one that cannot be used.
+        InputError: both a table and a file, or one that cannot be used.
     """
     if hypotheses is not None and transitions is not None:
         raise InputError("transitions", str(transitions), "either transitions or hypotheses")

@@ -1,11 +1,11 @@
-"""Which question to ask a person next, and what the answers say of them.
+"""The next question for a person, and what the answers show about them.
 
     Hypotheses ── Questionnaire ── next() / answer(label) ── … ── done, posterior
 
-Each question is the one whose answer tells most, in expectation, about what the person believes
-incorrectly, at which values (the variant of the hypotheses), and whether any hypothesis fits: the
-largest mutual information under the present posterior (Lindley 1956; adaptive design optimisation;
-computerised adaptive tests). The variant counts, as labels depend on it and explanations on the
+Each question has the largest expected information about what the person believes incorrectly, at
+which values (the variant of the hypotheses), and whether any hypothesis fits: the largest mutual
+information under the current posterior (Lindley 1956; adaptive design optimisation; computerised
+adaptive tests). The variant is included, because labels depend on it and explanations depend on the
 labels: docs/what-to-ask.md.
 """
 
@@ -27,24 +27,24 @@ from xplain.questions.matrix import Posterior, QuestionMatrix
 from xplain.randomness import stream
 
 NONE_ERROR = 1 / 3
-"""Whom no hypothesis fits answers as the best of them says in two of three cases: anybody who
-disagrees with all hypotheses more often than errors explain."""
+"""A person whom no hypothesis fits gives the answer of the best hypothesis in two of three cases.
+This represents people who disagree with all hypotheses more often than errors explain."""
 MAX_CLIP = 10
 NEAR = 256
-"""Questions whose answers are nearest to even odds, among which slips and guesses decide."""
+"""Number of questions with answers nearest to even odds; slips and guesses decide between these."""
 STARTS = 16
-"""Questions that clips are grown from: those that tell most by themselves."""
+"""Number of most informative questions from which clips grow."""
 CHOSEN = ("error", "prior", "clip", "seed", "stop", "none", "misread", "slip", "guess", "told",
           "repeats")  # fmt: skip
 """Options of a questionnaire in its JSON, besides its questions and answers."""
 
 Question = tuple[int, int] | tuple[list[int], int]
-"""Transition (clips: transitions in a row) and message set (bitmask)."""
+"""Transition (for clips: consecutive transitions) and message set (bitmask)."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """A question with its answer: ``transitions`` under one message set, a label each."""
+    """A question with its answer: ``transitions`` under one message set, with one label each."""
 
     transitions: tuple[int, ...]
     message_set: int
@@ -52,28 +52,28 @@ class Asked:
 
 
 class Questionnaire:
-    """Finds out what one person believes incorrectly.
+    r"""Finds out what one person believes incorrectly.
 
     A person of candidate R gives the label f_τ(R \\ H), flipped with probability ``error``,
-    independently; with probability ``misread`` a whole clip is misunderstood, and its labels are
-    tosses of a coin. Whom no hypothesis fits is somebody else: see :data:`NONE_ERROR`.
+    independently. With probability ``misread`` a whole clip is misunderstood, and its labels are
+    random. :data:`NONE_ERROR` describes a person whom no hypothesis fits.
 
     Args:
-        hypotheses: the candidates; or a table [2^n, T] of 0 and 1, their labels.
+        hypotheses: the candidates; or a table [2^n, T] of their labels 0 and 1.
         error: probability of a wrong label, in [0, ⅓).
         prior: [C] over the candidates; None is that of the hypotheses, uniform for a table.
-        clip: transitions a question. Where the hypotheses know where transitions start and end,
-            a clip is a walk; else any transitions make one.
-        seed: decides between questions that tell as much.
-        stop: posterior of one class of candidates that behave alike, above which it is done.
+        clip: transitions in a question. If the hypotheses have start and end states of transitions,
+            a clip is a walk; otherwise its transitions are arbitrary.
+        seed: breaks ties between questions.
+        stop: done if one class of candidates that behave alike has a larger posterior.
         none: prior probability that no hypothesis fits.
         misread: probability that a clip is misread.
-        slip, guess: [T] or one number, P(0 | label 1) and P(1 | label 0) of each transition, known;
-            ``error`` is then the person's own, on top of them. None: nobody slips or guesses. With
+        slip, guess: [T] or one number, known P(0 | label 1) and P(1 | label 0) of each transition;
+            ``error`` is then the person's own additional error. None: no slips or guesses. With
             them questions are about one transition each.
-        told: whether people are told anything before a question; if not, transitions are asked as
-            they are, like items of an adaptive test.
-        repeats: how often each question may be asked, where nothing is told.
+        told: True if messages may be given before a question; False asks transitions without
+            messages, like items of an adaptive test.
+        repeats: maximum number of times that a question without messages is asked.
 
     Raises:
         InputError: a value is not allowed, or no question separates any candidates.
@@ -111,16 +111,16 @@ class Questionnaire:
         self._start(prior)
 
     def anew(self, prior: ArrayLike | None, seed: int) -> Questionnaire:
-        """One for another person: the same hypotheses and errors, nothing asked. What was worked
-        out of the hypotheses is shared.
+        """A questionnaire without answers for another person, with the same hypotheses and errors.
+        Both share what was computed from the hypotheses.
 
         Args:
-            prior, seed: as for the class.
+            prior, seed: see the class.
 
         Raises:
             InputError: a value is not allowed.
         """
-        # Worked out once, for all.
+        # Computed once, for all.
         assert len(self._questions.facts), "some question separates candidates"
         made = copy.copy(self)
         made.seed = whole_number("seed", seed, 0)
@@ -131,20 +131,20 @@ class Questionnaire:
         """The same questions and answers, with other candidates or another prior.
 
         Args:
-            hypotheses: of the same transitions and messages.
-            prior: as for the class.
+            hypotheses: about the same transitions and messages.
+            prior: see the class.
         """
         made = copy.copy(self)
         if hypotheses is not self.hypotheses:
             made.hypotheses = hypotheses
-            made.__dict__.pop("_questions", None)  # of the candidates before
+            made.__dict__.pop("_questions", None)  # belongs to the old candidates
         made._start(prior)
         for one in self.asked:
             made._take(one)
         return made
 
     def _start(self, prior: ArrayLike | None) -> None:
-        """Nothing asked yet."""
+        """Resets to the state before the first question."""
         known = self.hypotheses
         self.given_prior = prior
         start = known.prior if prior is None else prior_over(prior, len(known.facts), "prior")
@@ -158,8 +158,8 @@ class Questionnaire:
         self._refresh()
 
     def next(self) -> Question:
-        """The question that tells most, as (transition, message set); with ``clip`` > 1 (a list
-        of transitions, message set). The same until it is answered."""
+        """The most informative question, as (transition, message set); with ``clip`` > 1 (a list of
+        transitions, message set). It stays the same until it is answered."""
         if self._pending is None:
             if not self.told:
                 self._pending = self._posterior.best_of(self._left(), self._rng())
@@ -173,11 +173,11 @@ class Questionnaire:
         return self._pending
 
     def alternatives(self, count: int) -> list[tuple[int, int]]:
-        """The questions about one transition that tell most, the best first."""
+        """The most informative questions about one transition, best first."""
         return self._posterior.best_questions(self._questions, count, self._seen, self._rng())
 
     def _left(self) -> list[tuple[int, int]]:
-        """The questions with nothing told that may be asked still."""
+        """The questions without messages that may still be asked."""
         times = np.bincount(self._seen, minlength=self.hypotheses.n_transitions)
         left = np.flatnonzero(times < self.repeats)
         if not len(left):
@@ -192,15 +192,15 @@ class Questionnaire:
         return stream(self.seed, "questionnaire", len(self.asked))
 
     def answer(self, label: ArrayLike, question: Question | None = None) -> None:
-        """Takes the answer to the last question, or to a question of one's own.
+        """Adds the answer to the last question, or to a question of your own.
 
         Args:
-            label: 0 or 1; of a clip a list, one a transition.
+            label: 0 or 1; for a clip a list, one for each transition.
             question: (transition or transitions, message set); None: the last of :meth:`next`.
 
         Raises:
-            InputError: no question was asked, another number of labels, a label other than 0 and
-                1, an unknown transition or message set.
+            InputError: no question was asked, a wrong number of labels, a label other than 0 and 1,
+                an unknown transition or message set.
         """
         about = question if question is not None else self._pending
         if about is None:
@@ -227,7 +227,7 @@ class Questionnaire:
 
     @property
     def answers(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
-        """Transitions, message sets and labels so far, label by label: [P] each."""
+        """[P] each: transitions, message sets and labels so far."""
         told = [one.message_set for one in self.asked for _ in one.transitions]
         labels = [label for one in self.asked for label in one.labels]
         return np.array(self._seen, np.int64), np.array(told, np.int64), np.array(labels, np.uint8)
@@ -240,16 +240,16 @@ class Questionnaire:
 
     @property
     def best(self) -> int:
-        """The facts (bitmask) of the likeliest class, those that some question reveals."""
+        """The facts (bitmask) of the most likely class, as far as some question reveals them."""
         return int(self.hypotheses.essential[self.hypotheses.classes == self.classes.argmax()][0])
 
     @property
     def done(self) -> bool:
-        """One class of candidates has a posterior above ``stop``."""
+        """True if one class of candidates has a posterior above ``stop``."""
         return bool(self.classes.max() > self.stop)
 
     def to_json(self) -> str:
-        """All but the table of the hypotheses, as text."""
+        """The questionnaire without the table of the hypotheses, as text."""
         prior = None if self.given_prior is None else np.asarray(self.given_prior).tolist()
         return json.dumps(
             {
@@ -271,11 +271,10 @@ class Questionnaire:
 
     @classmethod
     def from_json(cls, text: str, hypotheses: Hypotheses | ArrayLike) -> Questionnaire:
-        """Takes up a questionnaire of :meth:`to_json` where it stood; its next questions are those
-        that it would have asked.
+        """Restores a questionnaire of :meth:`to_json`; its next questions are the same.
 
         Raises:
-            InputError: no such text, other hypotheses, or answers that are none.
+            InputError: an invalid text, other hypotheses, or invalid answers.
         """
         try:
             state = json.loads(text)
@@ -294,15 +293,15 @@ class Questionnaire:
 
     def information(self, question: Question) -> float:
         """Mutual information, in bits, of the answer and (the variant, the candidate, whether any
-        hypothesis fits): what :meth:`next` makes as large as possible. Of a clip it is the sum over
-        its transitions, each by itself."""
+        hypothesis fits), which :meth:`next` maximises. For a clip it is the sum over its single
+        transitions."""
         return float(self._posterior.gains(*self._checked(question)).sum())
 
     def _take(self, one: Asked) -> None:
         likelihood = self._posterior.likelihood(one.transitions, one.message_set, one.labels)
         with np.errstate(divide="ignore"):
             answer = np.log(likelihood)
-        # New ones, as copies share what was before.
+        # New arrays, because copies share the old ones.
         self._log_joint = self._log_joint + answer
         self.asked = [*self.asked, one]
         self._refresh()
@@ -348,7 +347,7 @@ class Questionnaire:
 def _rates(
     slip: ArrayLike | None, guess: ArrayLike | None, transitions: int
 ) -> NDArray[np.float64] | None:
-    """[2, T] slips and guesses; None where there are neither."""
+    """[2, T] slips and guesses; None without either."""
     if slip is None and guess is None:
         return None
     rows = []
@@ -367,5 +366,5 @@ def _rates(
 
 
 def _digest(hypotheses: Hypotheses) -> int:
-    """Tells tables of labels apart."""
+    """A digest that distinguishes tables of labels."""
     return zlib.crc32(hypotheses.tables.tobytes() + hypotheses.facts.tobytes())

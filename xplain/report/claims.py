@@ -1,9 +1,9 @@
-"""What a sweep answers: who costs least, or in Table 1 what became of the paper's claims.
+"""The answer of a sweep: who costs least, or for Table 1 the verdicts on the paper's claims.
 
-A claim is about a *figure* with a 95 % interval, and a *range* in which the figure lies if the
-claim is true. It *holds* if the whole interval lies in the range, *does not hold* if it all lies
-outside, and is *not decided* otherwise. Intervals are over seeds, each with data, types, labelers
-and traces of its own; one seed decides nothing.
+A claim is about a *figure* with a 95 % interval, and a *range* that contains the figure if the
+claim is true. It *holds* if the whole interval lies in the range, *does not hold* if all of it lies
+outside, and is *not decided* otherwise. Intervals are over seeds, and each seed has its own data,
+types, labelers and traces. One seed decides nothing.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from xplain.report.paper import NAMES, group_title, title
 from xplain.report.table import Table, cell, interval, number, table_of
 
 ALIKE = 0.1
-"""Costs that differ by no more than this share of QMDP's are about the same, and an oracle's cost
-that leaves a straight line by no more than this share of itself is linear in λ. (The paper's own
-four-rooms column leaves it by 6 %.)"""
+"""Costs are about equal if they differ by at most this share of QMDP's cost. An oracle's cost is
+linear in λ if its distance to a straight line is at most this share of itself. (In the paper's
+four-rooms column the distance is 6 %.)"""
 
 ORDER = (("qmdp", "qhr"), ("pomcp_paper", "qhr"), ("qhr", "baseline"))
-"""(costs less, than this one)."""
+"""Pairs of solvers: the first costs less than the second."""
 
 SHORT = NAMES | {"pomcp_paper": "POMCP", "baseline": "the baseline"}
 
@@ -43,7 +43,7 @@ PARTS = {
     "= cost": ("cost", None),
     "Oracle − clairvoyant": ("oracle", "clairvoyant"),
 }
-"""Parts of a cost: (column of the episodes, minus this one)."""
+"""Parts of a cost: (column of the episodes, column to subtract)."""
 
 ONE_DATA_SET = (
     "This is one data set: one draw of people, labels and traces. It can tell what the programs do "
@@ -61,12 +61,12 @@ class Claim:
 
     Attributes:
         group: how types and labels were learned.
-        domain: where it is tested.
+        domain: the domain of the test.
         text: the claim, with its λ if it is about one.
-        figure: what the estimate is, in words.
+        figure: name of the figure.
         estimate: mean and interval over seeds.
-        true_in: where the figure lies if the claim is true; open at both ends.
-        parts: what the figure is made of, in words.
+        true_in: the open range of the figure if the claim is true.
+        parts: the parts of the figure, in words.
     """
 
     group: str
@@ -79,7 +79,7 @@ class Claim:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the interval settles it."""
+        """The verdict that follows from the interval."""
         low, high = self.estimate.low, self.estimate.high
         least, most = self.true_in
         if math.isnan(low):
@@ -90,7 +90,7 @@ class Claim:
 
     @property
     def gap(self) -> Estimate:
-        """The figure minus the end of the range that is next to it."""
+        """The figure minus the nearest end of the range."""
         end = min(self.true_in, key=lambda end: abs(end - self.estimate.mean))
         return Estimate(*(value - end for value in vars(self.estimate).values()))
 
@@ -115,10 +115,10 @@ def claims_of(
     """The claims of one group of columns.
 
     Args:
-        episodes: a row an episode (:attr:`xplain.report.frame.Summary.episodes`).
-        data_sets: a row a data set (:attr:`xplain.report.frame.Summary.data_sets`).
-        group: its name.
-        pool: keys over which rows average.
+        episodes: a row for each episode (:attr:`xplain.report.frame.Summary.episodes`).
+        data_sets: a row for each data set (:attr:`xplain.report.frame.Summary.data_sets`).
+        group: name of the group.
+        pool: keys to average over.
     """
     found: list[Claim] = []
     domains: Any = episodes.groupby("domain", sort=False)
@@ -159,7 +159,7 @@ def _orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested]:
 
 
 def _parts(both: pd.DataFrame, trade_off: float) -> str:
-    """What a difference of costs is made of."""
+    """The parts of a difference of costs, in words."""
     apart = {
         name: float((both[name] - both[f"{name}_other"]).mean())
         for name in ("communication", "inexplicability", "true_labels")
@@ -177,9 +177,9 @@ def _parts(both: pd.DataFrame, trade_off: float) -> str:
 
 
 def _linear(episodes: pd.DataFrame) -> Iterator[Tested]:
-    """The oracle's cost is linear in λ. Its optimum is a lower envelope of lines in λ, one for each
-    plan: if other plans become better it bends down, below the line through its values at the two
-    smallest λ."""
+    """The claim that the oracle's cost is linear in λ. Its optimum is the lower envelope of one
+    line for each plan. If other plans become better, it falls below the line through its values at
+    the two smallest λ."""
     one = episodes[episodes["solver"] == episodes["solver"].iloc[0]]
     below = {name: _below_the_line(one, name) for name in ("oracle", "clairvoyant")}
     if len(below["oracle"]):
@@ -191,7 +191,7 @@ def _linear(episodes: pd.DataFrame) -> Iterator[Tested]:
 
 
 def _below_the_line(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
-    """By seed."""
+    """The distance below the line, by seed."""
     known = episodes[np.isfinite(episodes[column])]
     costs = known.pivot_table(column, "seed", "lambda").dropna()
     if len(costs.columns) < 3 or not len(costs):
@@ -202,7 +202,8 @@ def _below_the_line(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
 
 
 def _types(data_sets: pd.DataFrame) -> Iterator[Tested]:
-    """The types are found, in most data sets. Those of one seed share their people."""
+    """The claim that the types are found in most data sets. Data sets of one seed have the same
+    people."""
     if "adjusted_rand_index" not in data_sets:
         return
     data_sets = data_sets.dropna(subset=["adjusted_rand_index"])
@@ -218,8 +219,8 @@ def _types(data_sets: pd.DataFrame) -> Iterator[Tested]:
 
 
 def claims_table(summary: Summary) -> Table:
-    """A row a claim, with its figure and verdict in each group of columns; one that does not hold
-    says what its figure is made of."""
+    """A row for each claim, with its figure and verdict in each group of columns. A claim that does
+    not hold also lists the parts of its figure."""
     rows: dict[tuple[str, str], dict[str, str]] = {}
     for claim in claims(summary):
         heads = {"Domain": title(claim.domain), "Claim": claim.text, "Figure": claim.figure}
@@ -233,8 +234,8 @@ def claims_table(summary: Summary) -> Table:
 
 
 def decomposition(summary: Summary) -> Table:
-    """What each solver's cost is made of. Every job explains each trace to each user four times:
-    with what was learned, with true types and labels, as the oracle, and as the clairvoyant."""
+    """The parts of each solver's cost. Every job explains each trace to each user four times: with
+    the learned types and labels, with the true ones, as the oracle, and as the clairvoyant."""
     rows = []
     keys = [key for key in ("domain", "solver", *summary.shown) if key != "lambda"]
     for values, frame in compare.grouped(summary, [*dict.fromkeys((*keys, "lambda"))]):
@@ -258,8 +259,8 @@ def decomposition(summary: Summary) -> Table:
 
 
 def answer(summary: Summary) -> str:
-    """Who costs least, by how much, and whether that is decided; in Table 1, what became of the
-    paper's claims; "" if nothing competes."""
+    """Sentences with the lowest cost, its distance to the others, and whether it is decided; for
+    Table 1, the verdicts on the paper's claims; "" if nothing competes."""
     if not summary.results or not summary.is_table1:
         return compare.least_cost(summary)
     if summary.seeds == 1:
@@ -275,8 +276,8 @@ def answer(summary: Summary) -> str:
 
 
 def undecided(summary: Summary) -> Table:
-    """The differences to the best that are not decided, or Table 1's claims: with the seeds that
-    would decide each, and the minutes that they would take."""
+    """The undecided differences to the best, or Table 1's undecided claims, with the number of
+    seeds that would decide each and the minutes that these need."""
     found = _undecided_claims(summary) if summary.is_table1 else compare.undecided(summary)
     rows = []
     for heads, gap, shown in found:

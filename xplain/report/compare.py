@@ -1,7 +1,7 @@
-"""What was swept, compared: one estimate for each combination of swept values, who costs least on
-each problem, and what would decide what is not decided.
+"""Compares what was swept: one estimate for each combination of swept values, the lowest cost on
+each problem, and the number of seeds that would decide an undecided difference.
 
-A sweep's keys are its dimensions. Seeds are replicates, never a dimension; a key is averaged over
+A sweep's keys are its dimensions. Seeds are replicates, never a dimension. A key is averaged over
 only if the sweep's file says so (``pool``).
 """
 
@@ -34,21 +34,21 @@ from xplain.report.table import BEST, TIE, Table, cell, counted, number, table_o
 Way = tuple[Value, ...]
 
 UNKNOWN = Estimate(math.nan, math.nan, math.nan)
-"""Of what no episode has."""
+"""The estimate of a measure that no episode has."""
 
 WIDEST = 8
-"""Columns of a table, lines of a plot: more cannot be read."""
+"""Maximum number of columns in a table and of lines in a plot that can be read."""
 
 FEW = 5
-"""With fewer replicates than this the report says that they are few: intervals are wide."""
+"""With fewer replicates than this the report warns that intervals are wide."""
 
 MOST_SEEDS = 1000
-"""A difference that needs more is too small to be decided."""
+"""A difference that needs more seeds is too small to be decided."""
 
 
 def estimate(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate:
-    """Mean of a column of episodes with its interval over replicates, cut where the mean cannot be;
-    NaN if no episode has it."""
+    """Mean of a column of episodes with its interval over replicates, cut at the bounds of the
+    mean; NaN if no episode has it."""
     known = frame.dropna(subset=[column])
     if not len(known):
         return UNKNOWN
@@ -56,8 +56,8 @@ def estimate(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate:
 
 
 def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate:
-    """The cost of the oracle or the clairvoyant: every job of a problem has the same, so each trace
-    and user counts once."""
+    """The cost of the oracle or the clairvoyant. It is the same in every job of a problem, so each
+    trace and user counts once."""
     problem = [*summary.pool, "seed", "trace", "type"]
     return estimate(summary, frame.dropna(subset=[name]).drop_duplicates(problem), name)
 
@@ -88,15 +88,15 @@ def paired(
     two: Sequence[Value],
     on: Sequence[str],
 ) -> pd.DataFrame:
-    """Episodes of one way to solve a problem, beside those of another way on the same problem
-    (columns with ``_other``), with ``difference``, the first cost minus the other; without those
-    that have no partner.
+    """Pairs the episodes of one way to solve a problem with those of another way on the same
+    problem (columns with ``_other``). ``difference`` is the first cost minus the other. Episodes
+    without a partner are left out.
 
     Args:
-        frame: of episodes.
-        by: columns that tell ways apart.
+        frame: episodes.
+        by: columns that distinguish ways.
         one, two: their values in the two ways.
-        on: columns that are the same in a pair.
+        on: columns that are equal in a pair.
     """
     left, right = (where(frame, dict(zip(by, way, strict=True))) for way in (one, two))
     both = left.merge(right, on=[*on], suffixes=("", "_other"), validate="one_to_one")
@@ -116,13 +116,13 @@ def difference(
 
 @dataclass(frozen=True)
 class Ranked:
-    """One way to solve a problem among others.
+    """One way to solve a problem, ranked among others.
 
     Attributes:
         way: its values.
-        name: for people.
-        estimate: of the sweep's measure.
-        cost: the mean.
+        name: readable name.
+        estimate: estimate of the sweep's measure.
+        cost: mean cost.
         behind: its cost minus the best one's on the same traces and users.
     """
 
@@ -134,13 +134,13 @@ class Ranked:
 
     @property
     def is_decided(self) -> bool:
-        """Whether it differs decidedly from the best: the interval excludes 0."""
+        """True if the interval of its difference to the best excludes 0."""
         return self.behind.low > 0
 
 
 def shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
-    """The episodes on traces and users that every way in the frame was tried on: if jobs are
-    missing, means over all episodes would compare unlike problems."""
+    """The episodes on traces and users that every way in the frame has. If jobs are missing, means
+    over all episodes would compare different problems."""
     known = frame.dropna(subset=[summary.measure.name])
     ways = known.groupby([*by], sort=False).ngroup()
     problem = [known[key] for key in (*summary.pool, "seed", "trace", "type")]
@@ -148,8 +148,8 @@ def shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataF
 
 
 def ranked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ranked]:
-    """Ways to solve the problem of these episodes, the one that costs least first; no way is ranked
-    if they share no trace and user."""
+    """Ways to solve the problem of these episodes, by ascending cost; none if they share no trace
+    and user."""
     frame = shared(summary, frame, by)
     groups: Any = frame.groupby([*by], sort=False)
     measure = summary.measure.name
@@ -168,8 +168,8 @@ def ranked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ran
 
 @lru_cache(maxsize=1)
 def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
-    """(values, ways in their order) of each problem; none if nothing that was swept competes, or
-    the measure that was asked for is not fair."""
+    """(values, ranked ways) of each problem; none if nothing that was swept competes, or if the
+    requested measure is not fair."""
     if not summary.results or not summary.ways or not summary.measure.fair:
         return []
     groups = grouped(summary, summary.posed)
@@ -178,8 +178,8 @@ def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
 
 
 def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
-    """Keys of the table's rows, of its groups of columns, and of its columns: problems go down,
-    ways to solve them across; numbers that pose a problem vary from row to row."""
+    """Keys of the table's rows, of its groups of columns, and of its columns. Rows are problems,
+    columns are ways to solve them; numeric keys of a problem vary from row to row."""
     groups, across = list[str](), list[str]()
     for key in sorted(summary.ways, key=lambda key: key != "solver"):
         if len(across) < 2 and prod(len(summary.values(k)) for k in (*across, key)) <= WIDEST:
@@ -193,15 +193,15 @@ def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
 
 
 def main_key(summary: Summary, keys: Sequence[str]) -> str | None:
-    """The key of numbers with most values, λ before others; None if there is none."""
+    """The numeric key with most values, λ before others; None if there is none."""
     numbers = [k for k in keys if sum(isinstance(v, float) for v in summary.values(k)) > 1]
     return max(numbers, key=lambda k: (len(summary.values(k)), k == "lambda"), default=None)
 
 
 def table(summary: Summary) -> Table:
-    """Every combination of swept values, but for the keys that the sweep pools: problems down, ways
-    across, the references' costs before them, the paper's values in parentheses. If only problems
-    or only ways were swept, each has a row with its measures."""
+    """Every combination of swept values, except for the keys that the sweep pools: rows are
+    problems, columns are ways after the references' costs, and the paper's values are in
+    parentheses. If only problems or only ways were swept, each has a row with its measures."""
     down, grouping, across = layout(summary)
     if not across or not (down or grouping):
         return _list(summary, down or across, bool(across))
@@ -236,7 +236,7 @@ def table(summary: Summary) -> Table:
 
 
 def _list(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
-    """A row a combination with its measures; those that compete are marked, the best first."""
+    """A row for each combination with its measures; competing ones are marked, the best first."""
     questions = ["questions"] if summary.episodes["questions"].any() else []
     measures = [summary.measure.name, "cost", *_references(summary)]
     shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *questions])
@@ -262,12 +262,12 @@ def _list(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
 
 
 def is_beside_paper(summary: Summary) -> bool:
-    """Whether the paper's values are shown: it has regrets alone, of people who make no errors."""
+    """True if the paper's values are shown: it only has regrets, of people without errors."""
     return summary.is_table1 and summary.measure.name == "regret"
 
 
 def _references(summary: Summary) -> list[str]:
-    """Columns of references: the clairvoyant first, since nothing costs less."""
+    """Columns of references, the clairvoyant first because it costs least."""
     return ["clairvoyant", *(["oracle"] if summary.measure.name == "regret" else [])]
 
 
@@ -280,29 +280,29 @@ def _mark(summary: Summary, one: Ranked | None, best: Ranked | None) -> str:
 
 
 def _after(mark: str, published: float | None) -> str:
-    """Marks, and the paper's value in parentheses."""
+    """The marks, and the paper's value in parentheses."""
     return " ".join(filter(None, [mark, "" if published is None else f"({published:.2f})"]))
 
 
 def heading(key: str) -> str:
-    """A key over a column or beside an axis."""
+    """The heading of a key's column or axis."""
     return {"lambda": "λ", "domain": "Domain", "solver": "Solver"}.get(key, key)
 
 
 def plain_text(value: Value) -> str:
-    """A value as it is written on the command line."""
+    """A value in command-line form."""
     return value if isinstance(value, str) else f"{value:.10g}"
 
 
 def value_title(key: str, value: Value) -> str:
-    """A value for people."""
+    """A readable form of a value."""
     text = plain_text(value)
     return paper.title(text) if key in ("domain", "solver") else text
 
 
 def label(values: Mapping[str, Value]) -> str:
-    """Values with their keys for people: ``λ = 0.5``, but ``QMDP`` and ``Four rooms``; for a job
-    that has none of the keys, that it has the defaults."""
+    """A readable form of values with their keys: ``λ = 0.5``, but ``QMDP`` and ``Four rooms``. A
+    job without any of the keys is called the default."""
     found = [
         value_title(key, value)
         if key in ("domain", "solver")
@@ -314,7 +314,7 @@ def label(values: Mapping[str, Value]) -> str:
 
 
 def _common(summary: Summary) -> str:
-    """Lists the values that all compared runs share, where a reader needs them."""
+    """Lists the values that all compared runs share, if a reader needs them."""
     keys = [key for key in ("domain", "solver", "lambda") if key not in summary.shown]
     parts = [label({key: own[0]}) for key in keys if len(own := summary.values(key)) == 1]
     traces = int(summary.episodes.groupby("seed")["trace"].nunique().max())
@@ -322,7 +322,7 @@ def _common(summary: Summary) -> str:
 
 
 def _caption(summary: Summary, is_marked: bool) -> str:
-    """How to read the table."""
+    """Explains how to read the table."""
     frame, measure = summary.episodes, summary.measure
     text, is_marked = [measure.why], is_marked and measure.fair
     several = frame[summary.replicate].nunique() > 1
@@ -349,8 +349,8 @@ def _caption(summary: Summary, is_marked: bool) -> str:
 
 
 def least_cost(summary: Summary) -> str:
-    """Who costs least, by how much, and whether that is decided, in a sentence or two; "" if
-    nothing competes."""
+    """One or two sentences with the lowest cost, its distance to the others, and whether it is
+    decided; "" if nothing competes."""
     found = verdicts(summary)
     if not found:
         return ""
@@ -385,12 +385,12 @@ def _few(summary: Summary) -> str:
 
 
 def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
-    """The least number of seeds with which an interval leaves out 0 in four of five sweeps, if the
-    difference is as large and varies as much as these seeds say; None if they say neither.
+    """The smallest number of seeds whose interval excludes 0 in four of five sweeps, assuming the
+    mean and variance of these seeds; None if these are unknown.
 
     Args:
         gap: a difference with its 95 % interval over seeds.
-        seeds: that it is known from.
+        seeds: their number.
     """
     from scipy.special import stdtrit
 
@@ -407,7 +407,7 @@ def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
 
 def effort(summary: Summary, gap: Estimate) -> tuple[str, str]:
     """(key with the seeds that would decide a difference, minutes of one worker for the new ones),
-    by the seconds of this sweep's own jobs."""
+    from the seconds of this sweep's own jobs."""
     seconds = sum(sum(own.seconds.values()) for _, own in summary.results)
     seeds = seeds_to_decide(gap, summary.seeds) or (FEW if summary.seeds < FEW else 0)
     if not seeds:
@@ -421,7 +421,7 @@ Undecided = tuple[dict[str, str], Estimate, str]
 
 
 def undecided(summary: Summary) -> Iterator[Undecided]:
-    """The differences to the best solver or setting whose sign is not decided."""
+    """The differences to the best solver or setting with an undecided sign."""
     for values, (best, *others) in verdicts(summary):
         heads = {heading(key): value_title(key, own) for key, own in values.items()}
         for other in others:
@@ -431,7 +431,7 @@ def undecided(summary: Summary) -> Iterator[Undecided]:
 
 
 def regret_csv(summary: Summary) -> str:
-    """One row a combination of the swept values, never pooled; six decimals.
+    """One row for each combination of the swept values, never pooled; six decimals.
 
     Columns: ``solver``, ``lambda``, every other swept key by its full name; then of each measure
     mean, low and high end of the 95 % interval, and n, the number of seeds (with one seed: traces).
@@ -451,10 +451,10 @@ def regret_csv(summary: Summary) -> str:
 
 def differences_csv(summary: Summary) -> str:
     """Cost of one way to solve a problem minus that of another, paired on the same traces and
-    users: one row a problem and pair; six decimals.
+    users: one row for each problem and pair; six decimals.
 
-    Columns: the swept keys that pose the problem; ``method`` and ``minus``, the two ways; mean, low
-    and high end of the 95 % interval.
+    Columns: the swept keys of the problem; ``method`` and ``minus``, the two ways; mean, low and
+    high end of the 95 % interval.
     """
     swept = [key for key in summary.keys if key not in summary.pool]
     by = [key for key in swept if summary.competes(key)] or ["solver"]
@@ -476,7 +476,7 @@ def differences_csv(summary: Summary) -> str:
 
 
 def _csv(frame: pd.DataFrame) -> str:
-    """Six decimals, never a negative zero; empty for NaN."""
+    """Writes six decimals, never a negative zero; empty for NaN."""
     numbers = frame.select_dtypes("float").round(6) + 0.0
     plain = frame.assign(**{str(name): numbers[name] for name in numbers})
     return str(plain.to_csv(index=False, float_format="%.6f", lineterminator="\n"))

@@ -1,8 +1,8 @@
-"""A sweep on disk: which jobs it has, and how far each one is.
+"""A sweep on disk: its jobs, and the state of each.
 
-``sweep.json`` lists the jobs with the fingerprints of their results. A job is finished where its
-result's address has ``results.json``; where it failed, ``failure.json`` in its own folder below
-``jobs/`` says why. Both are written whole or not at all.
+``sweep.json`` lists the jobs with the fingerprints of their results. A job is finished if its
+result's address has ``results.json``. If it failed, ``failure.json`` in its own folder below
+``jobs/`` has the reason. Both files are written atomically.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ SWEEP, FAILURE = "sweep.json", "failure.json"
 
 @dataclass(frozen=True)
 class Listed:
-    """A job as its sweep lists it.
+    """A job in its sweep's list.
 
     Attributes:
-        label: for people, in MLflow and in messages.
-        overrides: what Hydra makes its configuration from.
-        values: the swept keys and the values that its configuration has, as text.
-        fingerprint: of its result.
+        label: readable name, in MLflow and in messages.
+        overrides: overrides from which Hydra makes its configuration.
+        values: the swept keys and their values in its configuration, as text.
+        fingerprint: fingerprint of its result.
     """
 
     label: str
@@ -46,7 +46,7 @@ class SweepFolder:
 
     @cached_property
     def about(self) -> dict[str, Any]:
-        """The content of its file: its command, its jobs, how it is reported.
+        """The content of its file: its command, its jobs, and the settings of its report.
 
         Raises:
             OSError: there is no such file.
@@ -61,7 +61,7 @@ class SweepFolder:
 
     @cached_property
     def jobs(self) -> tuple[Listed, ...]:
-        """The jobs, in their order."""
+        """The jobs, in order."""
         return tuple(
             Listed(**{**job, "overrides": tuple(job["overrides"])}) for job in self.about["jobs"]
         )
@@ -71,15 +71,15 @@ class SweepFolder:
         return self.path / "jobs" / job.fingerprint
 
     def address(self, job: Listed) -> Path:
-        """Where the job's result is, or will be."""
+        """The folder of the job's result, whether it exists or not."""
         return self.path / str(self.about["results"]) / job.fingerprint
 
     def state(self, job: Listed) -> Literal["waiting", "finished", "failed"]:
-        """How far the job is."""
+        """The state of the job."""
         if (self.address(job) / RESULTS).exists():
             return "finished"
         return "failed" if (self.of(job) / FAILURE).exists() else "waiting"
 
     def error(self, job: Listed) -> str:
-        """Why the job failed, in a line."""
+        """The reason of the job's failure, in one line."""
         return str(json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))["error"])

@@ -1,10 +1,10 @@
-"""A sweep's results as one table of episodes, and by what its jobs are compared.
+"""A sweep's results as one table of episodes, and the measure that compares its jobs.
 
 Ways to solve the same problem are ordered by their costs on the same traces and users. A regret
-orders them in the same way only if all of them have the same oracle: its labelers learn from the
-labels and in the way that each job has.
+gives the same order only if all of them have the same oracle, because the oracle's labelers are
+learned from each job's labels with each job's method.
 
-Nothing here depends on how long a job took, on the order in which jobs ended, or on the launcher:
+Nothing here depends on the duration of a job, on the order in which jobs ended, or on the launcher:
 the same jobs give the same bytes.
 """
 
@@ -51,11 +51,12 @@ PROBLEM = (
     "inexplicability_cost",
     "ask.cost",
 )
-"""Keys that say what is explained to whom, and what that costs. Costs are never compared between
-their values."""
+"""Keys that define the traces, the users and the costs. Costs are never compared between their
+values."""
 
 CONDITIONS = (*PROBLEM, "observers", "queries", "points")
-"""Keys that pose a problem. All others choose how it is solved, and so can be better or worse."""
+"""Keys that define the problem. All others choose how it is solved, so their values can be better
+or worse."""
 
 REFERENCES = {"regret": "oracle", "above_floor": "clairvoyant", "cost": None}
 """Measures by their names in keys, with the reference whose cost is subtracted."""
@@ -78,8 +79,8 @@ NEGATIVE = (
 )
 
 RIGHT = 0.98
-"""The paper's oracle has right labels. If labelers are right on a smaller share of fresh labels,
-the oracle's cost is no reference."""
+"""Minimum share of new labels that labelers must get right. Below it the oracle's cost is no
+reference, because the paper's oracle has right labels."""
 
 NO_REFERENCE = "†"
 """Mark of an oracle's cost that is no reference, and of regrets to it."""
@@ -101,11 +102,11 @@ _SOURCE = {*SOURCE, "points"} - {"seed"}
 
 
 def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> str:
-    """Sentences about an oracle that is no reference, and about a regret below 0; "" for neither.
+    """Warns about an oracle that is no reference, and about a regret below 0; "" without either.
 
     Args:
-        learning: figures of the learning stage; the least of those shown.
-        regret: the mean, or the least of those shown.
+        learning: figures of the learning stage; the smallest of those shown.
+        regret: the mean, or the smallest of those shown.
     """
     share = learning.get("fresh_accuracy", 1.0)
     no_reference = (
@@ -119,12 +120,12 @@ def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> 
 
 @dataclass(frozen=True)
 class Measure:
-    """The figure by which a sweep's jobs are compared.
+    """The figure that compares a sweep's jobs.
 
     Attributes:
         name: ``regret``, ``above_floor`` (cost minus the clairvoyant's) or ``cost``.
-        fair: whether it orders ways to solve a problem as their costs do.
-        why: what it is, and why it is not the regret, in sentences.
+        fair: True if it orders ways to solve a problem as their costs do.
+        why: sentences that define it and say why it is not the regret.
     """
 
     name: str
@@ -133,12 +134,12 @@ class Measure:
 
     @property
     def title(self) -> str:
-        """For people, with a capital letter."""
+        """Readable name with a capital letter."""
         return TITLES[self.name].capitalize()
 
 
 def is_in(key: str, keys: Sequence[str]) -> bool:
-    """Whether a swept key or its group is among the keys."""
+    """True if a swept key or its group is among the keys."""
     return key in keys or key.partition(".")[0] in keys
 
 
@@ -146,8 +147,8 @@ class Summary:
     """The finished jobs of a sweep.
 
     Args:
-        folder: of the sweep.
-        measure: by which its jobs are compared; None takes a fair one.
+        folder: folder of the sweep.
+        measure: the measure that compares its jobs; None chooses a fair one.
 
     Raises:
         OSError, InputError: this is no sweep's folder, or there is no such measure.
@@ -169,7 +170,7 @@ class Summary:
 
     @property
     def missing(self) -> int:
-        """Number of jobs that have no results."""
+        """Number of jobs without results."""
         return len(self.jobs) - len(self.results)
 
     @property
@@ -180,12 +181,12 @@ class Summary:
 
     @cached_property
     def _numbers(self) -> set[str]:
-        """Swept keys all of whose values are numbers."""
+        """Swept keys with only numeric values."""
         texts = {key: [job.values.get(key, "0") for job in self.jobs] for key in self.keys}
         return {key for key, own in texts.items() if all(map(is_number, own))}
 
     def values_of(self, job: Listed, results: Results) -> dict[str, Value]:
-        """The swept values of a job; ``domain``, ``solver`` and ``lambda`` always."""
+        """The swept values of a job, always including ``domain``, ``solver`` and ``lambda``."""
         texts = {key: job.values.get(key, "") for key in self.keys}
         values: dict[str, Value] = {
             k: float(t) if t and k in self._numbers else t for k, t in texts.items()
@@ -195,11 +196,11 @@ class Summary:
 
     @cached_property
     def episodes(self) -> pd.DataFrame:
-        """A row an episode of a job's own solver.
+        """A row for each episode of a job's own solver.
 
         Columns: the swept keys, domain, solver, lambda, seed, trace, type; the episode's cost and
         its parts; the references' costs on the same trace and user; regret, above_floor;
-        fresh_accuracy, the share of fresh labels on which the job's labelers are right.
+        fresh_accuracy, the share of new labels that the job's labelers get right.
         """
         frame = pd.DataFrame([row for own in self.results for row in self._rows(*own)])
         if len(frame):
@@ -223,9 +224,9 @@ class Summary:
 
     @cached_property
     def data_sets(self) -> pd.DataFrame:
-        """A row a data set: the values of the swept keys that decide it, seed, the disagreements
-        for each number of types (``curve``), the number found (``chosen``), and the figures of the
-        learning stage by name."""
+        """A row for each data set: the values of the swept keys that decide it, seed, the
+        disagreements for each number of types (``curve``), the number found (``chosen``), and the
+        figures of the learning stage by name."""
         rows = [
             {
                 **{key: self.values_of(job, own)[key] for key in self.settings},
@@ -240,8 +241,8 @@ class Summary:
 
     @cached_property
     def steps(self) -> pd.DataFrame:
-        """A row a job and step: the swept values, mean belief in the true type, and the number of
-        episodes that last so long."""
+        """A row for each job and step: the swept values, the mean belief in the true type, and the
+        number of episodes with this step."""
         return pd.DataFrame(
             {**self.values_of(job, own), "step": step, "belief": mean, "episodes": count}
             for job, own in self.results
@@ -261,8 +262,8 @@ class Summary:
         return ["domain", *keys]
 
     def values(self, key: str) -> list[Value]:
-        """Values of a swept key, ``solver`` or ``lambda`` among the finished jobs: numbers
-        ascending, solvers in the paper's order, other text as it was swept."""
+        """The values of a swept key, ``solver`` or ``lambda`` in the finished jobs: numbers
+        ascending, solvers in the paper's order, other texts in the sweep's order."""
         found: list[Any] = list(dict.fromkeys(self.episodes[key])) if len(self.episodes) else []
         if key == "solver":
             return sorted(found, key=lambda name: (rank(name), name))
@@ -272,8 +273,8 @@ class Summary:
 
     @cached_property
     def shown(self) -> list[str]:
-        """The dimensions of tables and plots: the swept keys but for those pooled, and for those
-        whose value an earlier one decides."""
+        """The dimensions of tables and plots: the swept keys without pooled ones, and without those
+        whose value follows from an earlier key."""
         keys = [k for k in self.keys if len(self.values(k)) > 1 and k not in self.pool]
         frame = self.episodes
         return [
@@ -283,25 +284,25 @@ class Summary:
         ]
 
     def competes(self, key: str) -> bool:
-        """Whether the values of a swept key are compared: one solver may do better than another,
-        one λ may not. In Table 1 only solvers are."""
+        """True if the values of a swept key are compared. Solvers are, values of λ are not. In
+        Table 1 only solvers are."""
         return key == "solver" if self.is_table1 else not is_in(key, CONDITIONS)
 
     @property
     def posed(self) -> list[str]:
-        """The dimensions that pose the problem."""
+        """The dimensions that define the problem."""
         return [key for key in self.shown if not self.competes(key)]
 
     @property
     def ways(self) -> list[str]:
-        """The shown dimensions that choose a method (such as the solver), not a task."""
+        """The shown dimensions that choose a method (such as the solver), not a problem."""
         return [key for key in self.shown if self.competes(key)]
 
     @cached_property
     def measure(self) -> Measure:
-        """The paper's regret if the oracle is the same in all that is compared, else the cost above
-        the clairvoyant's, else (plans that discount differently have other clairvoyants) the
-        cost."""
+        """The paper's regret if all compared jobs have the same oracle. Otherwise the cost above
+        the clairvoyant's, or the cost if plans discount differently and so have different
+        clairvoyants."""
         same = self.keys if self.is_table1 else [k for k in self.keys if is_in(k, PROBLEM)]
         shared = [*(key for key in same if key != "solver"), "seed", "trace", "type"]
         fair = {n: column is None or self._is_shared(shared, column) for n, column in _PAIRS}
@@ -313,7 +314,7 @@ class Summary:
         return Measure(name, fair[name], " ".join(filter(None, why)))
 
     def _is_shared(self, by: list[str], column: str) -> bool:
-        """Whether a reference is known everywhere, with one cost for each problem."""
+        """True if a reference is known in all jobs, with one cost for each problem."""
         if self.episodes[column].isna().any():
             return False
         costs = self.episodes.groupby(by)[column]
@@ -321,13 +322,13 @@ class Summary:
 
     @property
     def seeds(self) -> int:
-        """Number of different seeds that were run."""
+        """Number of distinct seeds."""
         return int(self.episodes["seed"].nunique()) if len(self.episodes) else 0
 
     @property
     def replicate(self) -> str:
-        """The unit that is sampled: seeds, each with its own data and traces; with one seed,
-        traces. Settings share seeds and traces, so they are no replicates."""
+        """The sampled unit: seeds, each with its own data and traces; with one seed, traces.
+        Settings share seeds and traces, so they are no replicates."""
         return "seed" if self.seeds > 1 else "trace"
 
 
@@ -335,7 +336,7 @@ _PAIRS = tuple(REFERENCES.items())
 
 
 def is_number(text: str) -> bool:
-    """Whether the text of a swept value is a finite number."""
+    """True if the text of a swept value is a finite number."""
     try:
         return math.isfinite(float(text))
     except ValueError:
@@ -343,10 +344,10 @@ def is_number(text: str) -> bool:
 
 
 def rank(solver: str) -> int:
-    """Place of a solver's column: the paper's first, others after them."""
+    """Position of a solver's column: the paper's first, others after them."""
     return ORDER.index(solver) if solver in ORDER else len(ORDER)
 
 
 def is_unreliable(frame: pd.DataFrame) -> bool:
-    """Whether the oracle of these episodes is no reference: by the mean share of right labels."""
+    """True if the oracle of these episodes is no reference, by the mean share of right labels."""
     return bool(frame["fresh_accuracy"].fillna(1.0).mean() < RIGHT)

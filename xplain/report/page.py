@@ -1,4 +1,4 @@
-"""The report of a sweep: tables, plots, and one HTML page that holds them all."""
+"""The report of a sweep: tables, plots, and one HTML page with all of them."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ LEARNING = {
 
 
 def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Path]:
-    """Makes everything below ``<sweep>/report`` anew from the finished jobs.
+    """Writes everything below ``<sweep>/report`` from the finished jobs.
 
     Args:
-        folder: of the sweep.
+        folder: folder of the sweep.
         measure: see :class:`xplain.report.frame.Summary`.
 
     Raises:
@@ -63,7 +63,7 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
 
 
 def page(summary: Summary, tables: dict[str, Table], report: Path) -> str:
-    """HTML of the whole page, with all that it shows inside it; its pictures are files, too."""
+    """HTML of the whole page, with its content inside; its pictures are also files."""
     from jinja2 import Environment, StrictUndefined
 
     source = files("xplain.report").joinpath("page.html").read_text(encoding="utf-8")
@@ -85,7 +85,7 @@ def page(summary: Summary, tables: dict[str, Table], report: Path) -> str:
 
 
 def draw(summary: Summary, report: Path) -> dict[str, dict[str, str]]:
-    """Draws every plot into the folder; returns their captions and addresses by name."""
+    """Draws every plot into the folder. Returns their captions and addresses by name."""
     key = heading(plots.plot_keys(summary)[0] or "")
     measures = {"regret": summary.measure.name, "messages": "messages"}
     measures["inexplicable"] = "inexplicable_labels"
@@ -107,7 +107,7 @@ def draw(summary: Summary, report: Path) -> dict[str, dict[str, str]]:
 
 def example(summary: Summary, domain: Any, report: Path) -> dict[str, Any]:
     """One explanation of a domain: its picture, the sentences of its messages, and the command that
-    shows it as a page. Its job is at λ = 1 or at the middle λ, with the solver that comes first."""
+    shows it as a page. It uses λ = 1 or the middle λ, and the first solver."""
     own = [one for one in summary.results if one[1].domain == domain]
     trade_offs = sorted({results.trade_off for _, results in own})
     middle = 1.0 if 1.0 in trade_offs else trade_offs[len(trade_offs) // 2]
@@ -127,12 +127,12 @@ def example(summary: Summary, domain: Any, report: Path) -> dict[str, Any]:
 
 
 def address(path: Path) -> str:
-    """An SVG itself, as a ``data:`` address."""
+    """An SVG as a ``data:`` address."""
     return f"data:image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def learning_table(summary: Summary) -> Table:
-    """How well types and labels were learned, a row a setting."""
+    """A row for each setting: how well types and labels were learned."""
     found, rows = summary.data_sets, []
     names = [name for name in LEARNING if name in found and found[name].notna().any()]
     groups: Any = found.groupby(summary.settings, sort=False)

@@ -21,8 +21,8 @@ NAMES = {
     "four_rooms": "Four rooms",
     "rescue": "Disaster rescue",
 }
-"""Names of solvers and domains for people. The paper's POMCP looks two steps ahead and backs up
-means, so its values are beside ``pomcp_paper``, not beside our tuned search."""
+"""Readable names of solvers and domains. The paper's POMCP looks two steps ahead and backs up
+means, so its values are compared with ``pomcp_paper``, not with our tuned search."""
 
 GROUPS = {
     "truth": "True types and labels",
@@ -33,13 +33,13 @@ GROUPS = {
 
 
 def title(key: str) -> str:
-    """Name of a solver or domain for people."""
+    """Readable name of a solver or domain."""
     name, _, rest = key.partition(" ")
     return " ".join(filter(None, [NAMES.get(name, name), rest]))
 
 
 def group_title(group: Mapping[str, Any], label: str) -> str:
-    """Name of a group of columns: of the labeler if it is all that was swept."""
+    """Name of a group of columns: that of the labeler if only labelers were swept."""
     return GROUPS.get(group.get("labeler", ""), label) if len(group) == 1 else label
 
 

@@ -1,4 +1,5 @@
-"""For each kind of people: what an explainer costs, over the best of all others of the sweep."""
+"""Ratios for each kind of people: the cost of an explainer over that of the best other one in the
+sweep."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from xplain.report.table import Table
 
 def ratios(summary: Summary) -> Table:
     """A row for each problem, a column for each way to explain; the last rows are geometric means
-    over the kinds of people. A ratio above 1 says that another way of the sweep costs less."""
+    over the kinds of people. A ratio above 1 means that another way of the sweep costs less."""
     by, posed = summary.ways or ["solver"], summary.posed
     names = {tuple(values.values()): label(values) for values, _ in grouped(summary, by)}
     rows = list[dict[str, str]]()

@@ -1,4 +1,4 @@
-"""A table that people read: a pandas frame of words, printed as text, Markdown, LaTeX and HTML."""
+"""A readable table: a pandas frame of texts, printed as text, Markdown, LaTeX and HTML."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 BEST, TIE = "*", "≈"
 
 CUT = 0.01
-"""Halves of an interval that differ by more than this are unequal: numbers have two decimals."""
+"""Two halves of an interval that differ by more than this are shown separately; numbers have two
+decimals."""
 
 _TEX = str.maketrans(
     {"λ": r"$\lambda$", "−": "$-$", "±": r"$\pm$", "≈": r"$\approx$", "†": r"$\dagger$"}
@@ -25,13 +26,13 @@ _TEX = str.maketrans(
 
 @dataclass(frozen=True)
 class Table:
-    """Row headings in words, and numbers beside them.
+    """Row headings and numbers as texts.
 
     Attributes:
-        frame: of text; two levels of columns if they come in groups.
-        left: number of columns that are row headings.
-        caption: how to read it.
-        about: what all of it has in common.
+        frame: texts; it has two levels of columns if they are in groups.
+        left: number of columns with row headings.
+        caption: explains how to read it.
+        about: settings that all of it has in common.
     """
 
     frame: pd.DataFrame
@@ -41,7 +42,8 @@ class Table:
 
     @property
     def sparse(self) -> pd.DataFrame:
-        """The frame without headings that repeat the row above; the last one always stays."""
+        """The frame without headings that repeat the row above; the last heading column is
+        complete."""
         heads = self.frame.iloc[:, : self.left - 1]
         same = (heads == heads.shift()).cumprod(axis=1).astype(bool)
         found = self.frame.copy()
@@ -49,7 +51,7 @@ class Table:
         return found
 
     def markdown(self) -> str:
-        """With what it is about and its caption."""
+        """The table in Markdown, with ``about`` and its caption."""
         names: list[Any] = list(self.frame)
         heads = [own if isinstance(own, str) else " ".join(filter(None, own)) for own in names]
         lines = [heads, *self.frame.to_numpy().tolist()]
@@ -62,7 +64,7 @@ class Table:
         return "\n\n".join(filter(None, parts)).replace("*", r"\*") + "\n"
 
     def latex(self) -> str:
-        """For a paper (booktabs); what else is said is a comment."""
+        """The table for a paper (booktabs); other texts are comments."""
         columns = "l" * self.left + "r" * (self.frame.shape[1] - self.left)
         flat = self.sparse.replace("\n", " ", regex=True)
         text = flat.to_latex(index=False, column_format=columns, escape=True).translate(_TEX)
@@ -70,7 +72,7 @@ class Table:
         return "\n".join([r"% \usepackage{booktabs}", f"{text}% {said}", ""])
 
     def html(self) -> str:
-        """The table alone; its class says how many columns are at the left."""
+        """The table without other texts; its class gives the number of heading columns."""
         kind = f"left{self.left}"
         # pandas would write a line break as a backslash and a letter.
         lines = self.sparse.replace("\n", "\u2028", regex=True)
@@ -78,7 +80,8 @@ class Table:
         return str(text).replace("\u2028", "<br>")
 
     def text(self) -> Group:
-        """For the terminal: a table each group of columns, all with the row headings."""
+        """The table for the terminal: one table for each group of columns, all with the row
+        headings."""
         from rich.console import Group
         from rich.table import Table as Shown
         from rich.text import Text
@@ -105,8 +108,8 @@ def table_of(
     caption: str = "",
     about: str = "",
 ) -> Table:
-    """A table of rows by the heads of their columns: words, or pairs (group, head); groups are left
-    out if there is one."""
+    """Makes a table from rows by the heads of their columns: texts, or pairs (group, head). A
+    single group is left out."""
     frame = pd.DataFrame(rows, dtype=object).fillna("")
     if rows and isinstance(next(iter(rows[0])), tuple):
         columns = pd.MultiIndex.from_tuples([*frame])
@@ -116,13 +119,13 @@ def table_of(
 
 
 def cell(estimate: Estimate, after: str = "", below: str = "", split: bool = False) -> str:
-    """A mean with its interval: ``0.52 ± 0.21 *``; "" if there is no estimate.
+    """A mean with its interval: ``0.52 ± 0.21 *``; "" without an estimate.
 
     Args:
-        estimate: of a measure.
+        estimate: estimate of a measure.
         after: a mark after the number.
         below: a second line.
-        split: whether the interval has a line of its own.
+        split: True puts the interval on its own line.
     """
     if math.isnan(estimate.mean):
         return ""
@@ -132,8 +135,7 @@ def cell(estimate: Estimate, after: str = "", below: str = "", split: bool = Fal
 
 
 def half(estimate: Estimate) -> str:
-    """Half of the interval, such as ``± 0.21``; its ends if a bound cuts one half, so that none
-    reaches below the bound."""
+    """Half of the interval, such as ``± 0.21``; both ends if a bound cuts one half."""
     above = estimate.high - estimate.mean
     if above - (estimate.mean - estimate.low) > CUT:
         return interval(estimate)
@@ -146,7 +148,7 @@ def number(value: float) -> str:
 
 
 def interval(estimate: Estimate) -> str:
-    """The ends of the interval; empty if they are not known."""
+    """The ends of the interval; "" if unknown."""
     known = not math.isnan(estimate.low)
     return f"[{number(estimate.low)}, {number(estimate.high)}]" if known else ""
 

@@ -1,4 +1,4 @@
-"""What a run found, and a sweep's table, on the terminal."""
+"""The results of a run, and a sweep's table, on the terminal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from xplain.report.paper import table1
 from xplain.report.table import counted, table_of
 
 WIDTH = 100
-"""Columns if the output is no terminal; a wider table takes what it needs."""
+"""Columns if the output is no terminal; a wider table is not cut."""
 
 TITLES = {
     "cost": "cost",
@@ -35,11 +35,11 @@ TITLES = {
 """Figures that are printed; results.json has more."""
 
 BY_CHANCE = ", above the optimum by sampling error"
-"""Said of a simulated value beyond a proven bound: no policy is worth more."""
+"""Text for a simulated value above a proven bound, which no policy can exceed."""
 
 
 def print_sweep(summary: Summary) -> None:
-    """The sweep's table on standard output, and who costs least."""
+    """Prints the sweep's table and the lowest cost on standard output."""
     own = table(summary)
     shown = own.text()
     needed = max(WIDTH, Console(width=10_000).measure(shown).maximum)
@@ -52,7 +52,7 @@ def print_sweep(summary: Summary) -> None:
 
 
 def print_summary(results: Results) -> None:
-    """The run's figures as a table on standard output, the paper's beside them."""
+    """Prints the run's figures as a table on standard output, with the paper's."""
     console = _console()
     console.print(_headline(results))
     as_paper = results.choices["explainee"] == "exact" and not _asks(results)
@@ -79,19 +79,19 @@ def print_summary(results: Results) -> None:
 
 
 def print_certificates(bounds: Mapping[str, float]) -> None:
-    """The certified figures on standard output; nothing if none were asked for."""
+    """Prints the certified figures on standard output; nothing if none were requested."""
     for line in _bounds(bounds):
         _console().print(line)
 
 
 def _console(width: int = WIDTH, **look: bool) -> Console:
-    """Of the terminal's own width if there is one."""
+    """A console with the width of the terminal, if there is one."""
     return Console(highlight=False, width=None if is_terminal(sys.stdout) else width, **look)  # type: ignore[arg-type]
 
 
 def _of_no_type(results: Results) -> str:
-    """Compares costs for the users whom no found type fits: of the solver's explanations, and of
-    simpler ones. Empty where the belief only knows the found types."""
+    """Compares costs for the users whom no found type fits: the solver's explanations and simpler
+    ones. "" if the belief only has the found types."""
     cost: dict[str, dict[tuple[int, str], float]] = {}
     for one in results.episodes:
         cost.setdefault(one.solver, {})[one.trace, one.type] = one.cost
@@ -111,13 +111,13 @@ def _of_no_type(results: Results) -> str:
 
 
 def _asks(results: Results) -> str:
-    """What is asked; empty for nothing."""
+    """The kind of questions; "" without questions."""
     choice = results.choices["ask"]
     return "" if choice == "never" else f"ask={choice}, κ = {results.config['ask']['cost']:g}"
 
 
 def _headline(results: Results) -> str:
-    """Two lines: what was run, and what was learned."""
+    """Two lines: the settings of the run, and the learned types."""
     users = results.choices["explainee"]
     what = [
         results.domain,
@@ -152,7 +152,8 @@ def _interval(figure: Figure) -> str:
 
 
 def _bounds(bounds: Mapping[str, float]) -> list[str]:
-    """Certificates, and the policy's cost under the learned model, each said to be what it is."""
+    """Lines with the certificates and the policy's cost under the learned model, each with its
+    name."""
     if not bounds:
         return []
     traces = counted(int(bounds["traces"]), "trace")

@@ -4,15 +4,15 @@
     class TestMine(SolverConformance):
         chosen = Chosen("solver", "mine", conf="conf")
 
-``chosen`` is a component as the command line makes it from a YAML file. To test an object of your
-own, or many at once, override the fixture that gives it to every test::
+``chosen`` is a component from a YAML file, as on the command line. To test one or more objects of
+your own, override the fixture::
 
     class TestMine(SolverConformance):
         @pytest.fixture(params=[Mine(depth=1), Mine(depth=9)])
         def component(self, request):
             return request.param
 
-Run them with pytest. Each test states a property that the rest of xplain relies on.
+Run them with pytest. Each test states a property that other parts of xplain need.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ __all__ = sorted(_WHERE)
 
 
 def __getattr__(name: str) -> Any:
-    # Imported on demand: the data and problems need no pytest. What each name is for type checkers,
-    # __init__.pyi says.
+    # Imported on demand: the data and problems need no pytest. Type checkers read
+    # __init__.pyi.
     if name not in _WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

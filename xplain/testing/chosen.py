@@ -1,4 +1,4 @@
-"""Components as the command line makes them."""
+"""Components from configurations, as on the command line."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Chosen:
 
     @cached_property
     def component(self) -> Any:
-        """Made on first use, then the same object; see :meth:`make`."""
+        """The component, created at its first use; see :meth:`make`."""
         return self.make()
 
     def make(self) -> Any:
-        """A new component, as a run with these keys would get it.
+        """Creates a new component, as in a run with these keys.
 
         Raises:
             HydraException: there is no such choice.

@@ -17,12 +17,12 @@ from xplain.testing.suite import Conformance
 
 
 class TypeFinderConformance(Conformance):
-    """Tests a type finder, ``find(observed, seed)``, for what explaining and scoring need from its
-    :class:`~xplain.learning.user_types.UserTypes`.
+    """Tests a type finder, ``find(observed, seed)``: do its
+    :class:`~xplain.learning.user_types.UserTypes` have what explanations and scores need?
 
     Attributes:
-        finds_types: it must distinguish types that answer the same questions differently.
-        needs_truth: it works with the true types (perfect clustering).
+        finds_types: True if it must distinguish types with different answers to the same questions.
+        needs_truth: True if it works with the true types (perfect clustering).
     """
 
     finds_types = True
@@ -50,7 +50,7 @@ class TypeFinderConformance(Conformance):
         assert np.array_equal(once, again), "two clusterings with one seed differ"
 
     def test_does_not_look_at_the_truth(self, component: Any) -> None:
-        """The true types of simulated observers are for scoring alone."""
+        """The true types of simulated observers are only for scores."""
         if self.needs_truth:
             return
         data, truth = self._data()
@@ -59,7 +59,8 @@ class TypeFinderConformance(Conformance):
         assert np.array_equal(blind, seen), "the clustering depends on the truth"
 
     def test_finds_plain_types(self, component: Any) -> None:
-        """Three types that need different messages, three observers each, the same questions."""
+        """It separates three types that need different messages, from three observers each with the
+        same questions."""
         if not self.finds_types:
             return
         data, truth = self._data()
@@ -67,7 +68,7 @@ class TypeFinderConformance(Conformance):
         assert np.array_equal(found, truth), f"found {found.tolist()}, true {truth.tolist()}"
 
     def test_observers_may_come_in_any_order(self, component: Any) -> None:
-        """The first observer is of type 0, whatever the numbers of the true types."""
+        """The first observer has type 0, whatever the numbers of the true types."""
         data, truth = self._data()
         last_type_first = np.array([8, 0, 4, 1, 7, 3, 6, 5, 2])
         shuffled, true = _in_order(data, last_type_first), truth[last_type_first]
@@ -78,7 +79,7 @@ class TypeFinderConformance(Conformance):
             assert np.array_equal(found, expected), f"{found.tolist()}, not {expected.tolist()}"
 
     def test_observers_who_answer_alike_are_of_one_type(self, component: Any) -> None:
-        """Six observers with the same answers to the same questions are one type."""
+        """Six observers with the same answers to the same questions have one type."""
         data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=6)
         found = self._find(component, data, truth).clustering.assignment
         assert (found == 0).all(), f"{found.tolist()}"
@@ -89,7 +90,8 @@ class TypeFinderConformance(Conformance):
         assert self._find(component, data, truth).clustering.assignment.tolist() == [0]
 
     def test_each_type_has_a_name_a_share_and_labels(self, component: Any) -> None:
-        """A labeler says P(label = 1), never certain, of any transitions under any messages."""
+        """A labeler gives P(label = 1), strictly between 0 and 1, for any transitions and
+        messages."""
         data, truth = self._data()
         types = self._find(component, data, truth)
         number = len(types.labelers)
@@ -121,9 +123,8 @@ def _in_order(data: Dataset, order: NDArray[np.int64]) -> Dataset:
 
 
 class PartitionConformance(Conformance):
-    """Tests a partition, ``partition(vectors, k, seed)``, the plug-in of
-    :class:`~xplain.learning.paper.Elbow`, for what its curve of disagreements needs.
-    """
+    """Tests a partition, ``partition(vectors, k, seed)``, the component of
+    :class:`~xplain.learning.paper.Elbow`: does it suit the curve of disagreements?"""
 
     def test_makes_at_most_k_groups(self, component: Any) -> None:
         """One group for k = 1; a group for each distinct vector if k allows it."""
@@ -136,7 +137,7 @@ class PartitionConformance(Conformance):
                 assert groups == distinct, f"{distinct} distinct vectors made {groups} groups"
 
     def test_equal_vectors_stay_together(self, component: Any) -> None:
-        """Observers who need the same messages are indistinguishable, so no k may separate them."""
+        """Observers with equal vectors are indistinguishable, so no k may separate them."""
         vectors = self._vectors()
         for k in range(1, 6):
             groups = component.partition(vectors, k, 0)

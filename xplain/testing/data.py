@@ -16,16 +16,16 @@ def rule_data(
     per_type: int = 3,
     points: int = 120,
 ) -> tuple[Dataset, NDArray[np.int64]]:
-    """Labels by observers of several types, and the type of each observer.
+    """Labels of observers of several types, and the type of each observer.
 
-    A transition is a place 0 … 9. To a type that needs message i mod 4, place i is inexplicable
+    A transition is a place 0 … 9. A type that needs message i mod 4 finds place i inexplicable
     until this message is given. All observers answer the same questions.
 
     Args:
         rng: draws the questions.
         needs: for each type, the messages that it needs.
-        per_type: observers per type.
-        points: labels per observer.
+        per_type: observers of each type.
+        points: labels of each observer.
     """
     truth = np.repeat(np.arange(len(needs)), per_type)
     place, given = rng.integers(10, size=points), rng.integers(16, size=points)

@@ -13,10 +13,11 @@ from xplain.testing.suite import Conformance
 
 
 class DomainConformance(Conformance):
-    """Tests a :class:`~xplain.domains.base.Domain` for what labels, traces, messages and maps need.
+    """Tests whether a :class:`~xplain.domains.base.Domain` has what labels, traces, messages and
+    maps need.
 
     Two tests fail for a task that is valid but useless: a message never changes a label, or two
-    actions nearly tie, so that a label would be a guess.
+    actions nearly tie, so that a label would be arbitrary.
     """
 
     def test_is_a_domain(self, component: Any) -> None:
@@ -24,7 +25,8 @@ class DomainConformance(Conformance):
         assert isinstance(component, Domain), "lacks an attribute of xplain.domains.base.Domain"
 
     def test_parameters_are_named_and_told_in_words(self, component: Any) -> None:
-        """Each has a unique name, a sentence, and an inaccurate value unlike the accurate one."""
+        """Each parameter has a unique name, a sentence, and an inaccurate value other than the
+        accurate one."""
         parameters = component.parameters
         assert parameters, "a domain needs a parameter that people may hold wrong"
         names = [parameter.name for parameter in parameters]
@@ -79,8 +81,8 @@ class DomainConformance(Conformance):
         assert labels.all(), "the robot's own model finds the robot inexplicable"
 
     def test_every_message_can_matter(self, component: Any) -> None:
-        """For somebody who believes everything incorrectly, each message changes some label,
-        together with some other messages."""
+        """For a person who believes everything incorrectly, each message changes some label,
+        possibly together with other messages."""
         setting = _setting(component)
         labels = setting.labels_by_type(setting.reachable)
         for j, name in enumerate(setting.message_names):
@@ -88,7 +90,7 @@ class DomainConformance(Conformance):
             assert matters, f"{name} never changes a label"
 
     def test_transitions_are_told_in_words(self, component: Any) -> None:
-        """``describe`` gives one line for each transition, not empty."""
+        """``describe`` gives one non-empty line for each transition."""
         for transition in _setting(component).reachable[:500]:
             phrase = component.describe(transition)
             assert phrase.strip(), f"no words for {transition}"
@@ -109,8 +111,8 @@ class DomainConformance(Conformance):
 
 
 def _setting(domain: Domain) -> Setting:
-    """One type that believes everything incorrectly: it has every model that a type can have. If
-    these are too many, a type for each parameter, which believes this one incorrectly.
+    """One type that believes everything incorrectly; it has every model that a type can have. If
+    there are too many models, one type for each parameter, which believes this one incorrectly.
 
     Raises:
         AssertionError: a model is not valid, or its ties are ambiguous.

@@ -15,24 +15,24 @@ STEPS, MESSAGES = 6, 3
 
 
 class ExplaineeConformance(Conformance):
-    """Tests an :class:`~xplain.interaction.explainees.Explainee` for what episodes need: above all,
-    every solver must meet the same person."""
+    """Tests whether an :class:`~xplain.interaction.explainees.Explainee` suits episodes: every
+    solver must meet the same person."""
 
     def test_reacts_with_zeros_and_ones_to_all_that_is_shown(self, component: Any) -> None:
-        """One thought and one answer a transition shown, at every step."""
+        """There are one thought and one answer for each shown transition, at every step."""
         for k, reaction in enumerate(_told(component, 0, [1, 0, 6, 0, 0, 0])):
             for labels in reaction:
                 assert labels.shape == (k + 1,), f"step {k}: {labels.shape}, not {k + 1} labels"
                 assert np.isin(labels, (0, 1)).all(), f"labels {labels}: neither 0 nor 1"
 
     def test_the_same_person_reacts_alike(self, component: Any) -> None:
-        """Two who are made with one seed, told the same, think and answer the same."""
+        """Two persons with the same seed and messages think and answer the same."""
         for seed in range(5):
             one, other = (_told(component, seed, [2, 1, 0, 0, 4, 0]) for _ in range(2))
             assert _same(one, other), "what a person does depends on more than the seed"
 
     def test_the_labels_stay_as_they_were(self, component: Any) -> None:
-        """They belong to the caller."""
+        """The labels belong to the caller and must not change."""
         labels = _labels(0)
         before = labels.p.copy()
         component.meet(labels, np.arange(STEPS), 0).react(1, 1)

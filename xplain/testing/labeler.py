@@ -14,18 +14,17 @@ from xplain.testing.suite import Conformance
 
 
 class LabelerConformance(Conformance):
-    """Tests a trainer, ``fit(dataset, seed)``, and its labelers: do they provide what beliefs and
+    """Tests a trainer, ``fit(dataset, seed)``, and its labelers: do they have what beliefs and
     planners need?
 
     Attributes:
-        learns: the lowest accuracy accepted on unseen points, after 300 labels that follow a simple
-            rule.
+        learns: minimum accuracy on unseen points, after 300 labels that follow a simple rule.
     """
 
     learns = 0.8
 
     def test_learns_a_plain_rule(self, component: Any) -> None:
-        """On unseen points, at least the share ``learns`` of the predicted labels is right."""
+        """On unseen points, the share of right predictions is at least ``learns``."""
         labeler = component.fit(self._data(0), 0)
         fresh = self._data(1)
         said = labeler.predict(fresh.features[fresh.transition], fresh.message_set)
@@ -38,12 +37,12 @@ class LabelerConformance(Conformance):
             assert ((probability > 0) & (probability < 1)).all(), "P must be inside (0, 1)"
 
     def test_the_table_says_what_single_questions_say(self, component: Any) -> None:
-        """``table`` [T, 2^n] may take a shortcut, but gives the same numbers as ``probability``."""
+        """``table`` [T, 2^n] gives the same numbers as ``probability``."""
         table, single = self._asked(component)
         assert np.allclose(table, single, rtol=1e-12), "table and probability differ"
 
     def test_labels_follow_the_probabilities(self, component: Any) -> None:
-        """P(1) is at least ½ exactly where 1 is predicted (confidence above ½)."""
+        """P(1) is at least ½ exactly where 1 is predicted (if the confidence is above ½)."""
         data = self._data(0)
         labeler = component.fit(data, 0)
         rows = data.features[data.transition]
@@ -66,7 +65,8 @@ class LabelerConformance(Conformance):
             assert ((p > 0.5) == bool(only)).all(), f"all labels were {only}"
 
     def test_figures_of_the_fit_are_told(self, component: Any) -> None:
-        """Confidence inside (0, 1), accuracy on the questions held out, each distinct one once."""
+        """The confidence is strictly between 0 and 1; the accuracy is that on distinct held-out
+        questions."""
         data = self._data(0)
         labeler = component.fit(data, 0)
         assert 0 < labeler.confidence < 1, labeler.confidence
@@ -89,7 +89,7 @@ class LabelerConformance(Conformance):
         return rule_data(np.random.default_rng(seed), [[0, 2]], per_type=1, points=300)[0]
 
     def _asked(self, component: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The table [T, 2^n], and the same numbers question by question."""
+        """The table [T, 2^n], and the same numbers from single questions."""
         data = self._data(0)
         labeler = component.fit(data, 3)
         table = labeler.table(data.features).array(data.n_messages)[0]

@@ -1,11 +1,12 @@
-"""The paper's POMDP, word for word: slow, for tiny problems, the yardstick of the tests.
+"""The paper's POMDP, implemented literally. It is slow, for tiny problems, and the reference of the
+tests.
 
-States ⟨k, L, E_given, E_next, t⟩ with three corrections (docs/choices.md, slips): messages already
-given or pending are no actions, label probabilities use E_given ∪ E_next and depend on τ_i, and the
-label that costs is 0. Messages that change no label and no answer of anybody are no actions either.
-Where users fail, L are their answers, t is a hidden type, and the facts that they have right now
-belong to the state. Nothing here knows of the reduction to (k, H, belief);
-optimal values come from the definition, by trying every action and every observation.
+States are ⟨k, L, E_given, E_next, t⟩, with three corrections (docs/choices.md, slips): given or
+pending messages are no actions; label probabilities use E_given ∪ E_next and depend on τ_i; label 0
+has the cost. Messages that change no label and no answer of any type are no actions either. If
+users err or miss messages, L are their answers, t is a hidden type, and the facts that they
+currently believe correctly are part of the state. The code does not use the reduction to (k, H,
+belief). Optimal values come from the definition, by trying every action and every observation.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from xplain.explanation.asking import bitmask
 from xplain.explanation.problem import Problem
 
 EXPLAIN = -1
-"""The action that is no message. Below it are the questions: −2 is the first."""
+"""The action *explain*. Messages are 0, 1, …; questions are −2, −3, …"""
 
 
 class LiteralState(NamedTuple):
-    """⟨k, L, E_given, E_next, t⟩, K where messages may be missed or forgotten, the questions
-    asked."""
+    """⟨k, L, E_given, E_next, t⟩, with K if messages may be missed or forgotten, and the asked
+    questions."""
 
     step: int
     labels: tuple[int, ...]
@@ -38,7 +39,7 @@ class LiteralState(NamedTuple):
 
 
 Observation = tuple[int, ...] | None
-"""The labels of the prefix, or the answer to a question; None is l_φ, nothing seen."""
+"""The labels of the prefix, or the answer to a question; None is l_φ, no observation."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,8 @@ class LiteralPOMDP:
         }
 
     def actions(self, state: LiteralState) -> list[int]:
-        """*Explain*, and the messages with effect, neither given nor pending (where they may be
-        missed or forgotten, all that are not pending), and questions while nothing is pending; none
+        """*Explain*, the messages with effect that are neither given nor pending (if they may be
+        missed or forgotten, all that are not pending), and questions if no message is pending. None
         at the end of the trace."""
         if state.step == self.problem.n_steps:
             return []
@@ -72,8 +73,8 @@ class LiteralPOMDP:
         return free
 
     def _open_questions(self, state: LiteralState) -> list[int]:
-        """Of the questions that are alike the nearest not asked yet; where nobody can tell what a
-        user knows, those are alike that are so whatever is known."""
+        """Among equal questions, the nearest one that was not asked. If users' knowledge is hidden,
+        questions are equal if they are equal for any knowledge."""
         questions, table = self.problem.questions, self.problem.questions.table
         labels, answers, given = table.p, table.answered, 0
         if self.problem.messages_land:
@@ -93,7 +94,7 @@ class LiteralPOMDP:
     def outcomes(
         self, state: LiteralState, action: int
     ) -> Iterator[tuple[float, LiteralState, Observation, float]]:
-        """What may follow: (probability, next state, observation, reward)."""
+        """The possible outcomes: (probability, next state, observation, reward)."""
         problem = self.problem
         if action < EXPLAIN:
             yield from self._answers(state, EXPLAIN - 1 - action)
@@ -122,7 +123,7 @@ class LiteralPOMDP:
                     given=given,
                     pending=frozenset(),
                 )
-                # Where users err, what they think costs, on average; not what they answer.
+                # If users err, costs are means over what they think, not over what they answer.
                 errs = problem.table.answers.size
                 zeros = float((1 - thought).sum()) if errs else labels.count(0)
                 reward = -problem.inexplicability_cost * zeros
@@ -132,7 +133,7 @@ class LiteralPOMDP:
     def _answers(
         self, state: LiteralState, question: int
     ) -> Iterator[tuple[float, LiteralState, Observation, float]]:
-        """What a question may be answered."""
+        """The possible outcomes of a question."""
         questions = self.problem.questions
         mask = bitmask(state.known if not self.problem.messages_land else state.given)
         yes = float(questions.table.answer_probabilities(question + 1, mask)[state.user_type, -1])
@@ -153,8 +154,8 @@ class LiteralPOMDP:
             yield probability, frozenset(compress(facts, kept))
 
     def discount(self, action: int) -> float:
-        """γ_E for an *explain* action; 1 for a question, and for a message where only steps
-        discount. Messages that may be given again do not discount."""
+        """γ_E for *explain*; 1 for a question, and for a message if only steps discount. Messages
+        that may be repeated do not discount."""
         if action == EXPLAIN:
             return self.problem.discount
         return 1.0 if action < EXPLAIN else self.problem.message_discount
@@ -163,12 +164,12 @@ class LiteralPOMDP:
 def literal_optimal_value(problem: Problem) -> float:
     """The optimal expected discounted return, by trying every action at every belief over states.
 
-    Exponential in everything; for two or three steps, messages and types.
+    The cost is exponential in everything; use two or three steps, messages and types.
     """
     pomdp = LiteralPOMDP(problem)
 
     def value(belief: dict[LiteralState, float]) -> float:
-        # All but L's cause, the type, is observed: the states of a belief share their actions.
+        # Only the type is hidden: the states of a belief have the same actions.
         actions = pomdp.actions(next(iter(belief)))
         return max((action_value(belief, action) for action in actions), default=0.0)
 
@@ -192,7 +193,8 @@ def literal_optimal_value(problem: Problem) -> float:
 def reduced_optimal_value(
     problem: Problem, step: int = 0, given: int = 0, belief: tuple[float, ...] | None = None
 ) -> float:
-    """The same from (k, H, belief), the state that docs/method.md §5 claims to be sufficient.
+    """The same value from (k, H, belief), the state that is sufficient according to docs/method.md
+    §5.
 
     Still by enumeration: every message, every label vector, no merging of observations.
     """

@@ -16,15 +16,15 @@ def random_problem(
     rng: np.random.Generator, max_types: int = 3, max_steps: int = 3, max_messages: int = 2
 ) -> Problem:
     """A problem with features that broke a solver before: unequal costs (some 0), any discount in
-    (0, 1], certain and uncertain labels, prior entries of 0, repeated transitions, messages
-    without effect. Where there may be several types, one or two user types of some problems slip,
-    guess and err at one of two rates."""
+    (0, 1], certain and uncertain labels, prior entries of 0, repeated transitions, messages without
+    effect. With several types allowed, users of some problems slip, guess and err at one of two
+    rates."""
     types = int(rng.integers(1, max_types + 1))
     steps = int(rng.integers(1, max_steps + 1))
     n = int(rng.integers(0, max_messages + 1))
     kind = rng.integers(4)
     p = rng.random((types, steps, 1 << n))
-    if kind == 1:  # labels that are certain
+    if kind == 1:  # certain labels
         p = np.round(p)
     elif kind == 2:  # one confidence per type, as labelers with a held-out accuracy have
         confidence = 0.5 + 0.5 * rng.random((types, 1, 1))
@@ -61,8 +61,8 @@ def random_problem(
 
 
 def with_questions(rng: np.random.Generator, problem: Problem, most: int = 3) -> Problem:
-    """The problem with up to so many questions, some of them alike, some certain, which may be
-    asked a few times or once."""
+    """Adds at most ``most`` questions, some of them equal, some certain, which may be asked once or
+    a few times."""
     count = int(rng.integers(1, most + 1))
     p = rng.random((problem.n_user_types, count, 1 << problem.n_messages))
     if rng.random() < 0.5:

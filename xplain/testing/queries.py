@@ -16,12 +16,12 @@ from xplain.testing.suite import Conformance
 
 RESCUE = Chosen("domain", "rescue")
 SIZES = np.array([23, 1, 12, 40])
-"""The largest number of labels of each of four observers."""
+"""Maximum number of labels of each of four observers."""
 
 
 class QueriesConformance(Conformance):
-    """Tests a design, ``ask(setting, sizes, answer, seed)``, for what data and learning need from
-    its questions. The observers here answer at random: a design must accept any answers."""
+    """Tests whether a design, ``ask(setting, sizes, answer, seed)``, suits data and learning. The
+    observers here answer at random: a design must accept any answers."""
 
     @pytest.fixture(scope="class")
     def domain(self) -> Domain:
@@ -34,7 +34,7 @@ class QueriesConformance(Conformance):
         return _setting(domain, 0)
 
     def test_everybody_is_asked_no_more_than_agreed(self, component: Any, setting: Setting) -> None:
-        """Observer o answers 1 to ``sizes[o]`` questions: an ``Answered`` each."""
+        """Observer o answers 1 to ``sizes[o]`` questions, in one ``Answered``."""
         asked, _ = _asked(component, setting)
         assert len(asked) == len(SIZES), "not one for each observer"
         counts = [len(one.labels) for one in asked]
@@ -54,7 +54,7 @@ class QueriesConformance(Conformance):
     def test_questions_are_about_what_the_robot_does(
         self, component: Any, setting: Setting
     ) -> None:
-        """Transitions that its optimal policy can make, message sets that exist."""
+        """Transitions are possible under the robot's optimal policy, and message sets exist."""
         possible = set(map(tuple, setting.reachable.tolist()))
         for one in _asked(component, setting)[0]:
             assert set(map(tuple, one.transitions.tolist())) <= possible, "the robot never does it"
@@ -80,7 +80,7 @@ def _setting(domain: Domain, wrong: int) -> Setting:
 
 
 def _asked(design: Any, setting: Setting, seed: int = 0) -> tuple[list[Answered], list[Answered]]:
-    """What the design returns, and the questions and answers of its observers."""
+    """The design's result, and the questions and answers of its observers."""
     rngs = [np.random.default_rng([o, seed]) for o in range(len(SIZES))]
     nothing = np.zeros((0, 3), dtype=np.int64)
     heard = [Answered(nothing, nothing[:, 0], nothing[:, 0].astype(np.uint8)) for _ in SIZES]

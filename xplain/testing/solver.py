@@ -23,27 +23,26 @@ Question = tuple[VisibleState, NDArray[np.float64]]
 
 
 class SolverConformance(Conformance):
-    """Tests a :class:`~xplain.solvers.base.Solver` and its policies for what episodes, sessions,
-    replay and exact evaluation need: above all, a policy is a function of its arguments.
+    """Tests whether a :class:`~xplain.solvers.base.Solver` and its policies suit episodes,
+    sessions, replay and exact evaluation. Above all, a policy must be a function of its arguments.
 
-    The quality of its decisions is tested on three problems alone, whose answer is obvious.
+    The quality of decisions is tested only on three problems with obvious answers.
 
     Attributes:
         problems: number of random problems.
-        weighs_costs: whether it plans at all; False for references such as silence, which skip
-            the three.
+        weighs_costs: False skips these three, for references that do not plan, such as silence.
     """
 
     problems = 12
     weighs_costs = True
 
     def test_is_a_solver(self, component: Any) -> None:
-        """It plans, and says what it needs to know about the user."""
+        """It plans, and declares what it needs to know about the user."""
         assert isinstance(component, Solver), "a solver has `knows` and `plan`"
         assert component.knows in get_args(Knowledge), f"knows: one of {get_args(Knowledge)}"
 
     def test_gives_messages_that_exist_and_are_new(self, component: Any) -> None:
-        """A bitmask of messages not given before, whatever the step, history and belief."""
+        """It gives a bitmask of new messages at any step, history and belief."""
         for problem, questions in self._situations(component):
             policy = component.plan(problem, 0)
             for visible, belief in questions:
@@ -56,7 +55,7 @@ class SolverConformance(Conformance):
                 assert new >> problem.n_messages == 0, f"{new:b} has a message that does not exist"
 
     def test_the_same_question_gets_the_same_answer(self, component: Any) -> None:
-        """The same decisions in another order, and from another plan with the same seed."""
+        """Decisions are equal in another order, and from another plan with the same seed."""
         for problem, questions in self._situations(component):
             policy, other = component.plan(problem, 7), component.plan(problem, 7)
             first = [policy.decide(*question) for question in questions]
@@ -66,7 +65,7 @@ class SolverConformance(Conformance):
             assert first == others, "two plans of one problem and seed decide differently"
 
     def test_values_belong_to_messages_that_can_be_given(self, component: Any) -> None:
-        """Finite numbers for message sets given next; there may be none."""
+        """Values are finite numbers of message sets that can be given next; there may be none."""
         for problem, questions in self._situations(component):
             policy = component.plan(problem, 0)
             for visible, belief in questions:
@@ -89,7 +88,7 @@ class SolverConformance(Conformance):
             assert np.array_equal(before, problem.p_explicable), "the table was changed"
 
     def test_says_nothing_where_everything_is_explicable(self, component: Any) -> None:
-        """If all is explicable, a message costs and gains nothing."""
+        """If everything is explicable, a message has a cost and no benefit."""
         if not self.weighs_costs:
             return
         for steps in (1, 5):
@@ -101,7 +100,8 @@ class SolverConformance(Conformance):
                 assert action == EXPLAIN, "a message without a gain"
 
     def test_says_at_once_what_makes_the_whole_trace_explicable(self, component: Any) -> None:
-        """One cheap message of two makes every transition explicable; silence costs 10 zeros."""
+        """One cheap message of two makes every transition explicable; without it there are 10
+        labels 0."""
         if not self.weighs_costs:
             return
         good = 1.0 if component.knows == "labels" else 0.95
@@ -152,7 +152,7 @@ ONE = np.ones(1)
 
 
 def _types(solver: Solver, several: int) -> int:
-    """Only solvers of the types' problem are asked to plan for several."""
+    """The number of types to plan for: several only for solvers of that problem."""
     return several if solver.knows == "types" else 1
 
 

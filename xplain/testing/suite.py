@@ -1,4 +1,4 @@
-"""The base of the suites: the component that they test."""
+"""The base of the suites, with the tested component."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xplain.testing.chosen import Chosen
 
 
 class Conformance:
-    """A suite. Its subclasses state the properties, and their subclasses say what is tested.
+    """A suite. Its subclasses state properties; their subclasses choose what is tested.
 
     Attributes:
         chosen: the choice to test. To test something else, or many choices, override the fixture

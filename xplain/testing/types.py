@@ -16,7 +16,8 @@ RESCUE = Chosen("domain", "rescue")
 
 
 class TypeSourceConformance(Conformance):
-    """Tests a source, ``types(domain, rng)``, for what observers and labels need from its types."""
+    """Tests whether a source, ``types(domain, rng)``, gives types that suit observers and
+    labels."""
 
     @pytest.fixture
     def domain(self) -> Domain:
@@ -26,7 +27,8 @@ class TypeSourceConformance(Conformance):
     def test_types_hold_parameters_of_the_domain_wrong(
         self, component: Any, domain: Domain
     ) -> None:
-        """At least one type, each with a unique name and at least one fact believed incorrectly."""
+        """There is at least one type, each with a unique name and at least one fact believed
+        incorrectly."""
         known = {parameter.name for parameter in domain.parameters}
         types = _types(component, domain, 0)
         assert types, "no types"
@@ -45,7 +47,7 @@ class TypeSourceConformance(Conformance):
             )
 
     def test_their_labels_can_be_computed(self, component: Any, domain: Domain) -> None:
-        """Every model that they need is solved, with clear ties."""
+        """Every model that they need is solved, with unambiguous ties."""
         for seed in range(3):
             setting = Setting.build(domain, _types(component, domain, seed))
             assert len(setting.distinct) == len(setting.types)
