@@ -37,7 +37,7 @@ from xplain.report.frame import TITLES, Summary, Value
 from xplain.report.paper import group_title, table1, title
 from xplain.storage import written_whole
 
-# Okabe and Ito's palette, grey for their yellow.
+# Okabe and Ito's palette, with grey instead of yellow.
 COLOURS = (
     "#0072B2",
     "#D55E00",
@@ -58,7 +58,7 @@ AXES = {
     "ask.cost": "κ, cost of a question (ask.cost)",
     "points": "labels an observer (points)",
 }
-"""Meaning of a key on its axis; any other key is there by its name."""
+"""Labels of axes by key; any other key has its name."""
 
 MOST_PANELS = 24
 
@@ -75,7 +75,7 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "svg.hashsalt": "xplain",
 }
-"""Look of plots. It is set only while one is drawn: a program's own figures stay as they are."""
+"""Style of plots. It is set only while one is drawn, so a program's own figures do not change."""
 
 
 def series_style(index: int) -> dict[str, Any]:
@@ -91,14 +91,14 @@ def series_style(index: int) -> dict[str, Any]:
 def draw(
     points: pd.DataFrame, x_label: str, y_label: str, per_row: int = 4, hollow: str = "the paper's"
 ) -> Figure:
-    """Lines with intervals.
+    """Draws lines with intervals.
 
     Args:
-        points: a row a point, with panel, line, x (numbers, or words as they are on the axis) and
-            mean; if known low and high, and ``hollow``, the height of a hollow marker (or NaN).
-        x_label, y_label: names of the axes.
-        per_row: panels beside each other; those of a row have one scale.
-        hollow: what hollow markers are.
+        points: a row for each point, with panel, line, x (numbers, or texts of the axis) and mean;
+            if known low and high, and ``hollow``, the height of a hollow marker (or NaN).
+        x_label, y_label: labels of the axes.
+        per_row: panels in a row; they have one scale.
+        hollow: meaning of hollow markers.
     """
     points = points.reindex(columns=[*["panel", "line", "x", "mean", "low", "high", "hollow"]])
     panels, lines = (list(dict.fromkeys(points[key])) for key in ("panel", "line"))
@@ -133,13 +133,13 @@ def draw(
         axes.set_title(panel, loc="left", weight="bold", fontsize=10)
         if not is_numeric:
             axes.set_xticks(range(len(ticks)), ticks, **slope)
-        elif len(ticks) <= 8:  # the values that were run, and no others
+        elif len(ticks) <= 8:  # only the values of the runs
             axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         else:
             axes.xaxis.set_major_locator(MaxNLocator(6, integer=all(t == int(t) for t in ticks)))
         if is_negative:
             axes.axhline(0, color="#222222", lw=0.8)
-    if not is_negative:  # once all are drawn: a limit ends the scaling of a row
+    if not is_negative:  # after all are drawn: setting a limit ends the scaling of a row
         for axes in every:
             axes.set_ylim(bottom=0)
     for row in range(rows):
@@ -156,8 +156,8 @@ def draw(
 
 
 def plot_keys(summary: Summary) -> tuple[str | None, list[str], list[str]]:
-    """Keys of a plot: on the horizontal axis (None if nothing was swept), a line each value, a
-    panel each value."""
+    """Keys of a plot: the one on the horizontal axis (None if nothing was swept), those of the
+    lines, those of the panels."""
     down, grouping, across = layout(summary)
     keys = [*down, *grouping, *across]
     x = main_key(summary, keys) or next(iter([*down[-1:], *across, *grouping]), None)
@@ -180,14 +180,14 @@ def _panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.DataFra
 
 
 def _per_row(summary: Summary, keys: Sequence[str]) -> int:
-    """Panels that share a scale: a row each domain."""
+    """Number of panels with a common scale: a row for each domain."""
     counts = [len(summary.values(key)) for key in keys if key != "domain"]
     return min(4, int(np.prod(counts))) if counts else 1 + (len(keys) == 0)
 
 
 def against_main_key(summary: Summary, measure: str) -> Figure | None:
-    """A measure against the main swept key, with intervals and in Table 1 the paper's values; None
-    if nothing was swept, or no episode has the measure."""
+    """Draws a measure against the main swept key, with intervals and in Table 1 the paper's values;
+    None if nothing was swept, or no episode has the measure."""
     x, lines, panels = plot_keys(summary)
     if x is None or not summary.episodes[measure].notna().any():
         return None
@@ -209,8 +209,8 @@ def against_main_key(summary: Summary, measure: str) -> Figure | None:
 
 
 def belief_over_steps(summary: Summary) -> Figure | None:
-    """Belief in the user's true type after each step, mean over the episodes that last so long, at
-    the middle of the main key."""
+    """Draws the belief in the user's true type after each step, at the middle of the main key: the
+    mean over the episodes with this step."""
     x, lines, panels = plot_keys(summary)
     fixed: dict[str, Value] = {}
     if x is not None:
@@ -221,7 +221,7 @@ def belief_over_steps(summary: Summary) -> Figure | None:
         at = {key: frame[key].iloc[0] for key in panels}
         for line, _ in grouped(summary, lines):
             own = where(where(steps, at), line)
-            if line.get("solver") != "baseline" and len(own):  # it believes nothing
+            if line.get("solver") != "baseline" and len(own):  # the baseline has no belief
                 sums = own.assign(belief=own["belief"] * own["episodes"]).groupby("step").sum(True)
                 for step, mean in (sums["belief"] / sums["episodes"]).items():
                     names = {"panel": panel, "line": label(line), "x": step, "mean": mean}
@@ -233,7 +233,8 @@ def belief_over_steps(summary: Summary) -> Figure | None:
 
 
 def elbows(summary: Summary) -> Figure | None:
-    """Disagreements against k, one line a setting (mean over seeds), with the k chosen."""
+    """Draws disagreements against k, one line for each setting (mean over seeds), with the chosen
+    k."""
     found = summary.data_sets
     found, rows = found[found["curve"].map(len) > 0], []
     groups: Any = found.groupby(summary.settings, sort=False)
@@ -260,7 +261,7 @@ def elbows(summary: Summary) -> Figure | None:
 
 
 def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
-    """Disagreements against the number of clusters, with the number that was chosen."""
+    """Draws disagreements against the number of clusters, with the chosen number."""
     points = pd.DataFrame({"panel": "", "line": "", "x": range(1, len(curve) + 1), "mean": curve})
     chosen = points["mean"].where(points["x"] == min(found, len(curve)))
     words = f"chosen: {found} ({rule})"
@@ -268,7 +269,7 @@ def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
 
 
 def posterior(probability: Mapping[int, float], found: int) -> Figure:
-    """P(number of types | labels), with the number that was taken."""
+    """Draws P(number of types | labels), with the chosen number."""
     numbers = range(1, max(*probability, found) + 2)
     points = pd.DataFrame({"panel": "", "line": "", "x": numbers})
     points["mean"] = [probability.get(k, 0.0) for k in numbers]
@@ -278,8 +279,8 @@ def posterior(probability: Mapping[int, float], found: int) -> Figure:
 
 
 def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> Figure:
-    """Share of labels 1 with a message minus the share without it, a panel a type; none where one
-    of the two was never asked."""
+    """Draws the share of labels 1 with a message minus the share without it, with a panel for each
+    type; nothing if one of the two was never asked."""
     given = bits_of(dataset.message_set, dataset.n_messages).astype(bool)
     own = pd.DataFrame({"panel": np.array(names)[clustering.assignment[dataset.observer]]})
     own["label"], gains = dataset.label, []
@@ -294,7 +295,8 @@ def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> F
 
 
 def calibration(bins: Sequence[Tenth]) -> Figure:
-    """Share of held-out labels that are 1, by their predicted probability, with intervals."""
+    """Draws the share of held-out labels that are 1 against their predicted probability, with
+    intervals."""
     found = pd.DataFrame(bins).rename(columns={"said": "x", "ones": "mean"})
     ideal = pd.DataFrame({"x": [0.0, 1.0], "mean": [0.0, 1.0], "line": "as predicted"})
     points = pd.concat([found.assign(line="held-out labels"), ideal]).assign(panel="")
@@ -304,7 +306,7 @@ def calibration(bins: Sequence[Tenth]) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def save(figure: Figure, path: Path) -> None:
-    """Writes a figure in the format of the path's suffix, whole or not at all.
+    """Writes a figure atomically, in the format of the path's suffix.
 
     Raises:
         OSError: with the path.

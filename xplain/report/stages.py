@@ -1,8 +1,9 @@
-"""What a run is at, on standard error: moving lines on a terminal, a few in the log elsewhere.
+"""Shows the current work of a run on standard error: progress lines on a terminal, a few log lines
+elsewhere.
 
-Whoever waits sees within seconds that work goes on: a terminal shows the stages that are open,
-with seconds that count and, where it is known, how far each is. Elsewhere a stage is one line once
-it has taken ten seconds, and one more every ten seconds where there is news.
+Users see within seconds that work continues. A terminal shows the open stages with their seconds
+and, if known, their progress. Elsewhere a stage has a line after ten seconds, and another every ten
+seconds if there is progress.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 log = logging.getLogger("xplain")
 
 EVERY = 10.0
-"""Seconds before and between lines of a stage where there is no terminal."""
+"""Seconds before the first and between further lines of a stage without a terminal."""
 
 
 def stages() -> Stages:
-    """Those for the standard error that there is."""
+    """The display that suits the current standard error."""
     return TerminalStages() if is_terminal(sys.stderr) else Stages()
 
 
@@ -60,12 +61,12 @@ class Stages(Progress):
             log.info("%s: %s", self._open[-1], text)
 
     def compiling(self, kernel: str) -> None:
-        """Tells that a kernel is compiled; an empty text says that it is done."""
+        """Shows that a kernel is compiled; "" ends it."""
         self.note(kernel and f"compiling {kernel} (once; later runs load it)")
 
 
 class TerminalStages(Stages):
-    """A moving line for each stage that is open, gone when it ends."""
+    """A progress line for each open stage, removed at its end."""
 
     def __init__(self) -> None:
         from rich import progress
@@ -105,10 +106,10 @@ class TerminalStages(Stages):
 
     @contextmanager
     def _moving(self) -> Iterator[None]:
-        """Whoever logs meanwhile writes above the moving lines."""
+        """Starts the progress lines; log lines appear above them."""
         logged = logging.getLogger().handlers
         own = [h for h in logged if isinstance(h, logging.StreamHandler) and h.stream is sys.stderr]
-        with self._bars:  # from here on sys.stderr is rich's
+        with self._bars:  # from here on sys.stderr belongs to rich
             streams = [(handler, handler.setStream(sys.stderr)) for handler in own]
             try:
                 yield

@@ -1,5 +1,5 @@
 """The picture of one explanation, drawn from a run's files alone: the map with the path, the labels
-step by step, the belief, and what the robot says."""
+at each step, the belief, and the robot's messages."""
 
 from __future__ import annotations
 
@@ -27,36 +27,36 @@ Story = Mapping[str, Any]
 
 ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
 CELL = 0.46
-"""Inches of a cell of a large map: one of more rows or columns than LARGE."""
+"""Size of a cell in inches, on a map with more rows or columns than LARGE."""
 LARGE = 11
 LONG = 30
-"""Letters of an item's name, from which on the legend has one column."""
+"""Letters of an item's name above which the legend has one column."""
 LISTED = 14
-"""Sentences and questions below the steps, at most."""
+"""Maximum number of sentences and questions below the steps."""
 LETTERS = 92
-"""Letters of a line below the steps."""
+"""Letters in a line below the steps."""
 LINE, LETTER = 0.18, 0.082
 """Inches of such a line, and of a letter in the name of a transition."""
 TYPES = 8
-"""Learned types in the plot of the belief, at most: the likeliest at the end."""
+"""Maximum number of learned types in the plot of the belief: the most likely ones at the end."""
 ASKED = "#7A3F8F"
 EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
 
 
 def stories(folder: Path, solver: str) -> list[Story]:
-    """The episodes of a run's folder, of one solver ("solver", "oracle" or "clairvoyant")."""
+    """The episodes of one solver ("solver", "oracle" or "clairvoyant") in a run's folder."""
     lines = (folder / EPISODES).read_text(encoding="utf-8").splitlines()
     return [json.loads(line) for line in lines if f'"solver": "{solver}"' in line]
 
 
 def typical(found: Sequence[Story]) -> Story:
-    """The first episode whose cost is the median of all (of an even number, the lower middle)."""
+    """The first episode with the median cost (for an even number, the lower middle)."""
     median = median_low(story["cost"] for story in found)
     return next(story for story in found if math.isclose(story["cost"], median, abs_tol=1e-9))
 
 
 def describe_choice(story: Story, episodes: int) -> str:
-    """Which of a run's episodes a :func:`typical` one is, and by what rule it was taken."""
+    """Says which of a run's episodes a :func:`typical` one is, and by which rule it was chosen."""
     return (
         f"trace {story['trace']}, user of type {story['type']}: cost {story['cost']:g}, the median "
         f"of {counted(episodes, 'episode')} (the first that costs this)"
@@ -64,7 +64,8 @@ def describe_choice(story: Story, episodes: int) -> str:
 
 
 def draw_typical(folder: Path, results: Results) -> tuple[Figure, Story, str]:
-    """The typical episode of a run's folder, drawn; and which it is, in words."""
+    """Draws the typical episode of a run's folder. Returns the figure, the episode, and a
+    description."""
     found = stories(folder, "solver")
     story = typical(found)
     caption, types = describe_choice(story, len(found)), results.types
@@ -82,16 +83,16 @@ def draw_trace(
     sentences: Mapping[str, str],
     types: Sequence[str] = (),
 ) -> Figure:
-    """Map and path at the left; at the right one row a transition, one column a step, the belief
-    below, and below all of it what the robot says. Without a map, the text under each transition
-    says what it changes.
+    """Draws the map and the path on the left. On the right are one row for each transition, one
+    column for each step, the belief below, and the robot's messages. Without a map, the effects of
+    each transition are below it.
 
     Args:
-        scene: the map; None if there is none.
+        scene: the map, or None.
         story: the episode.
-        caption: below the title.
-        sentences: of the messages, by name.
-        types: names of the learned types, of which the belief is shown.
+        caption: text below the title.
+        sentences: texts of the messages, by name.
+        types: names of the learned types in the belief.
     """
     m, said = len(story["transitions"]), said_in(story, sentences)
     names = [f"{i}. {phrase}" for i, phrase in enumerate(story["transitions"], 1)]
@@ -123,7 +124,7 @@ def draw_trace(
 
 
 def said_in(story: Story, sentences: Mapping[str, str]) -> str:
-    """What the robot says and asks, with the steps before which it does, in lines."""
+    """The robot's messages and questions with their steps, in lines."""
     found = []
     for k, step in enumerate(story["steps"], 1):
         for one in step.get("questions", ()):
@@ -138,7 +139,7 @@ def said_in(story: Story, sentences: Mapping[str, str]) -> str:
 
 
 def draw_map(axes: Axes, scene: Scene, positions: Sequence[Sequence[int]]) -> None:
-    """The grid, its items by letter, and the path with the number of each step."""
+    """Draws the grid, its items by letter, and the path with the number of each step."""
     for row, column in scene.walls:
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, color="#555555", linewidth=0))
     size = 9.0 if scene.columns <= LARGE else 6.5
@@ -161,7 +162,7 @@ def draw_map(axes: Axes, scene: Scene, positions: Sequence[Sequence[int]]) -> No
     for (row, column), steps in visits.items():
         numbers = ",".join(str(step) for step in steps if step > 0)
         axes.text(column + 0.44, row + 0.4, numbers, ha="right", fontsize=7, color="#222222")
-    # Rows and columns are numbered as in the phrases; lines between cells.
+    # Rows and columns have the numbers of the phrases; lines are between cells.
     axes.set(
         xlim=(-0.5, scene.columns - 0.5),
         ylim=(scene.rows - 0.5, -0.5),
@@ -182,7 +183,7 @@ def draw_map(axes: Axes, scene: Scene, positions: Sequence[Sequence[int]]) -> No
 
 
 def _draw_steps(axes: Axes, story: Story, names: Sequence[str], caption: str) -> None:
-    """The labels, with a mark at each step before which the robot says or asks something."""
+    """Draws the labels, with a mark at each step that has messages or questions."""
     m, steps = len(names), story["steps"]
     for k, step in enumerate(steps):
         for i, label in enumerate(step["labels"]):
@@ -224,7 +225,7 @@ CORNER: dict[str, Any] = {"xycoords": "axes fraction", "fontsize": 9.5, "annotat
 
 
 def _draw_belief(axes: Axes, story: Story, types: Sequence[str]) -> None:
-    """A line a learned type, from the prior to the last step."""
+    """Draws a line for each learned type, from the prior to the last step."""
     beliefs = [story["prior"], *(step["belief"] for step in story["steps"])]
     shown = sorted(range(len(types)), key=lambda t: (-beliefs[-1][t], t))[:TYPES]
     for index, t in enumerate(sorted(shown)):
