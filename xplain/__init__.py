@@ -1,8 +1,8 @@
 """Personalized explanations of sequential decisions (Soni, Sreedharan & Kambhampati, 2021).
 
-These names, and those of ``xplain.testing``, are public: they do not change without notice. All
-else may change. Explaining in a program: docs/explainer.md. Experiments: docs/python.md. Components
-of your own: docs/your-own-domain.md.
+These names, and those of ``xplain.testing``, are public: they do not change without notice.
+Everything else may change. Explanations in a program: docs/explainer.md. Experiments:
+docs/python.md. Components of your own: docs/your-own-domain.md.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ __all__ = sorted(_WHERE)
 
 
 def __getattr__(name: str) -> Any:
-    # Imported when asked for: `python -m xplain --help` must not wait for numba. What each name is
-    # for type checkers, __init__.pyi says.
+    # Imported on demand: `python -m xplain --help` must not wait for numba. Type checkers
+    # read __init__.pyi.
     if name not in _WHERE:
         raise AttributeError(f"module 'xplain' has no attribute {name!r}")
     from importlib import import_module

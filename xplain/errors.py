@@ -1,7 +1,5 @@
-"""Errors that a person can act on: one line with the key, the value, and what is allowed.
-
-The checks below raise them.
-"""
+"""Errors that a user can correct: one line with the key, the value, and what is allowed. The checks
+below raise them."""
 
 from __future__ import annotations
 
@@ -23,21 +21,21 @@ T = TypeVar("T")
 
 
 class XplainError(ValueError):
-    """Base of every error that the user can mend; its text is one line."""
+    """Base of every error that the user can correct; its text is one line."""
 
 
 class InputError(XplainError):
     """A value given by the user is not allowed.
 
     Args:
-        key: what the user set, as they wrote it (``lambda``, ``domain.map``, ``data``).
-        value: what they gave.
-        allowed: what would be accepted.
+        key: the user's key, as written (``lambda``, ``domain.map``, ``data``).
+        value: the given value.
+        allowed: description of the accepted values.
     """
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         shown = repr(value)
-        if len(shown) > 80:  # both ends: a path ends with what tells it from others
+        if len(shown) > 80:  # keeps both ends, because the end of a path identifies it
             shown = f"{shown[:38]}...{shown[-39:]}"
         super().__init__(f"{key}={shown}: {allowed}")
         self.key = key
@@ -45,39 +43,39 @@ class InputError(XplainError):
         self.allowed = allowed
 
     def __reduce__(self) -> tuple[type, tuple[str, object, str]]:
-        # Exceptions cross process borders in sweeps; the default would replay only the text.
+        # Sweeps pickle exceptions, and the default pickles only the text.
         return type(self), (self.key, self.value, self.allowed)
 
 
 class DomainError(XplainError):
-    """A domain makes labels meaningless: ambiguous ties, no way to the goal."""
+    """A domain without meaningful labels: ambiguous ties, or no way to the goal."""
 
 
 class TooLargeError(XplainError):
-    """A problem needs more memory than allowed; the text says how much, and what can be done."""
+    """A problem needs more memory than allowed. The text says how much, and what to do."""
 
 
 class Refused(Exception):
-    """An answer of a participant that is not accepted; the text is for them."""
+    """A participant's answer that is not accepted; the text is for the participant."""
 
 
 def quoted(text: str, mark: str = "'") -> str:
-    """A text in quotation marks, as Hydra's overrides have it, whatever letters it has: backslashes
-    are doubled before a mark alone."""
+    """Quotes any text for Hydra's overrides: backslashes are doubled only before a quotation
+    mark."""
     ends = rf"(\\*)({mark}|$)"
     escaped = re.sub(ends, lambda found: found[1] * 2 + (f"\\{mark}" if found[2] else ""), text)
     return f"{mark}{escaped}{mark}"
 
 
 def first_line(error: BaseException) -> str:
-    """Of its text; the name of its class where it has none."""
+    """The first line of an error's text; the name of its class if the text is empty."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 @contextmanager
 def left_at_once() -> Iterator[None]:
-    """While modules are imported, Ctrl-C ends the process with one line: an exception in the middle
-    of an import becomes another one, or a traceback."""
+    """A context for imports in which Ctrl-C ends the process with one line. Otherwise an exception
+    during an import would become another one, or a traceback."""
 
     def leave(*_: object) -> None:
         print("xplain: interrupted", file=sys.stderr, flush=True)
@@ -85,7 +83,7 @@ def left_at_once() -> Iterator[None]:
 
     before = signal.getsignal(signal.SIGINT)
     ours = threading.current_thread() is threading.main_thread()
-    if not ours or before is not signal.default_int_handler:  # someone else hears it
+    if not ours or before is not signal.default_int_handler:  # another handler receives it
         yield
         return
     signal.signal(signal.SIGINT, leave)
@@ -100,8 +98,8 @@ class Range:
     """The finite numbers that a parameter may have.
 
     Attributes:
-        low, high: its ends; infinite where there is none.
-        ends: brackets as in [low, high): a round one leaves its end out.
+        low, high: its ends, possibly infinite.
+        ends: brackets as in [low, high); a round one excludes its end.
     """
 
     low: float = -math.inf
@@ -109,10 +107,10 @@ class Range:
     ends: Literal["[]", "[)", "(]", "()"] = "[]"
 
     def check(self, key: str, value: object, whole: bool = False) -> None:
-        """Refuses all but the numbers, or whole numbers, in the range.
+        """Checks that a value is a number, or a whole number, in the range.
 
         Raises:
-            InputError: the value is none of them.
+            InputError: it is not.
         """
         fits = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
         if not fits or not math.isfinite(value) or not self._holds(value):  # type: ignore[arg-type]
@@ -123,7 +121,7 @@ class Range:
         return above and (value < self.high or (value == self.high and self.ends[1] == "]"))
 
     def allowed(self, whole: bool = False) -> str:
-        """In words."""
+        """The range in words."""
         if self == Range():
             return "a finite number"
         kind = "a whole number" if whole else "a number"
@@ -143,20 +141,20 @@ Discount = Annotated[float, Range(0, 1, "()")]
 
 
 def checks(prefix: str = "") -> Callable[[type[T]], type[T]]:
-    """A class whose constructor refuses what its annotations do not allow, before its body runs.
+    """Decorates a class so that its constructor refuses values that its annotations do not allow,
+    before its body runs.
 
-    ``Annotated[int, Range(1)]`` allows whole numbers ≥ 1, ``Annotated[float, Range(0, 1)]``
-    numbers in [0, 1], ``Literal["a", "b"]`` one of two words; beside ``| None`` None is allowed
-    too. Other annotations are not looked at, but their names have to be there at run time. The
-    error's key is ``prefix.parameter``, or ``parameter`` without a prefix. It stands above
-    ``@dataclass``, where fields of base classes are checked too; a subclass with a constructor of
-    its own needs it again.
+    ``Annotated[int, Range(1)]`` allows whole numbers ≥ 1, ``Annotated[float, Range(0, 1)]`` numbers
+    in [0, 1], ``Literal["a", "b"]`` one of two words; ``| None`` also allows None. Other
+    annotations are not checked, but their names must exist at run time. The error's key is
+    ``prefix.parameter``, or ``parameter`` without a prefix. Put it above ``@dataclass``; fields of
+    base classes are then checked too. A subclass with its own constructor needs it again.
     """
 
     def of(kind: type[T]) -> type[T]:
         made = kind.__init__
         takes = signature(made)
-        # Of a dataclass each class's own annotations, whose names are those of its module.
+        # For a dataclass, each class's own annotations, with the names of its module.
         annotated: Any = kind if "__dataclass_params__" in vars(kind) else made
 
         @wraps(made)
@@ -179,10 +177,10 @@ def _hints(of: Any) -> dict[str, Any]:
 
 
 def check(key: str, value: object, hint: Any) -> None:
-    """Refuses a value that its annotation does not allow (:func:`checks`).
+    """Checks a value against its annotation (:func:`checks`).
 
     Raises:
-        InputError: it is so.
+        InputError: the annotation does not allow it.
     """
     inner = get_args(hint)
     if get_origin(hint) in (Union, UnionType):
@@ -196,10 +194,10 @@ def check(key: str, value: object, hint: Any) -> None:
 
 
 def one_of(key: str, value: T, allowed: Iterable[T], what: str = "") -> T:
-    """One of the values that are allowed; ``what`` names their kind, in the error.
+    """Checks that a value is one of the allowed ones; ``what`` names their kind in the error.
 
     Raises:
-        InputError: it is none of them.
+        InputError: it is not.
     """
     known = [*allowed]
     if value not in known:
@@ -211,10 +209,10 @@ def one_of(key: str, value: T, allowed: Iterable[T], what: str = "") -> T:
 
 
 def mapping(key: str, value: object, allowed: str) -> Mapping[str, Any]:
-    """A mapping.
+    """Checks that a value is a mapping.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not.
     """
     if not isinstance(value, Mapping):
         raise InputError(key, value, allowed)
@@ -222,10 +220,10 @@ def mapping(key: str, value: object, allowed: str) -> Mapping[str, Any]:
 
 
 def listed(key: str, value: object, allowed: str = "a list") -> Sequence[Any]:
-    """A list, and no text.
+    """Checks that a value is a list and not a text.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not.
     """
     if isinstance(value, str) or not isinstance(value, Sequence):
         raise InputError(key, value, allowed)
@@ -233,10 +231,10 @@ def listed(key: str, value: object, allowed: str = "a list") -> Sequence[Any]:
 
 
 def sentence(key: str, value: object, allowed: str = "a sentence") -> str:
-    """A text that is not blank.
+    """Checks that a value is a text that is not blank.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not.
     """
     if not isinstance(value, str) or not value.strip():
         raise InputError(key, value, allowed)
@@ -244,20 +242,20 @@ def sentence(key: str, value: object, allowed: str = "a sentence") -> str:
 
 
 def number(key: str, value: object, within: Range = Range()) -> float:
-    """A finite number in a range.
+    """Checks that a value is a finite number in a range.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not.
     """
     within.check(key, value)
     return float(value)  # type: ignore[arg-type]
 
 
 def whole_number(key: str, value: object, least: int, most: float = math.inf) -> int:
-    """A whole number from ``least`` to ``most``.
+    """Checks that a value is a whole number from ``least`` to ``most``.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not.
     """
     Range(least, most).check(key, value, whole=True)
     return value  # type: ignore[return-value]

@@ -1,7 +1,7 @@
 """Named random streams of one seed (docs/method.md, section 8).
 
-Each component draws from a stream of its own, so that choosing another solver leaves data and
-traces as they were, and results do not depend on the number of processes.
+Each component draws from its own stream. So another solver leaves data and traces unchanged, and
+results do not depend on the number of processes.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from xplain.errors import whole_number
 
 MOST = (1 << 32) - 1
-"""The largest seed of a run."""
+"""Maximum seed of a run."""
 
 
 def sequence(seed: int, *names: str | int) -> np.random.SeedSequence:
-    """The seed sequence of the component called ``names`` (a path, such as ``"observers", 3``)."""
+    """The seed sequence of a component, by its path of names such as ``"observers", 3``."""
     key = [name if isinstance(name, int) else zlib.crc32(name.encode()) for name in names]
     return np.random.SeedSequence(seed, spawn_key=tuple(key))
 
@@ -28,8 +28,8 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
 
 
 def below(rng: np.random.Generator, *names: str | int) -> np.random.Generator:
-    """A generator at the start of the named stream below that of ``rng``, whatever was drawn from
-    it before."""
+    """A generator at the start of the named stream below that of ``rng``, independent of earlier
+    draws."""
     parent = rng.bit_generator.seed_seq
     assert isinstance(parent, np.random.SeedSequence), "every stream here has one"
     key = (*parent.spawn_key, *sequence(0, *names).spawn_key)
@@ -37,7 +37,8 @@ def below(rng: np.random.Generator, *names: str | int) -> np.random.Generator:
 
 
 def run_seed(value: object) -> int:
-    """The seed of a run, from which all streams come; scikit-learn's ``random_state`` takes it.
+    """Checks the seed of a run, from which all streams come; scikit-learn's ``random_state``
+    accepts it.
 
     Raises:
         InputError: no whole number from 0 to 2^32 − 1.
@@ -46,5 +47,5 @@ def run_seed(value: object) -> int:
 
 
 def derived_seed(seed: int, *names: str | int) -> int:
-    """A 63-bit seed for code that wants an integer (scikit-learn takes its low 32 bits)."""
+    """A 63-bit seed for code that needs an integer (scikit-learn takes its low 32 bits)."""
     return int(sequence(seed, *names).generate_state(1, np.uint64)[0] >> np.uint64(1))

@@ -1,6 +1,6 @@
-"""Values in files: dataclasses as JSON and arrays, and files that are written whole or not at all.
+"""Values in files: dataclasses as JSON and arrays, and files that are written atomically.
 
-Only what a type hint names is built when reading; nothing is ever unpickled.
+Reading creates only objects that a type hint names; nothing is ever unpickled.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 @contextmanager
 def written_whole(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """A file to write, which takes the place of ``path`` once all of it is on the disk.
+    """A file for writing, which replaces ``path`` once all of it is on the disk.
 
-    Where the process is killed, the disk is full or the block raises, ``path`` stays as it was.
+    If the process is killed, the disk is full or the block raises, ``path`` stays unchanged.
 
     Args:
-        path: of the file.
+        path: path of the file.
         mode: ``w`` for UTF-8 text, ``wb`` for bytes.
 
     Raises:
@@ -40,7 +40,7 @@ def written_whole(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())  # others of the group may read results
+        os.chmod(temporary, 0o666 & ~_umask())  # the group may read results
         os.replace(temporary, path)
     except BaseException as error:
         if temporary:
@@ -51,7 +51,7 @@ def written_whole(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """The whole text or nothing; see :func:`written_whole`."""
+    """Writes a text atomically; see :func:`written_whole`."""
     with written_whole(path) as file:
         file.write(text)
 
@@ -64,12 +64,12 @@ def _umask() -> int:
 
 
 def encode(value: Any, arrays: dict[str, NDArray[Any]] | None = None) -> Any:
-    """What JSON can hold of a value of dataclasses, tuples, mappings, numbers, text and arrays.
+    """Converts a value of dataclasses, tuples, mappings, numbers, text and arrays to JSON values.
 
     Args:
-        value: to be encoded.
-        arrays: takes the arrays of the value, whose names go into the JSON; without it arrays
-            become lists.
+        value: the value.
+        arrays: receives the arrays of the value, and the JSON contains their names; without it
+            arrays become lists.
     """
     if isinstance(value, np.ndarray):
         if arrays is None:
@@ -89,7 +89,7 @@ def encode(value: Any, arrays: dict[str, NDArray[Any]] | None = None) -> Any:
 
 
 def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = None) -> Any:
-    """The value of the type ``kind`` that :func:`encode` made ``value`` of.
+    """Makes a value of the type ``kind`` from the result of :func:`encode`.
 
     Raises:
         KeyError, TypeError, ValueError: ``value`` does not fit the type.
@@ -99,7 +99,7 @@ def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = No
         if value is None:
             return None
         inner = [option for option in options if option is not type(None)]
-        # Of an array and a dataclass, the dataclass is the one that is written as a mapping.
+        # Between an array and a dataclass, a mapping is the dataclass.
         of_mapping = [one for one in inner if is_dataclass(one) == isinstance(value, Mapping)]
         return decode((of_mapping or inner)[0], value, arrays)
     if origin is np.ndarray:
@@ -130,7 +130,7 @@ def _hints(kind: type) -> dict[str, Any]:
 
 @cache
 def _plain_fields(kind: type) -> frozenset[str]:
-    """The fields of a dataclass that are what JSON holds."""
+    """The fields of a dataclass whose values JSON can hold directly."""
     return frozenset(name for name, hint in _hints(kind).items() if _is_plain(hint))
 
 

@@ -1,14 +1,13 @@
-"""P(label is 1 | transition, type, message set): all that a solver knows of the users.
+"""P(label is 1 | transition, type, message set): everything that a solver knows about users.
 
-A label is what a user thinks; it is what costs are made of. What the user answers may differ, by
-slips, guesses and errors (:mod:`xplain.explanation.habits`); it is what beliefs are made of.
-Where the two differ a table holds both.
+A label is what a user thinks; costs depend on it. The user's answer may differ from it by slips,
+guesses and errors (:mod:`xplain.explanation.habits`); beliefs depend on it. If the two differ, a
+table has both.
 
-Only those messages matter to a user that change this user's labels on the trace: messages about
-facts believed incorrectly, or messages that the type's labeler looks at. So a table stores each
-type's probabilities by the messages relevant to that type, and N types of r relevant messages need
-m · 2^r · N numbers, however many messages there are. A dense table is the case where every message
-is relevant to every type.
+Relevant to a user are only messages that change this user's labels on the trace: messages about
+facts believed incorrectly, or messages that the type's labeler tests. So a table stores each type's
+probabilities by its relevant messages. N types with r relevant messages need m · 2^r · N numbers,
+for any number of messages. In a dense table every message is relevant to every type.
 """
 
 from __future__ import annotations
@@ -23,13 +22,14 @@ from numpy.typing import ArrayLike, NDArray
 from xplain.errors import InputError, TooLargeError
 
 MAX_MESSAGES = 62
-"""A message set is a signed integer of 64 bits."""
+"""Maximum number of messages; a message set is a signed 64-bit integer."""
 MAX_RELEVANT = 20
-"""Messages that a table is over: it holds 2^20 entries a transition and type at most."""
+"""Maximum number of relevant messages; a table has up to 2^20 entries for each transition and
+type."""
 DENSE = 12
-"""Up to so many messages a table is dense: small all the same, and quicker to work with."""
+"""Up to this number of messages a table is dense: still small, and faster."""
 NONE = -1
-"""In ``relevant``: no message. Pads stand last in a row."""
+"""The entry of ``relevant`` for "no message". Such pads are at the end of a row."""
 
 Rows = Sequence[Sequence[int]]
 Change = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -37,13 +37,13 @@ Change = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class LabelTable:
-    """N types, m transitions. Made by :meth:`dense` and :meth:`by_type`.
+    """A table for N types and m transitions. Use :meth:`dense` or :meth:`by_type`.
 
     Attributes:
-        relevant: [N, r] int64, the messages relevant to a type, ascending, padded with NONE.
+        relevant: [N, r] int64 messages relevant to a type, ascending, padded with NONE.
         p: [m, 2^r, N] float64, C-contiguous, P(label is 1); bit j of the middle axis is message
-            ``relevant[t, j]``, and where that is a pad it changes nothing.
-        answers: [m, 2^r, N] P(answer is 1); empty where users answer what they think.
+            ``relevant[t, j]``; the bit of a pad has no effect.
+        answers: [m, 2^r, N] P(answer is 1); empty if users answer what they think.
     """
 
     relevant: NDArray[np.int64]
@@ -51,27 +51,28 @@ class LabelTable:
     answers: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def __post_init__(self) -> None:
-        """One layout, whatever the table was taken from: kernels are compiled for it alone."""
+        """Makes one memory layout, because kernels are compiled for it alone."""
         for name in ("relevant", "p", "answers"):
             array = np.require(getattr(self, name), requirements=["C", "W"])
             object.__setattr__(self, name, array)
 
     @property
     def answered(self) -> NDArray[np.float64]:
-        """[m, 2^r, N] P(answer is 1): the very array ``p`` where users answer what they think."""
+        """[m, 2^r, N] P(answer is 1); the same array as ``p`` if users answer what they think."""
         return self.answers if self.answers.size else self.p
 
     def _changed(self, relevant: NDArray[np.int64], change: Change) -> LabelTable:
-        """The table with another ``relevant``, after the same change of both of its arrays."""
+        """A table with another ``relevant``, and the same change of both arrays."""
         answers = change(self.answers) if self.answers.size else self.answers
         return LabelTable(relevant, change(self.p), answers)
 
     @classmethod
     def dense(cls, table: ArrayLike, answers: ArrayLike | None = None) -> LabelTable:
-        """Of P(label is 1 | type, transition, message set), [N, m, 2^n], and of answers.
+        """Makes a table from P(label is 1 | type, transition, message set), [N, m, 2^n], and the
+        same for answers.
 
         Raises:
-            InputError: no such table, or one of more than MAX_RELEVANT messages.
+            InputError: an invalid table, or one of more than MAX_RELEVANT messages.
         """
         p = _table_array("p_explicable", table)
         relevant = np.tile(np.arange(p.shape[2].bit_length() - 1), (len(p), 1))
@@ -81,15 +82,15 @@ class LabelTable:
     def by_type(
         cls, relevant: ArrayLike, tables: ArrayLike, answers: ArrayLike | None = None
     ) -> LabelTable:
-        """Of tables that each type has over messages of its own.
+        """Makes a table from tables over each type's own messages.
 
         Args:
             relevant: [N, r] message indices in any order, −1 for none.
             tables: [N, m, 2^r]; bit j of the last axis is message ``relevant[t, j]``.
-            answers: of the same shape, P(answer is 1) where it differs.
+            answers: the same shape, P(answer is 1) if it differs.
 
         Raises:
-            InputError: indices that are no messages or named twice, or a table of another width.
+            InputError: invalid or repeated indices, or a table of another width.
         """
         p, indices = _table_array("p_relevant", tables), np.asarray(relevant)
         if (
@@ -112,10 +113,10 @@ class LabelTable:
         p: NDArray[np.float64],
         answers: ArrayLike | None,
     ) -> LabelTable:
-        """Of arrays as :meth:`by_type` has them.
+        """Makes a table from the arrays of :meth:`by_type`.
 
         Raises:
-            InputError: tables of other widths, of no probabilities, or a message named twice.
+            InputError: other widths, values that are no probabilities, or a repeated message.
         """
         width = relevant.shape[1]
         if width > MAX_RELEVANT:
@@ -132,9 +133,9 @@ class LabelTable:
                 raise InputError("relevant", row, "each message once a type")
         table = given._read_over(
             [sorted(row) for row in given.rows]
-        )  # in whatever order, pads anywhere
+        )  # in any order, with pads anywhere
         for name, own in ((key, table.p), ("p_answered", table.answers)):
-            if own.size and not (own.min() >= 0 and own.max() <= 1):  # NaN is neither
+            if own.size and not (own.min() >= 0 and own.max() <= 1):  # NaN fails both
                 wrong = own[~((own >= 0) & (own <= 1))]
                 raise InputError(name, float(wrong[0]), "probabilities in [0, 1]")
         return table
@@ -143,8 +144,8 @@ class LabelTable:
     def joined_types(
         cls, relevant: Sequence[ArrayLike], tables: Sequence[NDArray[np.float64]]
     ) -> LabelTable:
-        """Of types with different numbers of relevant messages: rows [r_t], ascending, and tables
-        [m, 2^r_t]."""
+        """Makes a table from types with different numbers of relevant messages: rows [r_t],
+        ascending, and tables [m, 2^r_t]."""
         rows = [np.asarray(row, dtype=np.int64).tolist() for row in relevant]
         width = max(map(len, rows))
         sets = np.arange(1 << width)
@@ -162,11 +163,12 @@ class LabelTable:
         return [[j for j in row if j != NONE] for row in self.relevant.tolist()]
 
     def is_dense(self, n: int) -> bool:
-        """Whether each type looks at all of n messages: a row of ``p`` is a message set."""
+        """True if each of n messages is relevant to each type: a row of ``p`` is then a message
+        set."""
         return self.relevant.shape[1] == n and bool((self.relevant == np.arange(n)).all())
 
     def effective(self) -> list[tuple[int, ...]]:
-        """For each type the messages that do change some label, ascending."""
+        """For each type, the messages that change some label, ascending."""
         return self._effective
 
     @cached_property
@@ -183,28 +185,28 @@ class LabelTable:
 
     @property
     def _both(self) -> NDArray[np.float64]:
-        """[m or 2 m, 2^r, N] labels and, where they differ, answers."""
+        """[m or 2 m, 2^r, N] labels and, if they differ, answers."""
         return np.concatenate([self.p, self.answers]) if self.answers.size else self.p
 
     def subset(self, given: int) -> NDArray[np.int64]:
-        """[N] where each type's entry for H is."""
+        """[N] index of each type's entry for H."""
         messages, bits = self._bits
         where: NDArray[np.int64] = ((given >> messages & 1) * bits).sum(axis=-1)
         return where
 
     @cached_property
     def _bits(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """[N, r] the relevant messages, and what each adds to an entry's number; 0 and 0 of pads:
-        an entry is looked up at every step of every explanation."""
+        """[N, r] the relevant messages, and the number that each adds to an entry's index; 0 and 0
+        for pads. Cached, because every step of every explanation looks up an entry."""
         bits = (self.relevant != NONE) << np.arange(self.relevant.shape[1])
         return np.maximum(self.relevant, 0), bits
 
     def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
-        """[N, count] P(label 1) of the first so many transitions, with message set H given."""
+        """[N, count] P(label 1) of the first ``count`` transitions, given message set H."""
         return self._of_set(self.p, count, given)
 
     def answer_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
-        """[N, count] P(answer 1) of the first so many transitions, with message set H given."""
+        """[N, count] P(answer 1) of the first ``count`` transitions, given message set H."""
         return self._of_set(self.answered, count, given)
 
     def _of_set(self, p: NDArray[np.float64], count: int, given: int) -> NDArray[np.float64]:
@@ -212,7 +214,7 @@ class LabelTable:
         return np.ascontiguousarray(own.T)
 
     def over(self, rows: Rows) -> LabelTable:
-        """The table over these messages of each type, ascending; the others are never given.
+        """The table over these messages of each type, ascending; other messages are never given.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages of a type.
@@ -252,38 +254,39 @@ class LabelTable:
         return self.over([range(n)] * self.n_types).p.transpose(2, 0, 1)
 
     def compact(self, n: int) -> LabelTable:
-        """As tables are kept: dense where messages are few, else over what changes some label."""
+        """The form in which tables are stored: dense for few messages, otherwise over messages that
+        change a label."""
         return self.over([range(n)] * self.n_types if n <= DENSE else self.effective())
 
     def of_types(self, types: Sequence[int]) -> LabelTable:
-        """Some of the types."""
+        """Selects types."""
         return self._changed(self.relevant[list(types)], lambda p: p[:, :, list(types)])
 
     def of_steps(self, steps: Sequence[int]) -> LabelTable:
-        """Selects some of the transitions, in this order."""
+        """Selects transitions, in this order."""
         return self._changed(self.relevant, lambda p: p[list(steps)])
 
     def repeated(self, times: int) -> LabelTable:
-        """Each type so many times, one after the other."""
+        """Repeats each type ``times`` times; the copies are neighbours."""
         return self._changed(
             self.relevant.repeat(times, axis=0), lambda p: p.repeat(times, axis=-1)
         )
 
     def mixed(self, weights: NDArray[np.float64]) -> LabelTable:
-        """One type in the place of all, drawn by ``weights`` [N] anew for every label. It answers
-        what it thinks: of one type answers teach nothing.
+        """Replaces all types by one, which is drawn by ``weights`` [N] again for every label. It
+        answers what it thinks, because answers of a single type give no information.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
         """
         together = self.over([self.effective_of_any()] * self.n_types)
-        # Weights may sum to a hair more than 1.
+        # Weights may exceed a sum of 1 by rounding errors.
         p = (together.p * weights).sum(axis=-1, keepdims=True).clip(0, 1)
         return LabelTable(together.relevant[:1], p)
 
 
 def joined(parts: Sequence[LabelTable]) -> LabelTable:
-    """Tables of one trace's parts, one after the other.
+    """Concatenates tables of one trace's parts.
 
     Raises:
         TooLargeError: more than MAX_RELEVANT messages matter to one type.
@@ -298,7 +301,7 @@ def joined(parts: Sequence[LabelTable]) -> LabelTable:
 
 
 def stacked(parts: Sequence[LabelTable]) -> LabelTable:
-    """Tables of the same transitions, the types of one after those of the other."""
+    """Concatenates the types of tables about the same transitions."""
     rows = [row for part in parts for row in part.rows]
     tables = [part.p[:, :, t] for part in parts for t in range(part.n_types)]
     return LabelTable.joined_types(rows, tables)
@@ -312,7 +315,7 @@ def _padded(rows: Rows, width: int) -> NDArray[np.int64]:
 
 
 def _places(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.int64]:
-    """[2^width] where the entries of subsets of ``row`` are in a table over ``old``."""
+    """[2^width] indices of the subsets of ``row`` in a table over ``old``."""
     sets = np.arange(1 << width)
     where = np.zeros_like(sets)
     for i, j in enumerate(row):
@@ -322,10 +325,10 @@ def _places(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.in
 
 
 def _table_array(key: str, value: ArrayLike) -> NDArray[np.float64]:
-    """A table [types, steps, entries].
+    """Checks a table [types, steps, entries].
 
     Raises:
-        InputError: it is none.
+        InputError: it has another shape.
     """
     try:
         p = np.asarray(value, dtype=np.float64)
@@ -346,5 +349,5 @@ def _effective_bits(p: NDArray[np.float64]) -> tuple[int, ...]:
         if alone[j] or (pairs[:, :, 0] != pairs[:, :, 1]).any():
             effective.append(j)
         else:
-            p = pairs[:, :, 0].reshape(len(p), p.shape[1] >> 1, p.shape[2])  # half is left
+            p = pairs[:, :, 0].reshape(len(p), p.shape[1] >> 1, p.shape[2])  # half remains
     return tuple(reversed(effective))

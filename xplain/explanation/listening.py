@@ -1,10 +1,11 @@
-"""How people listen and answer, learned from explanations that they were given, or from whatever
-else was said to them and asked again.
+"""How people listen and answer, learned from explanations, or from any other messages with
+questions before and after them.
 
-Each explanation tells, by the exact filter over (type, habits, knowledge), how likely each habit is
-to be that of the person: who labels as before a message missed it, who falls back forgot. How
-common each habit is among people is the mode of its posterior: a Dirichlet prior around the
-documented shares, everybody's habit hidden (EM; the objective is concave, so it ends at the mode).
+An exact filter over (type, habits, knowledge) computes the posterior of a person's habits from an
+explanation: a person whose labels do not change after a message missed it; one whose labels change
+back forgot. The frequencies of habits among people are the mode of their posterior: the prior is
+Dirichlet around the documented shares, and each person's habit is hidden (EM; the objective is
+concave, so it ends at the mode).
 """
 
 from __future__ import annotations
@@ -23,25 +24,25 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
 PRIOR_PEOPLE = 5.0
-"""The documented shares count as so many people."""
+"""The documented shares count as this number of people."""
 PRECISE = 1e-9
 
 
 class Listener(Protocol):
-    """Somebody who was told something, and answered."""
+    """A person who received messages and answered."""
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
-        """[F] how likely each habit is to be theirs."""
+        """[F] posterior of their habit."""
 
 
 @dataclass(frozen=True)
 class Explained:
-    """One explanation, as far as it went.
+    """One explanation so far.
 
     Attributes:
-        problem: of its trace and the user types; habits that it has are not looked at.
-        said: by step, bitmask of the messages said before it, for the first time or again.
-        answers: by step, the labels of the first k + 1 transitions.
+        problem: problem of its trace and the user types; its own habits are not used.
+        said: for each step, a bitmask of the messages given before it, new or repeated.
+        answers: for each step, the labels of the first k + 1 transitions.
     """
 
     problem: Problem
@@ -49,8 +50,8 @@ class Explained:
     answers: Sequence[NDArray[np.uint8]]
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
-        """[F] how likely each habit is to be that of the person, by their answers. Where people may
-        forget, every label is news (:func:`xplain.interaction.dialogue.advance`)."""
+        """[F] posterior of the person's habit, given their answers. If people may forget, every
+        label is evidence (:func:`xplain.interaction.dialogue.advance`)."""
         problem = _of_the_paper(self.problem).with_habits(habits)
         belief, given = problem.start, 0
         for new, labels in zip(self.said, self.answers, strict=False):
@@ -65,13 +66,13 @@ def learned_habits(people: Sequence[Listener], grid: Habits | None = None) -> Ha
     """The habits of the next person.
 
     Args:
-        people: whose answers are known.
-        grid: habits that people may have, with their documented shares; None takes those of
-            ``xplain.explanation.habits.UNKNOWN``. Rates between two of them are shared out between
-            both, rates beyond the last are taken for the last.
+        people: people with known answers.
+        grid: possible habits with their documented shares; None takes those of
+            ``xplain.explanation.habits.UNKNOWN``. A rate between two of them counts partly for
+            both; a rate beyond the last counts for the last.
 
     Raises:
-        InputError: there is nobody.
+        InputError: no people.
     """
     if not people:
         raise InputError("people", 0, "at least one who was told something and answered")
@@ -88,7 +89,7 @@ def learned_habits(people: Sequence[Listener], grid: Habits | None = None) -> Ha
 
 
 def _of_the_paper(problem: Problem) -> Problem:
-    """The types that were found, as people without failings."""
+    """The found types, without errors, misses and forgetting."""
     found = np.flatnonzero(problem.as_found)
     types, first = np.unique(problem.whose[found], return_index=True)
     table = problem.table.of_types(found[first].tolist())

@@ -1,6 +1,6 @@
-"""Message sets: an integer bitmask inside, a sorted tuple of names at every border.
+"""Message sets: an integer bitmask inside, a sorted tuple of names in all interfaces.
 
-Bit j of a mask stands for message j (in the order of the domain's parameters).
+Bit j of a mask is message j (in the order of the domain's parameters).
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ def mask_of(names: Iterable[str], messages: Sequence[str], key: str = "messages"
 
 
 def bits_of(masks: NDArray[np.int64], count: int) -> NDArray[np.uint8]:
-    """Masks [P] as bits [P, count]."""
+    """[P, count] bits of masks [P]."""
     return ((masks[:, None] >> np.arange(count)) & 1).astype(np.uint8)
 
 
 def indices(mask: int) -> list[int]:
-    """The positions of the bits set in a mask, ascending."""
+    """The positions of a mask's bits that are 1, ascending."""
     return [j for j in range(mask.bit_length()) if mask >> j & 1]
 
 
 def subsets(messages: Iterable[int]) -> NDArray[np.int64]:
-    """The masks of all subsets of some messages, ascending where these are."""
+    """The masks of all subsets of some messages; ascending if the messages are."""
     masks = np.zeros(1, dtype=np.int64)
     for j in messages:
         masks = np.concatenate([masks, masks | 1 << j])

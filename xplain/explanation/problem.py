@@ -1,4 +1,4 @@
-"""The explanation problem of one trace: all that a solver needs to know (docs/method.md §5).
+"""The explanation problem of one trace: everything that a solver needs (docs/method.md §5).
 
 The literal POMDP has states ⟨k, L, E_given, E_next, t⟩. Labels are drawn independently each step,
 so (k, H, belief) with H = E_given ∪ E_next is a sufficient state, and one table of label
@@ -29,14 +29,14 @@ COST = Range(0)
 class Problem:
     """One trace of m transitions, n messages, N hidden types.
 
-    A hidden type is a user type or, where habits differ or users fail, a user type with a habit
-    (:meth:`with_habits`): then M user types with F habits are N = M F hidden types. Beliefs are
-    over the hidden types, [N]; where messages may be missed or forgotten, over what each knows as
-    well, [rows · N], a row being a set of facts relevant to the type.
+    A hidden type is a user type or, if habits differ or users err, a user type with a habit
+    (:meth:`with_habits`). M user types with F habits are then N = M F hidden types. Beliefs are
+    over the hidden types, [N]. If messages may be missed or forgotten, they are over each type's
+    knowledge as well, [rows · N]; a row is a set of facts relevant to the type.
 
     Attributes:
-        table: P(label of transition i is 1 | type t, message set H); given as an array
-            [N, m, 2^n], it becomes a dense :class:`LabelTable`.
+        table: P(label of transition i is 1 | type t, message set H); an array [N, m, 2^n] becomes a
+            dense :class:`LabelTable`.
         message_cost: [n] float64 ≥ 0, C_e of each message (undiscounted, before λ).
         inexplicability_cost: C_inexp ≥ 0 of each label 0.
         trade_off: λ ≥ 0.
@@ -44,15 +44,15 @@ class Problem:
         prior: [N] float64, sums to 1.
         discount_per: "action" (the paper: each message and each *explain* discounts) or "step"
             (only *explain* does).
-        message_names, type_names: for people; n and M names.
-        habits: the F habits, side by side within a user type. The table's answers have their
-            errors already.
-        questions: that may be asked, of the same hidden types; none in the paper.
-        whose: [N] the user type of each hidden type; by default F in a row are of one.
-        as_found: [N] whether a hidden type is a user type that was found, listening and answering
-            as assumed; by default all are.
-        copies: [m] for each transition the first one equal to it: people who repeat themselves
-            say and err alike about copies. By default no two are equal.
+        message_names, type_names: n and M readable names.
+        habits: the F habits; those of one user type are neighbours. The table's answers already
+            include their errors.
+        questions: possible questions, for the same hidden types; none in the paper.
+        whose: [N] user type of each hidden type; by default F neighbours have one.
+        as_found: [N] True if a hidden type is a found user type with the assumed habits; by default
+            all are.
+        copies: [m] index of the first transition equal to each: people who repeat themselves give
+            equal labels and errors to copies. By default no two are equal.
     """
 
     table: LabelTable
@@ -71,13 +71,13 @@ class Problem:
     as_found: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
 
     def __post_init__(self) -> None:
-        """Checks every field: one clear line each."""
+        """Checks every field; each error is one line."""
         given: Any = self.table
         table = given if isinstance(given, LabelTable) else LabelTable.dense(given)
         types, steps = table.n_types, len(table.p)
         if steps < 1:
             raise InputError("p_explicable", table.p.shape, "at least one transition")
-        # A table by type does not say how many messages there are.
+        # A table by type does not have the number of messages.
         count = (len(self.message_names) or None) if given is table else table.relevant.shape[1]
         cost = each_cost(self.message_cost, count)
         n = len(cost)
@@ -140,7 +140,7 @@ class Problem:
 
     @property
     def n_steps(self) -> int:
-        """m, the transitions of the trace; the horizon in *explain* actions."""
+        """m, the number of transitions, which is the horizon in *explain* actions."""
         return len(self.table.p)
 
     @property
@@ -151,13 +151,13 @@ class Problem:
     @cached_property
     def messages_with_effect(self) -> tuple[int, ...]:
         """The messages that change some label of the trace, or some answer to a question, of some
-        hidden type, ascending: those worth an action."""
+        hidden type, ascending. Only these are useful actions."""
         tables = self.table, self.questions.table
         return tuple(sorted({j for table in tables for j in table.effective_of_any()}))
 
     @property
     def p_explicable(self) -> NDArray[np.float64]:
-        """[N, m, 2^n] P(label is 1 | type, transition, message set), of all message sets.
+        """[N, m, 2^n] P(label is 1 | type, transition, message set).
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages.
@@ -167,7 +167,7 @@ class Problem:
         return table
 
     def type_belief(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[M] over user types, of a belief [N] over hidden types."""
+        """[M] belief over user types, from a belief [N] over hidden types."""
         if not self.messages_land:
             belief = belief.reshape(-1, self.n_types).sum(axis=0)
         if self.n_user_types == self.n_types:
@@ -175,21 +175,21 @@ class Problem:
         return np.asarray(np.bincount(self.whose, belief, self.n_user_types), np.float64)
 
     def fit(self, belief: NDArray[np.float64]) -> float:
-        """The share of a belief over hidden states in user types that were found, listening and
-        answering as assumed."""
+        """The probability, in a belief over hidden states, of found user types with the assumed
+        habits."""
         return float(belief.reshape(-1, self.n_types)[:, self.as_found].sum())
 
     @property
     def messages_land(self) -> bool:
-        """Whether every message said is a fact known from then on, as in the paper. If not, beliefs
-        also cover what users know."""
+        """True if every given message is a known fact from then on, as in the paper. Otherwise
+        beliefs also cover users' knowledge."""
         return self.habits.take_all_in
 
     @property
     def message_discount(self) -> float:
-        """γ', by which a message discounts: γ where every action does (the paper), 1 where only
-        *explain* does. It is 1 where messages may be missed or forgotten, too: a message may then
-        be said again, and delay would pay for ever."""
+        """γ', the discount of a message: γ if every action discounts (the paper), 1 if only
+        *explain* does. It is also 1 if messages may be missed or forgotten: a message can then be
+        repeated, and delay would always gain."""
         return self.discount if self.discount_per == "action" and self.messages_land else 1.0
 
     @property
@@ -198,11 +198,11 @@ class Problem:
         return self.trade_off * self.message_cost
 
     def may_give(self, given: int) -> int:
-        """Bitmask of the messages that may come after these."""
+        """Bitmask of the messages that may still be given."""
         return (1 << self.n_messages) - 1 & ~(given if self.messages_land else 0)
 
     def communication(self, said: Iterable[int]) -> float:
-        """Σ C_e of all messages said, of bitmasks in order."""
+        """Σ C_e of all given messages, from bitmasks in order."""
         return float(sum(self.message_cost[indices(new)].sum() for new in said))
 
     @property
@@ -217,7 +217,7 @@ class Problem:
 
     @property
     def start(self) -> NDArray[np.float64]:
-        """The belief before the first step: the prior, and nobody knows anything."""
+        """The belief before the first step: the prior, with no known facts."""
         if self.messages_land:
             return self.prior.copy()
         belief = np.zeros((self.table.p.shape[1], self.n_types))
@@ -225,24 +225,25 @@ class Problem:
         return belief.ravel()
 
     def sure(self, hidden_type: int, known: int) -> NDArray[np.float64]:
-        """The belief of who sees a user's hidden type and, as a bitmask, the facts they have."""
+        """The belief of an agent who knows a user's hidden type and, as a bitmask, the user's known
+        facts."""
         belief = np.zeros((self.table.p.shape[1], self.n_types))
         belief[self.table.subset(known)[hidden_type], hidden_type] = 1
         return belief.ravel() if not self.messages_land else belief.sum(axis=0)
 
     def with_habits(self, habits: Habits) -> Problem:
-        """The problem where users have one of these habits, independent of their types.
+        """The problem of users with one of these habits, independent of their types.
 
         Raises:
-            TooLargeError: what users may know takes too many rows.
+            TooLargeError: users' knowledge needs too many rows.
         """
         if habits.never_err and habits.take_all_in:
             return self
         table = _erring(self.table, habits)
         asking = replace(self.questions, table=_erring(self.questions.table, habits))
         if not habits.take_all_in:
-            # A row is what somebody knows: of facts that change nothing it does not matter who
-            # does. Labels and answers to questions come of the same knowledge.
+            # A row is a user's knowledge. Knowledge of facts without effect does not matter.
+            # Labels and answers to questions depend on the same knowledge.
             whole = joined([table, asking.table])
             whole = whole.over(whole.effective())
             table = whole.of_steps(range(self.n_steps))
@@ -260,7 +261,7 @@ class Problem:
         )
 
     def with_types(self, table: LabelTable, type_names: tuple[str, ...]) -> Problem:
-        """The same trace and costs with other user types, equally likely a priori."""
+        """The same trace and costs with other user types, with equal prior probabilities."""
         count = len(type_names)
         prior = np.full(count, 1 / count)
         return replace(
@@ -275,8 +276,8 @@ class Problem:
         )
 
     def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:
-        """The same trace and costs with one type. Each of its labels has the probability that it
-        has for a user drawn from the types by ``weights`` [N]; labels are independent.
+        """The same trace and costs with one type. Each of its labels has the probability for a user
+        drawn from the types by ``weights`` [N]; labels are independent.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
@@ -285,7 +286,7 @@ class Problem:
 
 
 def _erring(table: LabelTable, habits: Habits) -> LabelTable:
-    """A table of users with these habits, side by side within a type."""
+    """A table of users with these habits; those of one type are neighbours."""
     erring = table.repeated(len(habits))
     if habits.never_err:
         return erring
@@ -304,19 +305,19 @@ def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
-    """[N] a prior; of none all types are as likely."""
+    """[N] a prior; uniform if it is empty."""
     prior = np.asarray(given)
     prior = np.full(types, 1 / types) if prior.size == 0 else numbers("prior", prior)
     if prior.shape != (types,) or (prior < 0).any() or abs(prior.sum() - 1) > 1e-6:
         raise InputError("prior", prior.tolist(), f"{types} probabilities that sum to 1")
-    # A prior that sums to 1 but for rounding stays to the last bit, however often a problem is
-    # made of another: decisions and replays must not depend on it.
+    # A prior whose sum is 1 up to rounding stays unchanged when problems are made from it:
+    # decisions and replays must not depend on that.
     return prior / prior.sum() if abs(prior.sum() - 1) > 1e-12 else prior
 
 
 def each_cost(given: ArrayLike, count: int | None) -> NDArray[np.float64]:
-    """[n] the costs of so many messages, of one for all or one for each; where nobody says how many
-    there are, of as many as costs. Read-only."""
+    """[n] read-only costs of messages, from one for all or one for each; with an unknown ``count``,
+    n is the number of given costs."""
     cost = numbers("message_cost", given)
     if cost.ndim == 0 and count is not None:
         cost = np.full(count, float(cost))
@@ -329,7 +330,7 @@ def each_cost(given: ArrayLike, count: int | None) -> NDArray[np.float64]:
 
 
 def named(key: str, given: Sequence[str], count: int, kind: str) -> tuple[str, ...]:
-    """So many names; numbered where there are none."""
+    """Exactly ``count`` names; numbered names if none are given."""
     names = tuple(given) or tuple(f"{kind}_{i}" for i in range(count))
     if len(names) != count:
         raise InputError(key, names, f"{count} names")

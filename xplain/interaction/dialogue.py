@@ -1,7 +1,7 @@
-"""A dialogue: the events of one explanation, and what follows from them.
+"""A dialogue: the events of one explanation, and the state that follows from them.
 
-Belief and visible state are a fold of the events, so a dialogue is taken up again from its events
-alone, wherever it stood. The experiments, the study and the sessions that people embed run this.
+Belief and visible state are a fold of the events, so a dialogue can be restored from its events
+alone. Experiments, the study and embedded sessions all use it.
 """
 
 from __future__ import annotations
@@ -22,29 +22,30 @@ from xplain.solvers.base import Policy
 
 
 class Asked(NamedTuple):
-    """A question was put, by its number."""
+    """A question was asked, by its number."""
 
     question: int
 
 
 class Answered(NamedTuple):
-    """The answer to it, 0 or 1."""
+    """The question was answered, 0 or 1."""
 
     answer: int
 
 
 class Given(NamedTuple):
-    """The messages of a step (a bitmask; 0 for none) were decided, and are given."""
+    """The messages of a step (a bitmask; 0 for none) were decided and given."""
 
     messages: int
 
 
 class Told(NamedTuple):
-    """Whoever shows the explanation was told of these messages."""
+    """The calling program received these messages."""
 
 
 class Labelled(NamedTuple):
-    """*Explain* showed one transition more; these are the user's labels of all shown."""
+    """*Explain* showed one more transition; these are the user's labels of all shown
+    transitions."""
 
     labels: tuple[int, ...]
 
@@ -53,16 +54,16 @@ Event = Asked | Answered | Given | Told | Labelled
 
 
 class DialogueState(NamedTuple):
-    """Where a dialogue stands.
+    """The state of a dialogue.
 
     Attributes:
         visible: step, messages and questions.
-        belief: [S] over what is hidden.
-        open: the question that is not answered yet; None for none.
-        new: bitmask of the messages given whose step is not labelled yet; None before them.
-        told: whether anybody was told of these.
-        repeats: whether users who repeat themselves would label what they labelled last as then.
-        clips: bitmask of the questions asked since news came last, whose answers are labels.
+        belief: [S] over hidden states.
+        open: the unanswered question; None for none.
+        new: bitmask of the messages given before the next labels; None before the decision.
+        told: True if the calling program received these messages.
+        repeats: True if users who repeat themselves would repeat their last labels.
+        clips: bitmask of the questions since the last message; their answers are labels.
     """
 
     visible: VisibleState
@@ -108,14 +109,14 @@ def advance(
                 new=messages,
                 told=False,
             )
-            # Who heard something new is asked something new.
+            # After a new message, a repeated question is a new question.
             return given._replace(repeats=False, clips=0) if messages else given
         case Told():
             return state._replace(told=True)
         case Labelled(labels):
             heard = np.array(labels, np.uint8)
             evidence = slice(None) if belief_update.fresh_labels else _news(problem, state, heard)
-            # So is who may have forgotten something.
+            # The same holds if people may have forgotten something.
             forgets = bool(problem.habits.forget.any())
             return DialogueState(
                 visible._replace(step=len(labels)),
@@ -126,27 +127,27 @@ def advance(
 
 
 def _news(problem: Problem, state: DialogueState, labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """[k + 1] which of the labels just given are evidence where people repeat themselves: not those
-    given before, since messages came last, and of equal transitions only the first one's."""
+    """[k + 1] True for new labels that are evidence if people repeat themselves: labels not given
+    since the last message, and only the first one of equal transitions."""
     count = len(labels)
     news: NDArray[np.bool_] = problem.copies[:count] == np.arange(count)
     if state.repeats:
         news[:-1] = False
-    shows = problem.questions.shows[indices(state.clips), :count]  # perhaps no columns
+    shows = problem.questions.shows[indices(state.clips), :count]  # possibly without columns
     news[: shows.shape[1]] &= ~shows.any(axis=0)
     return news
 
 
 @dataclass
 class Dialogue:
-    """One trace being explained (docs/method.md, section 5), by masks and arrays.
+    """The explanation of one trace (docs/method.md, section 5), in masks and arrays.
 
     Attributes:
-        problem: what the agent believes of users.
+        problem: the agent's model of users.
         policy: planned for that problem.
-        belief_update: which labels change the belief.
-        events: what happened, in order.
-        state: what follows from them.
+        belief_update: the labels that change the belief.
+        events: the events, in order.
+        state: the state that follows from them.
     """
 
     problem: Problem
@@ -161,18 +162,17 @@ class Dialogue:
         self.hear(*events)
 
     def hear(self, *events: Event) -> None:
-        """These events happened.
+        """Adds events.
 
         Raises:
-            ValueError: as :func:`advance`.
+            ValueError: see :func:`advance`.
         """
         for event in events:
             self.state = advance(self.problem, self.belief_update, self.state, event)
             self.events.append(event)
 
     def before_last_decision(self) -> tuple[Dialogue, Event] | None:
-        """The dialogue as it stood when something was decided last, and what was; None where
-        nothing was."""
+        """The dialogue before the last decision, and that decision; None without a decision."""
         decided = [i for i, e in enumerate(self.events) if isinstance(e, Asked | Given)]
         if not decided:
             return None
@@ -182,7 +182,8 @@ class Dialogue:
 
     @property
     def visible(self) -> VisibleState:
-        """What the policy sees: questions whose answers were heard as labels count as asked."""
+        """The state that the policy sees. Questions whose answers are known from labels count as
+        asked."""
         state, shows = self.state, self.problem.questions.shows
         if not state.repeats or self.belief_update.fresh_labels:
             return state.visible
@@ -190,19 +191,19 @@ class Dialogue:
         return state.visible._replace(asked=state.visible.asked | bitmask(heard.tolist()))
 
     def decide(self, asking: bool = True) -> Action:
-        """What the policy does now; without asking, whatever it would ask."""
+        """The policy's next action; ``asking=False`` excludes questions."""
         visible = self.visible
         if not asking:
             visible = visible._replace(asked=(1 << len(self.problem.questions)) - 1)
         return self.policy.decide(visible, self.state.belief)
 
     def values(self) -> Mapping[Action, float]:
-        """The values behind it."""
+        """The values of the possible actions."""
         return self.policy.values(self.visible, self.state.belief)
 
 
 def all_given(events: Iterable[Event]) -> list[int]:
-    """The messages of each step, bitmasks."""
+    """The messages of each step, as bitmasks."""
     return [event.messages for event in events if isinstance(event, Given)]
 
 

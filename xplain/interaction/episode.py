@@ -1,7 +1,5 @@
-"""One interaction: a policy explains a trace, step by step, to a user who answers.
-
-docs/method.md, sections 5 and 7.
-"""
+"""One interaction: a policy explains a trace, step by step, to a user who answers (docs/method.md,
+sections 5 and 7)."""
 
 from __future__ import annotations
 
@@ -20,21 +18,20 @@ from xplain.solvers.base import CachedPolicy, Policy, messages_of
 
 @dataclass(frozen=True)
 class Episode:
-    """What happened while one trace of m transitions was explained.
+    """The record of one explanation of a trace with m transitions.
 
     Attributes:
-        messages: [m] int64, the messages (bitmask) said before each *explain*.
-        labels: [m, m] int8, row k the answers given at step k; −1 right of the diagonal.
-        thoughts: [m, m] int8, row k the labels that the user truly holds; costs are by these.
+        messages: [m] int64, messages (bitmask) given before each *explain*.
+        labels: [m, m] int8, row k has the answers at step k; −1 right of the diagonal.
+        thoughts: [m, m] int8, row k has the user's true labels; costs depend on these.
         beliefs: [m + 1, M] over user types, before the first step and after each.
-        seconds: [m], time the policy took to decide on questions and messages, when it was first
-            asked that.
+        seconds: [m] time of the policy's first decision on questions and messages of each step.
         communication: Σ C_e of all messages given (not multiplied by λ).
         inexplicability: Σ C_inexp over every transition found inexplicable at every step.
-        cost: Definition 2, λ · communication + inexplicability, undiscounted; and ``asking``.
+        cost: Definition 2, λ · communication + inexplicability, undiscounted; plus ``asking``.
         asking: κ of every question.
-        fit: P(the user is of a found type, as assumed) in the end.
-        questions: [J, 3] the step at which each was asked, its number, and the answer.
+        fit: final P(the user has a found type with the assumed habits).
+        questions: [J, 3] step, number and answer of each question.
     """
 
     messages: NDArray[np.int64]
@@ -56,12 +53,12 @@ class Episode:
 
     @property
     def n_messages(self) -> int:
-        """Number of messages said over all steps, again or for the first time."""
+        """Number of messages given over all steps, including repeated ones."""
         return sum(int(mask).bit_count() for mask in self.messages)
 
     @property
     def n_again(self) -> int:
-        """How many of them had been said before."""
+        """Number of repeated messages."""
         return self.n_messages - int(np.bitwise_or.reduce(self.messages)).bit_count()
 
     @property
@@ -80,15 +77,15 @@ def explain(
     """Explains the whole trace of ``problem`` to ``user``.
 
     Args:
-        problem: what the agent believes of users; its costs are those that count.
+        problem: the agent's model of users; its costs are the ones that count.
         policy: planned for that problem; a cached one shares its decisions between users.
-        user: who reacts; new to the trace.
-        belief_update: which labels change the belief.
-        sees_knowledge: whether the agent sees what a user of known type has right now.
+        user: the person, who must be new to the trace.
+        belief_update: the labels that change the belief.
+        sees_knowledge: True if the agent sees the current knowledge of a user of known type.
 
     Raises:
-        InputError: the policy asks a question, and the user answers none.
-        ValueError: the policy gives a message again, or one that does not exist.
+        InputError: the policy asks a question, and the user does not answer questions.
+        ValueError: the policy repeats a message, or gives one that does not exist.
     """
     m = problem.n_steps
     asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)

@@ -1,9 +1,9 @@
-"""Simulated users of an explanation: as the paper assumes them, and as people are.
+"""Simulated users of an explanation: the paper's, and more realistic ones.
 
-An *explainee* is one kind of user. It makes a *person* for each trace and true type; the person
+An *explainee* is one kind of user. It makes a *person* for each trace and true type. The person
 receives messages, judges whether each shown transition makes sense, and answers. Costs count what
-they think. Their random choices come from a stream of their own, by transition, message and step,
-so that every solver meets the same person.
+they think. Their random choices come from a separate stream, by transition, message and step, so
+that every solver meets the same person.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from xplain.randomness import stream
 
 
 class Reaction(NamedTuple):
-    """To the first k + 1 transitions: 1 is explicable.
+    """The reaction to the first k + 1 transitions: 1 is explicable.
 
     Attributes:
-        thoughts: [k + 1] the labels that the person truly holds.
-        answers: [k + 1] the labels that the person gives.
+        thoughts: [k + 1] labels that the person thinks.
+        answers: [k + 1] labels that the person gives.
     """
 
     thoughts: NDArray[np.uint8]
@@ -39,25 +39,25 @@ class Reaction(NamedTuple):
 
 
 class Person(Protocol):
-    """Whoever a trace is explained to, once. A subclass of it has what it does not define."""
+    """A person in one explanation. Subclasses inherit what they do not define."""
 
     @property
     def knows(self) -> int | None:
-        """Bitmask of the corrected facts that they have right now; None for all that was said."""
+        """Bitmask of the corrected facts that they currently know; None for all given messages."""
         return None
 
     def hear(self, new: int) -> None:
-        """Messages (a bitmask) are said, for the first time or again."""
+        """Receives messages (a bitmask), new or repeated."""
 
     def react(self, given: int, count: int) -> Reaction:
-        """To the first ``count`` transitions, with the messages ``given`` so far. Asked once a
-        step, in order."""
+        """Reacts to the first ``count`` transitions, given the messages ``given`` so far. Called
+        once for each step, in order."""
 
     def answer(self, row: int, given: int) -> int:
-        """The answer 0 or 1 to a question, with the messages ``given`` so far.
+        """Answers a question with 0 or 1, given the messages ``given`` so far.
 
         Args:
-            row: of the person's labels, after those of the trace.
+            row: index among the person's labels, after those of the trace.
             given: bitmask of the messages.
 
         Raises:
@@ -67,77 +67,76 @@ class Person(Protocol):
 
 
 class Explainee(Protocol):
-    """A kind of user. A subclass of it has what it does not define.
+    """A kind of user. Subclasses inherit what they do not define.
 
     Attributes:
-        as_observed: whether they are of the observers' types; else of those of :meth:`others`.
+        as_observed: True if they have the observers' types, False for those of :meth:`others`.
     """
 
     as_observed: ClassVar[bool] = True
 
     @property
     def habits(self) -> Habits:
-        """How they listen and answer, as far as the clairvoyant may know it."""
+        """How they listen and answer, as the clairvoyant may know it."""
         return PAPER
 
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """Types that these users may be of. The experiment takes those that behave unlike the
-        observers'.
+        """Types of these users. The experiment takes those that behave unlike the observers' types.
 
         Args:
             domain: the task.
             observed: the observers' types.
-            rng: for types that are drawn.
+            rng: for random types.
         """
         return ()
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """What somebody new thinks of the transitions: by default the labels of their type. The
+        """What a new person thinks of the transitions, by default the labels of their type. The
         clairvoyant knows it.
 
         Args:
-            labels, same, seed: as :meth:`meet` has them.
+            labels, same, seed: see :meth:`meet`.
         """
         return labels
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """Somebody new; by default one who says what they think.
+        """Makes a new person, by default one who says what they think.
 
         Args:
-            labels: of one type, of zeros and ones: what the person thinks of m transitions, and
-                then of what they may be asked.
-            same: the first of all these that each is a copy of: a person thinks and errs alike
-                about copies.
-            seed: the person's.
+            labels: labels 0 and 1 of one type: what the person thinks of m transitions, followed by
+                the possible questions.
+            same: for each of these, the index of the first one that it is a copy of. A person gives
+                equal labels and errors to copies.
+            seed: the person's seed.
         """
         return SimulatedUser(self.thoughts(labels, same, seed))
 
 
 @dataclass(frozen=True)
 class SimulatedUser(Person):
-    """Believes each message at once and for ever, and answers by the true labels of one user type.
+    """Accepts each message at once and for ever, and answers by the true labels of one user type.
 
     Attributes:
-        table: of this type alone.
+        table: table of this type alone.
     """
 
     table: LabelTable
 
     @classmethod
     def of(cls, labels: ArrayLike) -> SimulatedUser:
-        """A user whose labels are given as an array [m, 2^n]."""
+        """A user with labels from an array [m, 2^n]."""
         return cls(LabelTable.dense(np.asarray(labels)[None]))
 
     def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
-        """The type's true labels [count] of the prefix, all of ``message_set`` known."""
+        """[count] the type's true labels of the prefix, if all of ``message_set`` is known."""
         truth = self.table.label_probabilities(count, message_set)[0]
         labels: NDArray[np.uint8] = truth.astype(np.uint8)
         return labels
 
     def hear(self, new: int) -> None:
-        """Nothing more than what ``given`` says."""
+        """Does nothing: :meth:`react` and :meth:`answer` get all messages in ``given``."""
 
     def react(self, given: int, count: int) -> Reaction:
         """See :class:`Person`."""
@@ -157,13 +156,13 @@ class Exact(Explainee):
 @checks("explainee")
 @dataclass(frozen=True)
 class Slips(Explainee):
-    """Users who think one thing and answer the other.
+    """Users whose answers may differ from what they think.
 
     Args:
-        rate: probability that an answer is the opposite of what the person thinks.
-        repeats: a person makes the same mistake whenever asked about a transition with the same
-            messages given; else each answer is drawn independently.
-        polite: probability that somebody who thinks 0 answers 1, where it is larger.
+        rate: probability that an answer is flipped.
+        repeats: True repeats an error whenever the transition and the messages are the same; False
+            draws each answer independently.
+        polite: probability of answer 1 if the person thinks 0, if larger than ``rate``.
         tires: added to ``rate`` at each step, up to one half.
     """
 
@@ -179,7 +178,7 @@ class Slips(Explainee):
 
 @dataclass
 class _Slipping(Person):
-    """``step`` counts the transitions shown."""
+    """``step`` counts the shown transitions."""
 
     user: SimulatedUser
     how: Slips
@@ -188,7 +187,7 @@ class _Slipping(Person):
     step: int = 0
 
     def hear(self, new: int) -> None:
-        """Nothing more than what ``given`` says."""
+        """Does nothing: :meth:`react` and :meth:`answer` get all messages in ``given``."""
 
     def react(self, given: int, count: int) -> Reaction:
         thoughts, self.step = self.user.labels(count, given), count
@@ -219,10 +218,10 @@ class _Slipping(Person):
 @checks("explainee")
 @dataclass(frozen=True)
 class Sticky(Explainee):
-    """Users who repeat their last answer without a thought.
+    """Users who sometimes repeat their last answer without thinking.
 
     Args:
-        rate: probability that an answer is that to the transition before.
+        rate: probability that an answer is that of the previous transition.
     """
 
     rate: Probability = 0.4
@@ -271,10 +270,10 @@ class Between(Explainee):
 @checks("explainee")
 @dataclass(frozen=True)
 class Misreads(Explainee):
-    """Users who take some messages for each other, for ever: each of them tells another's fact.
+    """Users who permanently confuse some messages: each of these has the effect of another.
 
     Args:
-        messages: how many are mixed up. One of them matters to the user, if any does.
+        messages: number of confused messages. One of them matters to the user, if any does.
     """
 
     messages: Annotated[int, Range(2)] = 2
@@ -298,10 +297,10 @@ class Misreads(Explainee):
 @checks("explainee")
 @dataclass(frozen=True)
 class LearnsUntold(Explainee):
-    """Users who find a fact out by themselves after it mattered.
+    """Users who discover a fact by themselves after it mattered.
 
     Args:
-        after: steps.
+        after: number of steps.
     """
 
     after: Count = 2
@@ -313,7 +312,7 @@ class LearnsUntold(Explainee):
 
 @dataclass(frozen=True)
 class _LearningUntold(SimulatedUser):
-    """``mattered`` has the step at which each message would have changed a label first."""
+    """``mattered`` has the first step at which each message would have changed a label."""
 
     after: int
     mattered: dict[int, int] = field(default_factory=dict)
@@ -334,11 +333,11 @@ class _LearningUntold(SimulatedUser):
 @checks("explainee")
 @dataclass(frozen=True)
 class Heedless(Explainee):
-    """Users who do not take every message in, or do not keep it.
+    """Users who may miss a message, or forget it.
 
     Args:
-        accept: probability that a message is taken in when it is given, > 0.
-        forget: probability, < 1, that a corrected fact is lost, at each step, after its labels.
+        accept: probability > 0 that a given message is accepted.
+        forget: probability < 1 that a corrected fact is forgotten, at each step, after its labels.
     """
 
     accept: Annotated[float, Range(0, 1, "(]")] = 0.8
@@ -356,7 +355,7 @@ class Heedless(Explainee):
 
 @dataclass
 class _Heedless(Person):
-    """``told`` counts how often each message was said."""
+    """``told`` counts how often each message was given."""
 
     user: SimulatedUser
     how: Heedless
@@ -399,7 +398,7 @@ class AllWrong(_Others):
 
 
 class Union(_Others):
-    """Users who believe incorrectly what either of two types does."""
+    """Users who believe incorrectly all facts of two types."""
 
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
@@ -413,17 +412,16 @@ class Union(_Others):
 
 
 TRIES = 40
-"""Sets of facts drawn."""
+"""Number of random sets of facts."""
 
 
 class Unseen(_Others):
-    """Users whose incorrect beliefs are a set that no observer had."""
+    """Users with a set of incorrect beliefs that no observer has."""
 
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """As :class:`Explainee` has it: sets drawn at random, of at most one fact more than a
-        type's."""
+        """See :class:`Explainee`: random sets with at most one fact more than a type's."""
         names = [parameter.name for parameter in domain.parameters]
         most = min(max(len(one.inaccurate) for one in observed) + 1, len(names))
         found: dict[tuple[str, ...], UserType] = {}
@@ -435,7 +433,8 @@ class Unseen(_Others):
 
 
 class Backlash(_Others):
-    """Users who believe a fact incorrectly as soon as they are told of it, if they had it right."""
+    """Users who believe a fact incorrectly after its message, if they believed it correctly
+    before."""
 
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator

@@ -1,4 +1,4 @@
-"""What people embed: an explainer for users of unknown type.
+"""The public explainer, for users of unknown type.
 
     types ── Explainer ── session(trace) ── messages() / observe(labels) ── … ── finished
 
@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 
 class Types(Protocol):
-    """What an explainer knows of users: N types, n messages.
+    """An explainer's model of users: N types, n messages.
 
     :class:`GivenTypes` takes plain arrays and functions; learned types are
     :class:`~xplain.learning.saved.LearnedTypes`.
@@ -49,11 +49,11 @@ class Types(Protocol):
 
     @property
     def prior(self) -> ArrayLike:
-        """[N] P(type) of a user not seen before; empty for all alike."""
+        """[N] P(type) of a new user; empty for a uniform prior."""
 
     @property
     def habits(self) -> Habits | None:
-        """How people listen and answer; None where nothing was learned of it."""
+        """How people listen and answer; None if not learned."""
 
     @property
     def wrong(self) -> tuple[int, ...] | None:
@@ -61,13 +61,13 @@ class Types(Protocol):
 
     @property
     def new(self) -> float:
-        """P(a user is of none of the types)."""
+        """P(a user has none of the types)."""
 
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
         """P(label is 1 | type, message set) of T ≥ 1 transitions."""
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
-        """The same of one type, who believes every fact incorrectly; None where unknown."""
+        """The same for one type that believes every fact incorrectly; None if unknown."""
 
 
 @dataclass(frozen=True)
@@ -75,16 +75,16 @@ class GivenTypes:
     """User types as a table or a function.
 
     Attributes:
-        table: [N, T, 2^n], a transition being its index among T; or a function from a list of
-            transitions (whatever they are) to such a table of them. With many messages a
-            ``LabelTable.by_type(relevant, tables)`` takes the place of the array.
+        table: [N, T, 2^n], where a transition is an index among T; or a function from a list of
+            transitions (of any kind) to such a table. For many messages a
+            ``LabelTable.by_type(relevant, tables)`` replaces the array.
         messages: n names.
         names: N names.
-        prior: [N]; empty for all alike.
-        habits: how they listen and answer, where that was learned.
-        wrong: N bitmasks of the facts that each type believes incorrectly, where they are known.
-        about_everything: like ``table``, of the one type who believes every fact incorrectly.
-        new: P(a user is of none of the types).
+        prior: [N]; empty for a uniform prior.
+        habits: how they listen and answer, if learned.
+        wrong: N bitmasks of the facts that each type believes incorrectly, if known.
+        about_everything: like ``table``, for one type that believes every fact incorrectly.
+        new: P(a user has none of the types).
     """
 
     table: ArrayLike | LabelTable | Callable[[Sequence[Any]], ArrayLike | LabelTable]
@@ -97,7 +97,8 @@ class GivenTypes:
     new: float = OPEN
 
     def __post_init__(self) -> None:
-        """Raises InputError for a table of other widths, or one of zeros."""
+        """Raises InputError for a table with other widths or only zeros, or for an incomplete
+        ``wrong``."""
         facts = self.wrong is None, self.about_everything is None
         if any(facts) != all(facts) or len(self.wrong or self.names) != len(self.names):
             wanted = f"of {len(self.names)} types, with about_everything"
@@ -106,7 +107,7 @@ class GivenTypes:
             raise InputError("table", 0, "probabilities that a label is 1; all of these are 0")
 
     def _fitting(self, table: ArrayLike | LabelTable, types: int) -> LabelTable:
-        """A table of these types and messages.
+        """Checks that a table has these types and messages.
 
         Raises:
             InputError: it has other numbers of them.
@@ -152,21 +153,21 @@ class Explainer:
     """Explains traces to people of unknown type.
 
     Attributes:
-        types: who the users may be.
-        solver: plans the messages; any that does without knowing the user's type.
+        types: the possible types of users.
+        solver: plans the messages; any solver that does not need the user's type.
         trade_off: λ, the cost of a message in inexplicable labels.
-        message_cost: C_e, one number or one a message.
+        message_cost: C_e, one number for all messages or one for each.
         inexplicability_cost: C_inexp of each label 0.
         discount: γ_E, for planning.
         discount_per: see :class:`~xplain.explanation.problem.Problem`.
-        belief_update: which labels are evidence, and how users err. None: people may be of no type
-            (:class:`~xplain.explanation.anybody.Open`) where the facts of the types are known and
-            at most DENSE; else they repeat themselves and err as observers did
-            (``Persistent("learned")``) where the types tell how these erred; messages land as
-            often as they tell, where some do not; else the paper's
+        belief_update: which labels are evidence, and how users err. None chooses the first that
+            applies: people may have no type (:class:`~xplain.explanation.anybody.Open`), if the
+            types' facts are known and at most DENSE; people repeat themselves and err as observers
+            did (``Persistent("learned")``), if the types include how these erred, with learned
+            rates of landing if some messages did not land; the paper's
             :class:`~xplain.explanation.belief.Independent`.
-        seed: of solvers that search at random.
-        ask: what questions cost and how many are asked; None for none.
+        seed: seed of randomised solvers.
+        ask: cost and number of questions; None for none.
     """
 
     types: Types
@@ -181,7 +182,7 @@ class Explainer:
     ask: Limits | None = None
 
     def __post_init__(self) -> None:
-        """Raises InputError: a value that no session could plan with."""
+        """Raises InputError for a value that no session could plan with."""
         for key in ("messages", "names"):
             names = getattr(self.types, key, "")
             if isinstance(names, str) or len(set(names)) < len(names):
@@ -221,19 +222,20 @@ class Explainer:
         expected_steps: int = 0,
         clips: Sequence[Any] | NDArray[Any] | Mapping[str, Any] = (),
     ) -> Session:
-        """Begins to explain a trace to somebody new.
+        """Begins to explain a trace to a new person.
 
         Args:
-            trace: the transitions known already, as ``types`` takes them (learned types: rows of
-                features). Give the whole plan where the robot has one.
-            expected_steps: transitions that the trace is expected to have in the end. The solver
-                takes those not yet known to be explicable to everybody: each shows the prefix
-                once more, and that is all. At 0 it takes the trace to end with the last known one.
-            clips: transitions that the user may be asked about, on the trace or off it, or those by
-                what people call them; the nearest to the trace first.
+            trace: the transitions known so far, in the form of ``types`` (learned types: rows of
+                features). If the robot has a whole plan, give all of it.
+            expected_steps: expected length of the trace in the end. The solver assumes that the
+                remaining transitions are explicable to everybody; each of them shows the prefix
+                once more. At 0 the trace ends with the last known transition.
+            clips: transitions that the user may be asked about, on the trace or not, as a list or
+                by a readable name; nearest to the trace first.
 
         Raises:
-            InputError: a transition or number that is not allowed, or clips where ``ask`` is None.
+            InputError: a transition or number that is not allowed, or clips although ``ask`` is
+                None.
         """
         whole_number("expected_steps", expected_steps, 0)
         named = (
@@ -251,12 +253,11 @@ class Explainer:
         return Session(begin, [plain(row) for row in trace], expected_steps, may_ask)
 
     def from_json(self, text: str) -> Session:
-        """Takes up a session of :meth:`Session.to_json` where it stood, in this process or another.
-
-        The belief is worked out again from the user's answers.
+        """Restores a session of :meth:`Session.to_json`, in this process or another. The belief is
+        computed again from the user's answers.
 
         Raises:
-            InputError: no such text, or a session with other messages or types.
+            InputError: an invalid text, or a session with other messages or types.
         """
         try:
             state = json.loads(text)
@@ -283,11 +284,11 @@ class Explainer:
         trace: Sequence[Any],
         events: Sequence[Event],
     ) -> Dialogue:
-        """The dialogue about a trace of which so much is known, after these events. The policy is
-        planned when it is first asked."""
+        """The dialogue about the known part of a trace, after these events. The policy is planned
+        at its first use."""
         known, types = len(trace), len(self.types.names)
         steps = max(expected_steps if known else 0, known, 1)
-        # Steps not known yet are explicable to everybody, whatever is said.
+        # Unknown steps are assumed to be explicable to everybody.
         ahead = LabelTable(np.empty((types, 0), np.int64), np.ones((steps - known, 1, types)))
         table = joined([self.types.label_table(trace), ahead]) if known else ahead
         facts, beliefs, wrong = None, self.beliefs, self.types.wrong
@@ -315,8 +316,8 @@ class Explainer:
         return Dialogue(problem, policy, beliefs, list(events))
 
     def _questions(self, clips: Sequence[Candidate], trace: Sequence[Any], steps: int) -> Questions:
-        """Turns these candidates into questions about a trace that will have ``steps``
-        transitions."""
+        """Turns these candidates into questions about a trace with ``steps`` transitions in the
+        end."""
         if not clips or self.ask is None:
             return Questions()
         shows = np.zeros((len(clips), steps), np.bool_)

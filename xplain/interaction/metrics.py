@@ -1,7 +1,4 @@
-"""From episodes to the figures that the paper reports, and further ones.
-
-docs/method.md, section 7.
-"""
+"""Computes the paper's figures, and further ones, from episodes (docs/method.md, section 7)."""
 
 from __future__ import annotations
 
@@ -21,22 +18,23 @@ from xplain.interaction.statistics import (
 )
 
 SURE = 0.9
-"""A type counts as recognised once the belief in it exceeds this."""
+"""A type counts as recognised if the belief in it exceeds this value."""
 RATIOS = (
     ("oracle_over_clairvoyant", "oracle", "clairvoyant"),
     ("cost_over_true_labels", "solver", "true_labels"),
 )
-"""Figures that compare what two of the records' solvers cost."""
+"""Figures that compare the costs of two of the records' solvers."""
 
 
 SIGNED = ("regret",)
-"""Measures that may be negative: the oracle's labelers err, and a lucky plan can beat it."""
+"""Measures that may be negative: the oracle's labelers err, so a plan can have a lower cost by
+chance."""
 SHARES = ("final_belief", "fit")
 
 
 def possible(measure: str) -> Range:
-    """The values that a measure of an episode can have. (Nothing costs less than the
-    clairvoyant, but for what plans that discount and costs that do not may differ by.)"""
+    """The range of a measure of an episode. (No cost is below the clairvoyant's, except for the
+    difference between discounted plans and undiscounted costs.)"""
     if measure in SIGNED:
         return ANY
     return (0.0, 1.0) if measure in SHARES else (0.0, np.inf)
@@ -44,15 +42,15 @@ def possible(measure: str) -> Range:
 
 @dataclass(frozen=True)
 class Record:
-    """An episode, and whose it was.
+    """An episode with its origin.
 
     Attributes:
-        solver: who explained: "solver", "oracle", "clairvoyant", or "true_labels", the solver where
-            it knows the true types' labels.
+        solver: "solver", "oracle", "clairvoyant", or "true_labels" (the solver with the true types'
+            labels).
         trace: index of the trace.
         user_type: index of the user's true type.
-        right: [N] bool, which of the problem's types stand for the true one.
-        episode: what happened.
+        right: [N] True for the problem's types that represent the true one.
+        episode: the episode.
     """
 
     solver: str
@@ -69,8 +67,7 @@ class Record:
 
     @property
     def steps_until_sure(self) -> int:
-        """Steps until the belief in the true type exceeds SURE for the first time; m + 1 when
-        it never does."""
+        """Steps until the belief in the true type first exceeds SURE; m + 1 if it never does."""
         sure = np.flatnonzero(self.right_belief > SURE)
         return int(sure[0]) if len(sure) else len(self.episode.beliefs)
 
@@ -78,12 +75,12 @@ class Record:
 def summarise(records: list[Record]) -> dict[str, Estimate]:
     """The figures of the "solver" records: costs, both regrets, diagnostics.
 
-    Regret is paired: each episode's cost less the oracle's (or the clairvoyant's) on the same
-    trace and user. A regret is left out where its reference did not run.
+    Regret is paired: each episode's cost minus the oracle's (or the clairvoyant's) on the same
+    trace and user. A regret is left out if its reference did not run.
 
-    Two ratios of mean costs say what learned labels cost: ``oracle_over_clairvoyant`` where the
-    type is known, ``cost_over_true_labels`` where it is not (below the line: the same solver with
-    true types and labels). They are left out where a reference did not run, or costs nothing.
+    Two ratios of mean costs measure the effect of learned labels: ``oracle_over_clairvoyant`` with
+    a known type, ``cost_over_true_labels`` with an unknown type (the denominator is the same solver
+    with true types and labels). They are left out if a reference did not run, or has cost 0.
     """
     by_solver: dict[str, dict[tuple[int, int], Record]] = {}
     for record in records:
@@ -104,7 +101,7 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
         columns["questions_cost"] = [episode.asking for episode in episodes]
     if any(episode.fit < 1 for episode in episodes):
         columns["fit"] = [episode.fit for episode in episodes]
-    # Of labels from a file nobody knows which learned type stands for which true one.
+    # For labels from a file the true types of the learned types are unknown.
     if any(record.right.any() for record in own.values()):
         columns["steps_until_sure"] = [record.steps_until_sure for record in own.values()]
         columns["final_belief"] = [float(record.right_belief[-1]) for record in own.values()]
@@ -128,11 +125,11 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
 
 
 def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
-    """Means at each step over the "solver" episodes that last so long: [steps + 1] or [steps].
+    """Means at each step over the "solver" episodes with this step: [steps + 1] or [steps].
 
-    ``belief_in_true_type`` starts with the prior; ``messages_given`` and
-    ``inexplicable_labels_shown`` are those of one step, as is ``questions_asked`` where any was.
-    ``episodes`` counts those that have come through so many steps.
+    ``belief_in_true_type`` starts with the prior. ``messages_given`` and
+    ``inexplicable_labels_shown`` are those of one step, like ``questions_asked``, which exists only
+    with questions. ``episodes`` is the number of episodes with this number of steps.
     """
     own = [record for record in records if record.solver == "solver"]
     series = {
@@ -153,7 +150,7 @@ def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
 
 
 def _asked(episode: Episode) -> NDArray[np.float64]:
-    """[m] questions at each step."""
+    """[m] number of questions at each step."""
     counts = np.bincount(episode.questions[:, 0], minlength=len(episode.messages))
     return counts.astype(np.float64)
 

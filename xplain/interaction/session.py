@@ -32,7 +32,7 @@ from xplain.solvers.base import messages_of
 FORMAT = 4
 """Version of a session's JSON."""
 KINDS = {Asked: "ask", Answered: "answer", Given: "give", Told: "told", Labelled: "labels"}
-"""What events are called there."""
+"""Names of events in the JSON."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Say:
     """Say these messages.
 
     Attributes:
-        messages: names, at least one.
+        messages: at least one name.
     """
 
     messages: tuple[str, ...]
@@ -51,7 +51,7 @@ class Show:
     """Show the first transitions of the trace, and ask for a label of each.
 
     Attributes:
-        steps: how many.
+        steps: number of transitions.
     """
 
     steps: int
@@ -62,12 +62,13 @@ Move = Question | Say | Show
 
 @dataclass(frozen=True)
 class Candidate:
-    """What may be asked about.
+    """A possible question.
 
     Attributes:
-        transition: as ``types`` takes it; the answer is its label.
-        text: for people. Of a belief its two sentences, a line each, in the order to be shown.
-        right: of a belief, which line is right; −1 of a step.
+        transition: in the form of ``types``; the answer is its label.
+        text: readable text. For a belief its two sentences, one on each line, in the order of
+            display.
+        right: for a belief, index of the true line; −1 for a step.
     """
 
     transition: Any
@@ -75,7 +76,7 @@ class Candidate:
     right: int = -1
 
     def __post_init__(self) -> None:
-        """Raises InputError: a belief that does not have two sentences."""
+        """Raises InputError if a belief does not have two sentences."""
         one_of("clips.right", self.right, (-1, 0, 1))
         if self.right >= 0 and self.text.count("\n") != 1:
             raise InputError("clips.text", self.text, "two sentences of a belief, a line each")
@@ -86,16 +87,16 @@ class Why:
     """The values behind a decision.
 
     Attributes:
-        step: transitions shown before it.
+        step: number of transitions shown before it.
         given: messages given before it.
-        belief: in each type, by name.
-        fit: the share of the belief in types that were found, as assumed.
-        chosen: the messages that it gave; none is *explain* at once.
-        values: estimated discounted return by the messages given next, the best first; ``()`` is
-            *explain* at once. Some solvers weigh messages one at a time.
-        asked: the question, where it was one.
-        questions: (question, estimated return if it is asked next), the best first, of those that
-            the solver looked into.
+        belief: belief in each type, by name.
+        fit: probability of the found types with the assumed habits.
+        chosen: the chosen messages; none means *explain* at once.
+        values: estimated discounted return by the messages given next, best first; ``()`` is
+            *explain* at once. Some solvers evaluate only single messages.
+        asked: the question, if it was one.
+        questions: (question, estimated return if it is asked next), best first, for the questions
+            that the solver evaluated.
     """
 
     step: int
@@ -121,7 +122,7 @@ class Why:
 
 
 def plain(transition: Any) -> Any:
-    """Without numpy, for comparisons and JSON."""
+    """Converts numpy values, for comparisons and JSON."""
     wrapped = isinstance(transition, (np.ndarray, np.generic))
     return transition.tolist() if wrapped else transition
 
@@ -129,14 +130,14 @@ def plain(transition: Any) -> Any:
 class Session:
     """One trace, one user. Made by :meth:`xplain.Explainer.session`.
 
-    Each step: :meth:`messages` to say, then the first ``shown`` transitions to show, then
-    :meth:`observe` with the user's labels of them. :meth:`extend` at any time. Where something may
-    be asked, :meth:`next` says what to do, and :meth:`answer` takes the user's answers.
+    At each step say the :meth:`messages`, show the first ``shown`` transitions, then pass the
+    user's labels to :meth:`observe`. :meth:`extend` may be called at any time. If questions are
+    allowed, :meth:`next` returns the next action, and :meth:`answer` takes the user's answer.
 
     Args:
-        begin: the dialogue about the transitions known, after some events.
-        trace: the transitions known.
-        expected_steps, clips: as :meth:`xplain.Explainer.session` has them.
+        begin: makes the dialogue about the known transitions, after some events.
+        trace: the known transitions.
+        expected_steps, clips: see :meth:`xplain.Explainer.session`.
     """
 
     def __init__(
@@ -154,17 +155,17 @@ class Session:
 
     @property
     def trace(self) -> tuple[Any, ...]:
-        """All transitions known so far, in order, as they were given."""
+        """All transitions known so far, in order, as given."""
         return self._trace
 
     @property
     def shown(self) -> int:
-        """How many transitions are shown to the user at this step."""
+        """Number of transitions that are shown to the user at this step."""
         return self._talk.state.visible.step + (not self.finished)
 
     @property
     def finished(self) -> bool:
-        """Whether the user has labelled the whole trace known so far."""
+        """True if the user has labelled all known transitions."""
         return self._talk.state.visible.step == len(self._trace)
 
     @property
@@ -174,14 +175,14 @@ class Session:
 
     @property
     def again(self) -> tuple[str, ...]:
-        """Names of the messages of this step that had been said before, as users may miss or
-        forget some."""
+        """Names of this step's messages that were given before, because users may miss or forget
+        some."""
         *earlier, now = all_given(self._talk.events) or [0]
         return self._names(now & int(np.bitwise_or.reduce(np.array([0, *earlier]))))
 
     @property
     def explained(self) -> Explained:
-        """What was said and answered, of one person: the data of
+        """The messages and answers of one person: the data of
         :func:`~xplain.explanation.listening.learned_habits`."""
         events = self._talk.events
         answers = tuple(np.array(labels, np.uint8) for labels in all_labels(events))
@@ -194,14 +195,14 @@ class Session:
 
     @property
     def fit(self) -> float:
-        """The share of the belief in the types that were found, as they are assumed to listen and
-        to answer: the rest is on people nobody assumed (:mod:`xplain.explanation.anybody`)."""
+        """The probability of the found types with the assumed habits. The rest is on people nobody
+        assumed (:mod:`xplain.explanation.anybody`)."""
         return self._talk.problem.fit(self._talk.state.belief)
 
     @property
     def cost(self) -> float:
-        """Definition 2 of the paper for what happened so far, undiscounted; and κ for each
-        question answered."""
+        """Definition 2 of the paper for all steps so far, undiscounted, plus κ for each answered
+        question."""
         problem, events = self._talk.problem, self._talk.events
         zeros = sum(labels.count(0) for labels in all_labels(events))
         asked = sum(isinstance(event, Answered) for event in events)
@@ -212,24 +213,24 @@ class Session:
         )
 
     def extend(self, transitions: Sequence[Any] | NDArray[Any]) -> None:
-        """The robot did (or plans) more: they follow the known transitions.
+        """Adds transitions at the end, because the robot did (or plans) more.
 
-        The next decision is planned with them. What was said and answered stays.
+        The next decision is planned with them. Earlier messages and answers are kept.
 
         Raises:
-            InputError: a transition that ``types`` does not take.
+            InputError: a transition that ``types`` does not accept.
         """
         if new := [plain(row) for row in transitions]:
             self._talk = self._begin((*self._trace, *new), self._talk.events)
             self._trace = (*self._trace, *new)
 
     def next(self) -> Move:
-        """What to do now: ask a question, then :meth:`answer`; say messages, then ``next`` again;
-        or show steps, then :meth:`observe`. Called again before that, it answers the same; once
-        messages were told of, it is their steps.
+        """The next action: ask a question, then call :meth:`answer`; say messages, then call
+        ``next`` again; or show steps, then call :meth:`observe`. A repeated call returns the same
+        action; after messages were returned, it returns their steps.
 
         Raises:
-            InputError: every transition known is answered.
+            InputError: all known transitions are labelled.
         """
         talk = self._talk
         if talk.state.open is None and talk.state.new is None and not self.finished:
@@ -247,10 +248,11 @@ class Session:
         return Show(self.shown)
 
     def ask(self, number: int) -> None:
-        """Asks this of the ``clips``, by its number, whatever the plan; :meth:`answer` follows.
+        """Asks the question with this number of ``clips``, independent of the plan; call
+        :meth:`answer` next.
 
         Raises:
-            InputError: there is none, it was asked already, or this step's messages are said.
+            InputError: it does not exist, was already asked, or this step's messages were given.
         """
         one_of("question", number, range(len(self._clips)), "number of a clip")
         self._check_step_is_open("question", number)
@@ -259,23 +261,23 @@ class Session:
         self._talk.hear(Asked(number))
 
     def answer(self, answer: int) -> None:
-        """The user's answer to the question of :meth:`next`: 1 (or True) for yes, and for who has
-        a fact right.
+        """Takes the user's answer to the question of :meth:`next`: 1 (or True) for yes, and for the
+        true sentence about a fact.
 
         Raises:
-            InputError: another answer, or nothing was asked.
+            InputError: another answer, or no question was asked.
         """
         if self._talk.state.open is None:
             raise InputError("answer", answer, "a question comes first: next()")
         self._talk.hear(Answered(int(one_of("answer", answer, (0, 1)))))
 
     def messages(self) -> tuple[str, ...]:
-        """The messages to say now, before the first ``shown`` transitions are shown; none if it
-        is best to say nothing. Asked again before :meth:`observe`, it answers the same. No
-        question comes before them.
+        """The messages to say before the first ``shown`` transitions are shown; empty if silence is
+        best. A repeated call before :meth:`observe` returns the same. No question is asked before
+        them.
 
         Raises:
-            InputError: every transition known is answered.
+            InputError: all known transitions are labelled.
         """
         if self._talk.state.new is None:
             if self.finished:
@@ -284,11 +286,11 @@ class Session:
         return self._names(self._talk.state.new or 0)
 
     def tell(self, names: Sequence[str]) -> None:
-        """Says these messages at this step, whatever the plan.
+        """Gives these messages at this step, independent of the plan.
 
         Raises:
-            InputError: :meth:`messages` was called already, or a message is unknown, or was said
-                and is known since.
+            InputError: :meth:`messages` was already called, or a message is unknown, or was given
+                before and cannot be repeated.
         """
         self._check_step_is_open("session", tuple(names))
         new = mask_of(names, self._talk.problem.message_names, "session")
@@ -298,10 +300,10 @@ class Session:
         self._talk.hear(Given(new))
 
     def observe(self, labels: ArrayLike) -> None:
-        """The user's labels of the first ``shown`` transitions, 1 = explicable.
+        """Takes the user's labels of the first ``shown`` transitions, 1 = explicable.
 
         Raises:
-            InputError: not so many labels, others than 0 and 1, or nothing was asked.
+            InputError: another number of labels, labels other than 0 and 1, or no step is open.
         """
         if self._talk.state.new is None:
             raise InputError("labels", labels, "messages() comes first")
@@ -315,7 +317,7 @@ class Session:
         """The values behind the last decision.
 
         Raises:
-            InputError: nothing was decided yet.
+            InputError: there is no decision yet.
         """
         found = self._talk.before_last_decision()
         if found is None:
@@ -341,11 +343,11 @@ class Session:
         )
 
     def take_up(self, events: Sequence[tuple[str, Any]]) -> None:
-        """All that happened, as :meth:`to_json` writes it.
+        """Repeats all events, as :meth:`to_json` writes them.
 
         Raises:
-            InputError: as :meth:`ask`, :meth:`answer`, :meth:`tell` and :meth:`observe`; or another
-                kind of event.
+            InputError: see :meth:`ask`, :meth:`answer`, :meth:`tell` and :meth:`observe`; or an
+                unknown kind of event.
         """
         methods: dict[str, Callable[[Any], None]] = {
             "ask": self.ask,
@@ -358,10 +360,10 @@ class Session:
             methods[one_of("session.events", kind, tuple(methods), "event")](content)
 
     def to_json(self) -> str:
-        """The whole session as text; :meth:`xplain.Explainer.from_json` takes it up again.
+        """The whole session as text; :meth:`xplain.Explainer.from_json` restores it.
 
         Raises:
-            InputError: a transition is nothing that JSON can hold.
+            InputError: JSON cannot represent a transition.
         """
         events = [
             (
@@ -390,7 +392,7 @@ class Session:
             raise InputError("trace", first, f"transitions for JSON ({error})") from None
 
     def _check_step_is_open(self, key: str, value: object) -> None:
-        """Raises InputError: this step's messages are said, or the trace is at its end."""
+        """Raises InputError if this step's messages were given, or the trace is at its end."""
         if self._talk.state.new is not None or self.finished:
             raise InputError(key, value, "once a step, before messages()")
 

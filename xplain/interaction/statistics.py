@@ -1,4 +1,4 @@
-"""Means with intervals over episodes, which are not independent: users share traces."""
+"""Means with intervals over episodes. Episodes are not independent, because users share traces."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 Range = tuple[float, float]
-"""The least and the largest value that a quantity can have."""
+"""The smallest and the largest possible value of a quantity."""
 
 ANY: Range = (-np.inf, np.inf)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean and the ends of its interval (NaN where one cluster leaves it unknown)."""
+    """A mean with the ends of its interval (NaN if a single cluster leaves it unknown)."""
 
     mean: float
     low: float
@@ -24,12 +24,12 @@ class Estimate:
 
 
 def half_width(error: float, freedom: int, level: float = 0.95) -> float:
-    """What stands behind ±: half of Student's interval of a mean.
+    """The number after ±: half of Student's interval of a mean.
 
     Args:
         error: standard error of the mean.
         freedom: degrees of freedom of that error, ≥ 1.
-        level: of the interval.
+        level: level of the interval.
     """
     from scipy.special import stdtrit
 
@@ -42,11 +42,11 @@ def clustered_ratio(
     """Ratio of two means of numbers ≥ 0, measured on the same episodes.
 
     The interval is the linearised one: R + (a − R b) / mean(b) has the mean R and, in large
-    samples, the ratio's variance. It ends at 0.
+    samples, the ratio's variance. It is cut at 0.
 
     Args:
-        above, below: [E], the mean of ``below`` above 0.
-        clusters, level: as :func:`clustered_mean`.
+        above, below: [E]; the mean of ``below`` is above 0.
+        clusters, level: see :func:`clustered_mean`.
     """
     above, below = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
     ratio = above.mean() / below.mean()
@@ -57,17 +57,17 @@ def clustered_ratio(
 def clustered_mean(
     values: ArrayLike, clusters: ArrayLike, level: float = 0.95, possible: Range = ANY
 ) -> Estimate:
-    """Mean of values with a t interval over cluster means' spread.
+    """Mean of values with a t interval from the spread of cluster means.
 
     Episodes on one trace share its difficulty, so the trace (in a sweep: seed and trace) is the
-    unit that is sampled: the variance of the mean comes from clusters, not from episodes.
+    sampled unit: the variance of the mean comes from clusters, not from episodes.
 
     Args:
         values: [E].
         clusters: [E] the same number for values of one cluster.
-        level: of the interval.
-        possible: values of the quantity; the interval is cut where the mean cannot be. (A value
-            outside that was seen is possible.)
+        level: level of the interval.
+        possible: range of the quantity; the interval is cut at it. (An observed value outside
+            extends the range.)
     """
     values, clusters = np.asarray(values, dtype=float), np.asarray(clusters)
     _, index = np.unique(clusters, return_inverse=True)
@@ -76,7 +76,7 @@ def clustered_mean(
     groups = len(counts)
     if groups < 2:
         return Estimate(mean, float("nan"), float("nan"))
-    # Residual totals a cluster: exact for equal sizes, the usual ratio estimate otherwise.
+    # Total residual of each cluster: exact for equal sizes, the usual ratio estimate otherwise.
     totals = np.bincount(index, weights=values - mean)
     variance = groups / (groups - 1) * float((totals**2).sum()) / len(values) ** 2
     half = half_width(variance**0.5, groups - 1, level)
@@ -86,18 +86,18 @@ def clustered_mean(
 
 
 def clustered_share(right: ArrayLike, clusters: ArrayLike) -> Estimate:
-    """A share with Wilson's 95 % score interval (1927), which never leaves [0, 1], for cases that
-    come in clusters.
+    """A share of clustered cases, with Wilson's 95 % score interval (1927), which stays within [0,
+    1].
 
-    Cases of one cluster may be alike. So the interval is computed for Kish's effective sample size
-    (at most the number of cases): so many independent cases would leave the share as uncertain as
-    the clusters do. Student's quantile corrects for few clusters. Where all cases of each cluster
-    agree, each cluster counts as one case.
+    Cases of one cluster may be alike. So the interval uses Kish's effective sample size (at most
+    the number of cases): the number of independent cases with the same uncertainty. Student's
+    quantile corrects for few clusters. If all cases of each cluster agree, each cluster counts as
+    one case.
 
     Args:
         right: [E] of bool.
-        clusters: [E] the same number for cases of one cluster; with one cluster only, the interval
-            is unknown.
+        clusters: [E] the same number for cases of one cluster; with one cluster the interval is
+            unknown.
     """
     from scipy.special import ndtri, stdtrit
 
