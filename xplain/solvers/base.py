@@ -1,9 +1,9 @@
-"""What a solver and its policy are.
+"""Solvers and their policies.
 
 A *solver* plans for one :class:`~xplain.explanation.problem.Problem` and returns a *policy*. A
-policy is a function of the visible state and the belief: the same two give the same action, always,
-so that a decision can be replayed, evaluated exactly, and shown to a person with its reasons.
-Policies that search at random draw from a stream made of the seed and those two.
+policy is a function of the visible state and the belief: equal arguments always give the same
+action. So a decision can be replayed, evaluated exactly, and shown to a person with its reasons.
+Policies with a random search draw from a stream that depends on the seed and these two arguments.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ log = logging.getLogger(__name__)
 
 GIB = 1 << 30
 TIE = 1e-9
-"""Values closer than this, relative to 1 + their size, are equal."""
+"""Values whose difference, relative to 1 + their size, is smaller are equal."""
 
 Knowledge = Literal["types", "everyone", "type", "labels"]
-"""What the agent that plans may know of the user (the experiment builds its problem from it):
+"""What the planning agent may know about the user (the experiment builds its problem from it):
 
 - ``types``: the learned user types and a prior over them (the paper's setting);
 - ``everyone``: one labeler learned from everybody's labels (the paper's baseline);
@@ -41,50 +41,50 @@ Knowledge = Literal["types", "everyone", "type", "labels"]
 
 @runtime_checkable
 class Policy(Protocol):
-    """What to do before the next *explain*."""
+    """Decides what to do before the next *explain*."""
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """The action. After messages follows *explain*; after a question's answer the policy is
-        asked again.
+        """Chooses the action. *Explain* follows messages. After the answer to a question the policy
+        decides again.
 
         Args:
-            visible: where the explanation stands.
-            belief: [S] over what is hidden, as ``Problem.start``.
+            visible: the visible state.
+            belief: [S] over hidden states, like ``Problem.start``.
         """
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """The values behind the choice: estimated discounted return by the action taken next.
-        Larger is better. May be empty; some policies weigh messages one at a time."""
+        """The values behind the choice: estimated discounted return by the next action. Larger is
+        better. May be empty; some policies evaluate only single messages."""
         ...
 
 
 @runtime_checkable
 class Solver(Protocol):
-    """Plans for a problem. Configured by its constructor; holds no state of a run."""
+    """Plans for a problem. It is configured by its constructor and has no state of a run."""
 
     @property
     def knows(self) -> Knowledge:
-        """What the agent may know of the user."""
+        """What the agent may know about the user."""
         ...
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """A policy for the problem.
+        """Makes a policy for the problem.
 
         Raises:
-            TooLargeError: the tables would not fit; raised before memory is taken.
+            TooLargeError: the tables would not fit; raised before memory is allocated.
         """
 
 
 @dataclass(frozen=True)
 class PolicyValue:
-    """The worth of a policy from the start of the trace.
+    """The value of a policy at the start of the trace.
 
     Attributes:
         value: expected discounted return under the model (≤ 0).
         cost: expected undiscounted cost, λ · communication + inexplicability (≥ 0).
         value_is: "exact" or "simulated".
-        value_se, cost_se: standard errors; 0 where exact.
-        beliefs: how many beliefs the policy was asked about.
+        value_se, cost_se: standard errors; 0 if exact.
+        beliefs: number of beliefs at which the policy decided.
     """
 
     value: float
@@ -108,13 +108,13 @@ def best_of(sets: NDArray[np.int64], values: NDArray[np.float64]) -> int:
 
 
 def messages_of(action: Action) -> int:
-    """The messages that an action gives, a bitmask: none for *explain* and for questions."""
+    """Bitmask of the messages that an action gives: none for *explain* and for questions."""
     return action.messages if isinstance(action, GiveMessages) else 0
 
 
 def best_action(values: Mapping[Action, float]) -> Action:
-    """The action with the largest value. A question must be worth more than any messages; of equal
-    questions the first is asked, of equal sets of messages :func:`best_of` takes one."""
+    """The action with the largest value. A question needs a larger value than all messages. Among
+    equal questions it is the first; among equal sets of messages, that of :func:`best_of`."""
     asked = {a.question: v for a, v in values.items() if isinstance(a, AskQuestion)}
     said = {messages_of(a): v for a, v in values.items() if not isinstance(a, AskQuestion)}
     most, best = max(said.values()), max(asked.values(), default=-np.inf)
@@ -126,13 +126,13 @@ def best_action(values: Mapping[Action, float]) -> Action:
 
 
 class CachedPolicy:
-    """A policy and the decisions that it has taken so far: users who answer alike lead to the same
-    questions, and a search takes long. How long a decision took is kept with it, so that what was
-    cached does not pass for fast.
+    """A policy with a cache of its decisions. Users with equal answers lead to the same decisions,
+    and a search is slow. The time of each decision is cached too, so that cached decisions do not
+    seem fast.
 
     Attributes:
-        policy: the one that is asked.
-        seconds: what the last decision took when the policy was asked.
+        policy: the policy that decides.
+        seconds: time of the last decision, when the policy made it.
         decisions: action and seconds, by visible state and rounded belief.
     """
 
@@ -142,8 +142,8 @@ class CachedPolicy:
         self.decisions: dict[tuple[VisibleState, bytes], tuple[Action, float]] = {}
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`. The policy sees the rounded belief: which of
-        two that differ by rounding came first makes no difference."""
+        """See :class:`xplain.solvers.base.Policy`. The policy receives the rounded belief, so the
+        order of two beliefs that differ by rounding does not matter."""
         belief = rounded(belief)
         key = visible, belief.tobytes()
         if key not in self.decisions:
@@ -159,8 +159,8 @@ class CachedPolicy:
 
 
 class LazyPolicy:
-    """A policy that is planned when it is first asked. So a trace that grows by ten transitions
-    before the next decision is planned for only once.
+    """A policy that is planned at its first decision. So a trace that grows by ten transitions
+    before the next decision is planned once.
 
     Args:
         plan: makes the policy.
@@ -182,10 +182,10 @@ def check_memory(what: str, size: int, limit_gib: float, instead: str) -> None:
     """Refuses tables that are too large before they are allocated, and logs large ones.
 
     Args:
-        what: the solver.
+        what: name of the solver.
         size: bytes.
         limit_gib: the solver's ``memory_gib``.
-        instead: advice: what the user could do.
+        instead: advice for the user.
 
     Raises:
         TooLargeError: more than the limit.

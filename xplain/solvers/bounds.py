@@ -1,4 +1,4 @@
-"""How good can a policy be, and how good is this one: what every run reports."""
+"""Bounds of the optimal value, which every run reports."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from xplain.solvers.process import (
 
 @dataclass(frozen=True)
 class Bounds:
-    """All are expected discounted returns under the model, from the start of the trace.
+    """Expected discounted returns under the model, from the start of the trace.
 
     Attributes:
-        lower, upper: the optimal value lies between them.
-        known_type: Σ_t prior(t) V*_t, the value if the type were told at the start, with the same
-            messages as actions; where messages may be missed or forgotten, if after each action
-            the user's knowledge were told, too.
+        lower, upper: bounds of the optimal value.
+        known_type: Σ_t prior(t) V*_t, the value if the type were known at the start, with the same
+            messages as actions; if messages may be missed or forgotten, if the user's knowledge
+            after each action were known too.
     """
 
     lower: float
@@ -41,31 +41,31 @@ class Bounds:
 
     @property
     def value_of_perfect_information(self) -> tuple[float, float]:
-        """Expected value of perfect information: what being told the type at the start is worth,
-        ``known_type`` minus the optimum. At least, at most."""
+        """Expected value of perfect information about the type at the start: ``known_type`` minus
+        the optimum, as (lower, upper) bounds."""
         return max(self.known_type - self.upper, 0.0), max(self.known_type - self.lower, 0.0)
 
     def suboptimality(self, value: float) -> tuple[float, float]:
-        """The optimum minus a policy's value: at least, at most. The value itself is a lower
-        bound on the optimum where it is exact."""
+        """The optimum minus a policy's value, as (lower, upper) bounds. An exact value is also a
+        lower bound of the optimum."""
         return max(self.lower - value, 0.0), max(self.upper - value, 0.0)
 
 
 DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
-"""Some tenths of a second at most for a trace."""
+"""Takes at most some tenths of a second for a trace."""
 
 
 def bounds(
     problem: Problem, effort: Effort = DEFAULT, told: Callable[[float], None] | None = None
 ) -> Bounds:
-    """Certified bounds of the optimal value: by HSVI; where its tables would take more than the
-    effort's memory, or messages are too many, from above by known types and from below by plans
-    that use no answer.
+    """Certified bounds of the optimal value, by HSVI. If its tables exceed the effort's memory, or
+    there are too many messages, the upper bound is that of known types and the lower bound that of
+    plans without answers.
 
     Args:
         problem: from the start of the trace.
         effort: when the search may stop.
-        told: hears the gap now and then while HSVI searches.
+        told: receives the gap regularly while HSVI searches.
 
     Raises:
         TooLargeError: not even the tables of known types fit.
@@ -86,7 +86,7 @@ def _simple_bounds(problem: Problem, memory_gib: float) -> Bounds:
     process = make_process(problem)
     known = known_values(process)
     sure = known.now(0, 0)
-    # A message for the sake of others puts off what a type costs, if it is cheap enough.
+    # A cheap message for other types delays the cost of a type.
     idle = (process.relevant >> np.arange(process.n_messages)[:, None] & 1) == 0
     saved = (1 - process.message_discount) * -known.value.min()
     delays = (idle & (process.price[:, None] < saved)).sum(axis=0)
@@ -112,8 +112,7 @@ def _plan(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
 
 
 def _plan_value(process: Process, plan: list[int]) -> float:
-    """Expected discounted return of giving these sets, the cheapest message first, whatever is
-    answered."""
+    """Expected discounted return of these sets, the cheapest message first, for any answers."""
     given, value, discount = 0, 0.0, 1.0
     for step, new in enumerate(plan):
         given |= new
@@ -125,11 +124,11 @@ def _plan_value(process: Process, plan: list[int]) -> float:
 
 
 def known_type_value(problem: Problem, memory_gib: float = 8.0) -> float:
-    """Σ_t prior(t) V*_t: what the policy earns that is told the type at the start, and gives only
+    """Σ_t prior(t) V*_t: the value of a policy that knows the type at the start, and gives only
     messages with an effect on it.
 
     Raises:
-        TooLargeError: the tables take more than ``memory_gib``.
+        TooLargeError: the tables exceed ``memory_gib``.
     """
     check_memory("knowing the type", known_bytes(problem), memory_gib, "no other solver can")
     process = make_process(problem)

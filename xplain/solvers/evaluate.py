@@ -1,9 +1,9 @@
-"""What a policy is worth under the model: exactly, else by simulation.
+"""The value of a policy under the model: exact if possible, otherwise simulated.
 
-The walk goes forward, a step at a time, through every belief that the policy can reach (equal ones
-merged), asks the policy once at each, and adds up costs. What was paid before needs no care: a
-belief before step k, with messages H given, was reached by k times *explain* and one action for
-each message, and only where messages land do these discount.
+The exact walk goes forward, one step at a time, through every belief that the policy can reach
+(equal ones merged). It calls the policy once at each belief and adds up costs. A belief before step
+k with messages H was always reached by k times *explain* and one action for each message, so
+earlier costs do not depend on the path. Messages discount only if they always land.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from xplain.solvers.process import (
 )
 
 NEGLIGIBLE = 1e-16
-"""Joint probability below which an answer is not followed, at the precision EXACT."""
+"""Joint probability below which an answer is left out, at the precision EXACT."""
 EXACT = 1e-9
-"""A walk is called exact when what it left out cannot change the value by more than this."""
+"""A walk is exact if the omitted part cannot change the value by more than this."""
 
 Layer = dict[tuple[VisibleState, bytes], NDArray[np.float64]]
-"""Beliefs of one k, times their probabilities."""
+"""Beliefs of one k, multiplied by their probabilities."""
 
 
 def evaluate(
@@ -46,16 +46,15 @@ def evaluate(
     seed: int = 0,
     precision: float = EXACT,
 ) -> PolicyValue:
-    """The policy's worth, exactly where it reaches no more than ``beliefs`` beliefs.
+    """The value of a policy, exact if it reaches at most ``beliefs`` beliefs.
 
     Args:
-        problem: the model, which draws every label afresh.
+        problem: the model, which draws every label again.
         policy: a function of the visible state and the belief.
-        beliefs: the exact walk is given up where it would reach more.
-        episodes: then simulated.
-        seed: of the simulated labels' stream.
-        precision: relative, of what is called exact; beliefs too unlikely to matter are not
-            walked to.
+        beliefs: maximum number of beliefs in the exact walk.
+        episodes: number of simulated episodes otherwise.
+        seed: seed of the stream of simulated labels.
+        precision: relative precision of an exact value; less likely beliefs are left out.
     """
     cached = CachedPolicy(policy)
     exact = _walk(make_process(problem), cached, beliefs, precision)
@@ -65,11 +64,11 @@ def evaluate(
 def _walk(
     process: Process, policy: CachedPolicy, limit: int, precision: float
 ) -> PolicyValue | None:
-    """Lists the reachable beliefs by layer; None where there are, or will be, more than ``limit``.
+    """Lists the reachable beliefs by layer; None if there are, or will be, more than ``limit``.
 
-    A layer is seldom smaller than the one before, so the limit must leave room for one layer of
-    this size for each step to come. A policy that searches takes long to decide, so it is only
-    asked where the result will be used.
+    A layer is rarely smaller than the one before. So the limit must have room for a layer of this
+    size for each remaining step. A policy with a search is slow, so it is called only if the result
+    will be used.
     """
     steps, worst = process.n_steps, _worst(process)
     budget = precision / (2 * steps * max(worst, 1))
@@ -131,7 +130,8 @@ def _add(layer: Layer, visible: VisibleState, weight: NDArray[np.float64]) -> No
 
 
 def _likely(layer: Layer, budget: float) -> tuple[Layer, float]:
-    """All but the unlikeliest beliefs, whose probabilities together stay within the budget."""
+    """The layer without the least likely beliefs, whose total probability stays within the
+    budget."""
     keys = list(layer)
     mass = np.array([float(layer[key].sum()) for key in keys])
     order = np.argsort(mass, kind="stable")
@@ -142,20 +142,20 @@ def _likely(layer: Layer, budget: float) -> tuple[Layer, float]:
 
 
 def _discount(process: Process, visible: VisibleState) -> float:
-    """What the actions before this discount."""
+    """The discount of all actions before this state."""
     messages = visible.given.bit_count()
     return float(process.message_discount**messages * process.discount**visible.step)
 
 
 def _paid(process: Process, messages: int) -> tuple[float, float]:
-    """The discounted price of messages, the cheapest first, and what all of them discount."""
+    """The discounted price of messages, cheapest first, and their total discount."""
     price, discount = set_prices(process, np.array([messages], np.int64))
     return float(price[0]), float(discount[0])
 
 
 def _worst(process: Process) -> float:
-    """No policy can cost more than every label 0, every message given at each step, and every
-    question asked."""
+    """An upper bound of any policy's cost: every label 0, every message at each step, and every
+    question."""
     steps, questions = process.n_steps, process.questions
     often = 1 if process.jump is None else steps
     zeros = process.explain_cost.max(axis=1).sum()
@@ -163,14 +163,14 @@ def _worst(process: Process) -> float:
 
 
 def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> PolicyValue:
-    """The policy's worth as a mean over simulated users, with its standard error.
+    """The value of a policy as a mean over simulated users, with its standard error.
 
-    Counted is what each decision is expected to lose against being told the state there, not what
-    the labels drawn happen to cost: with W(k, v, b) = Σ_s b_s V(k, v, s), what is paid now and
-    W(k + 1, v⁺, b') expected, less W(k, v, b). The belief is a martingale and W is linear in it, so
-    a policy is worth W at the start less the losses to come on the way: for any V that is 0 after
-    the last step, and with little noise for that of known states (a control variate). Answers are
-    drawn from what the belief expects, which is exact.
+    It averages the expected loss of each decision relative to known states, not the costs of the
+    drawn labels. Let W(k, v, b) = Σ_s b_s V(k, v, s). The loss is the immediate cost plus the
+    expected W(k + 1, v⁺, b'), minus W(k, v, b). The belief is a martingale and W is linear in it,
+    so the value of a policy is W at the start minus all later losses. This holds for any V that is
+    0 after the last step, and the V of known states gives little noise (a control variate). Answers
+    are drawn from the belief, which is exact.
     """
     process, rng = make_process(problem), stream(seed, "policy_value")
     cached = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
@@ -184,7 +184,7 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
             action = cached.decide(visible, belief)
             scale = np.array([_discount(process, visible), 1.0])
             if isinstance(action, AskQuestion):
-                # Of W it changes nothing: what it tells is expected there.
+                # A question does not change the expected W.
                 losses[:, episode] += scale * process.questions.cost
                 joint = hear_answer(process, belief, said, action.question, 1)
                 if rng.random() >= joint.sum():

@@ -1,14 +1,14 @@
-"""Solvers that act as if the hidden state became known after the next action.
+"""Solvers that assume that the hidden state becomes known after the next action.
 
-Q(b, a) = E[Q*(k, v, s, a)], Q* by exact dynamic programming (:mod:`xplain.solvers.process`):
+Q(b, a) = E[Q*(k, v, s, a)], with Q* from exact dynamic programming (:mod:`xplain.solvers.process`):
 
-- *QMDP* (Littman, Cassandra & Kaelbling 1995; the paper, "Myopic Approximation: QMDP") takes the
-  user types, and never asks for a label's sake;
-- *baseline* (the paper): one labeler learned from everybody's labels;
-- *conformant* (the paper's user study): pays for the 0-labels of all types at once, so that the
-  explanation suits everybody;
-- *oracle* (the paper): the true type's labeler; the regret is measured against it;
-- *clairvoyant*: the true labels themselves, the floor of every cost.
+- *QMDP* (Littman, Cassandra & Kaelbling 1995; the paper, "Myopic Approximation: QMDP") uses the
+  user types, and never acts to gain information from labels;
+- *baseline* (the paper): one labeler learned from all labels;
+- *conformant* (the paper's user study): pays for the labels 0 of all types, so that the explanation
+  suits all of them;
+- *oracle* (the paper): the true type's labeler; the regret is relative to it;
+- *clairvoyant*: the true labels, the lower bound of every cost.
 """
 
 from __future__ import annotations
@@ -43,20 +43,20 @@ from xplain.solvers.voi import with_questions
 
 @dataclass(frozen=True)
 class Greedy:
-    """Gives the message with the largest expected value, again and again, each at most once a step,
-    until *explain* is the best action. A message that changes nothing for whoever has belief is
-    none.
+    """Adds the message with the largest expected value, each at most once in a step, until
+    *explain* is the best action. Messages without effect on any type with positive belief are left
+    out.
 
     Attributes:
         process: the model.
-        known: its values where the state is known.
+        known: its values for known states.
     """
 
     process: Process
     known: KnownValues
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """As :class:`xplain.solvers.base.Policy` says."""
+        """See :class:`xplain.solvers.base.Policy`."""
         process, chosen = self.process, 0
         said, useful = before_step(process, visible.given), matters(process, belief)
         while True:
@@ -70,7 +70,7 @@ class Greedy:
             belief = give_message(process, belief, new.bit_length() - 1)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Of *explain* and of each message alone."""
+        """The values of *explain* and of each single message."""
         said = before_step(self.process, visible.given)
         messages = indices(matters(self.process, belief) & ~said)
         values = self._values(visible.step, said, belief, messages)
@@ -103,7 +103,7 @@ def greedy_policy(problem: Problem, what: str, memory_gib: float) -> Greedy:
     """The greedy policy of a problem.
 
     Raises:
-        TooLargeError: its tables would take more than ``memory_gib``.
+        TooLargeError: its tables would exceed ``memory_gib``.
     """
     check_memory(what, known_bytes(problem), memory_gib, "qhr plans without tables")
     process = make_process(problem)
@@ -114,14 +114,14 @@ def greedy_policy(problem: Problem, what: str, memory_gib: float) -> Greedy:
 @dataclass(frozen=True)
 class QMDP:
     """Args:
-    memory_gib: most that the tables of known types may take.
+    memory_gib: maximum memory of the tables of known types.
     """
 
     memory_gib: Positive = 8.0
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`."""
         policy = greedy_policy(problem, "qmdp", self.memory_gib)
         return with_questions(policy, policy.process, policy.known, seed)
 
@@ -129,18 +129,18 @@ class QMDP:
 @checks("solver")
 @dataclass(frozen=True)
 class Baseline:
-    """One labeler for everybody. A problem of several types is taken as the mixture of their
-    labelers, weighed by the prior.
+    """One labeler for all. For a problem with several types it is the mixture of their labelers,
+    weighted by the prior.
 
     Args:
-        memory_gib: most that its tables may take.
+        memory_gib: maximum memory of its tables.
     """
 
     memory_gib: Positive = 8.0
     knows: Knowledge = "everyone"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`."""
         return one_labeler(problem, problem.prior, "baseline", self.memory_gib)
 
 
@@ -151,14 +151,14 @@ class Conformant:
     by a belief nor divided by their number M (the paper's user study; docs/choices.md, slip 3).
 
     Args:
-        memory_gib: most that its tables may take.
+        memory_gib: maximum memory of its tables.
     """
 
     memory_gib: Positive = 8.0
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`."""
         # M types' costs are M times the cost of the mean labeler.
         count = len(np.unique(problem.whose[problem.as_found]))
         cost = problem.inexplicability_cost * count
@@ -170,10 +170,10 @@ class Conformant:
 def one_labeler(
     problem: Problem, shares: NDArray[np.float64], what: str, memory_gib: float
 ) -> FixedBelief:
-    """QMDP for one type in the place of all, whose labels are as likely as those of a user drawn by
-    ``shares`` [N] anew for every label. Where more than DENSE messages matter, a table over all of
-    their sets is too large: QMDP then holds ``shares`` for its belief for ever, and so plans what
-    comes later for each type alone."""
+    """QMDP for one type in the place of all. Each of its labels has the probability for a user
+    drawn by ``shares`` [N] again. If more than DENSE messages matter, a table over all of their
+    sets is too large. QMDP then uses ``shares`` as its permanent belief, and plans later steps for
+    each type alone."""
     if problem.messages_land and len(problem.messages_with_effect) > DENSE:
         return FixedBelief(greedy_policy(problem, what, memory_gib), lambda _: shares)
     one = problem.mixture(shares)
@@ -186,15 +186,15 @@ class KnownType:
     """Knows the type: the oracle, or with true labels the clairvoyant.
 
     Args:
-        knows: "type" or "labels"; the experiment hands over the problem that goes with it.
-        memory_gib: most that the tables [steps, 2^messages, types] may take.
+        knows: "type" or "labels"; the experiment gives the problem that belongs to it.
+        memory_gib: maximum memory of the tables [steps, 2^messages, types].
     """
 
     knows: Literal["type", "labels"] = "type"
     memory_gib: Positive = 8.0
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Its policy of a problem with several types asks for a belief that names one."""
+        """Its policy for a problem with several types needs a belief that is certain of one."""
         what = f"knowing the {self.knows}"
         return FixedBelief(greedy_policy(problem, what, self.memory_gib), certain_type)
 
@@ -212,21 +212,21 @@ class FixedBelief:
     belief_of: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """As :class:`xplain.solvers.base.Policy` says."""
+        """See :class:`xplain.solvers.base.Policy`."""
         return self.policy.decide(visible, self.belief_of(belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """As :class:`xplain.solvers.base.Policy` says."""
+        """See :class:`xplain.solvers.base.Policy`."""
         return self.policy.values(visible, self.belief_of(belief))
 
 
 def certain_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The belief for a policy that must be told the type. With a belief of 1 on it QMDP's value is
-    the type's own optimal value.
+    """The belief for a policy that needs a known type. With a belief of 1 in it QMDP's value is the
+    type's own optimal value.
 
     Raises:
-        InputError: the belief leaves the type open.
+        InputError: the belief is not certain of one type.
     """
-    if belief.max() < 1 - 1e-9:  # a sum of probabilities may be 1 but for rounding
+    if belief.max() < 1 - 1e-9:  # a sum of probabilities is 1 up to rounding
         raise InputError("belief", belief.tolist(), "this solver is told the type: 1 on one")
     return belief

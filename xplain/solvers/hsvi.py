@@ -1,15 +1,15 @@
-"""Certified: searches until the optimum is known to within a gap, and acts on what it found.
+"""Certified: searches until the optimum is known to within a gap, and acts on the result.
 
-HSVI (Smith & Simmons 2004) on a finite lattice, as AO* does: every belief that the search comes to
-carries an upper and a lower bound of its optimal value, which trials from the start tighten until
-they meet. Above: the values of known states, what other beliefs' upper bounds imply (sawtooth), and
-the best action's. Below: plans that ignore answers, alpha vectors of other beliefs, and the best
-action's. Unlikely
-answers stay coarse, and the unlikeliest are not told apart.
+HSVI (Smith & Simmons 2004) on a finite lattice, like AO*. Every belief that the search reaches has
+an upper and a lower bound of its optimal value. Trials from the start tighten them until they meet.
+The upper bound is the smallest of three: the values of known states, the bound from other beliefs'
+upper bounds (sawtooth), and that of the best action. The lower bound is the largest of three: plans
+that ignore answers, alpha vectors of other beliefs, and that of the best action. Unlikely answers
+stay coarse, and the least likely ones are merged.
 
-The bounds are of the optimal expected *discounted* return under the model. The policy takes, where
-the search has been, the action with the best certified lower bound; elsewhere (answers so unlikely
-that the search left them coarse, users unlike the model) it searches from there, briefly.
+The bounds are of the optimal expected *discounted* return under the model. At beliefs that the
+search reached, the policy takes the action with the best certified lower bound. At other beliefs
+(unlikely answers, users unlike the model) it runs a short search from there.
 """
 
 from __future__ import annotations
@@ -64,28 +64,28 @@ from xplain.solvers.process import (
 log = logging.getLogger(__name__)
 
 CHUNK = 100_000
-"""Work between two looks at the clock and at Ctrl-C: some hundredths of a second."""
+"""Work between two checks of the clock and of Ctrl-C: some hundredths of a second."""
 COARSER = 2
-"""A search asks for a gap this much smaller than the last that it closed."""
+"""Each search aims at a gap smaller by this factor than the last one."""
 GROWTH = 1.2
-"""All nodes are backed up once their number has grown by this factor."""
+"""All nodes are backed up after their number has grown by this factor."""
 TAIL = 0.6
-"""Share of the gap that may come from answers not told apart."""
+"""Share of the gap that may come from merged answers."""
 SAME = 1e-9
-"""Beliefs that differ by less in every entry are the same belief."""
+"""Beliefs are equal if all entries differ by less."""
 Gap = Annotated[float, Range(1e-9)]
 
 
 @checks("solver")
 @dataclass(frozen=True)
 class Effort:
-    """When a search may stop.
+    """Limits of a search.
 
     Attributes:
-        gap: once upper − lower is at most this.
-        nodes: once so many beliefs were opened (the same on every machine).
-        seconds: once so much time has passed (not the same on every machine).
-        memory_gib: rather than take more.
+        gap: stop when upper − lower is at most this.
+        nodes: stop after this number of opened beliefs (the same on every machine).
+        seconds: stop after this time (different on every machine).
+        memory_gib: stop before more memory is needed.
     """
 
     gap: Gap = 1e-3
@@ -98,11 +98,11 @@ class Effort:
 @dataclass(frozen=True)
 class Certified:
     """Args:
-    gap: stop once the optimum is known this well.
-    nodes: most beliefs to open before the first step.
-    seconds: most time for it, results then depend on the machine; None is no limit.
-    decision_nodes: most beliefs to open for a decision where the search has not been.
-    memory_gib: most memory; tables beyond it are refused, the search stops before it.
+    gap: stop at this gap between the bounds of the optimum. nodes: maximum number of beliefs opened
+    before the first step. seconds: time limit, with which results depend on the machine; None is no
+    limit. decision_nodes: maximum number of beliefs opened for a decision at a belief that the
+    search did not reach. memory_gib: maximum memory; larger tables are refused, and the search
+    stops before it.
     """
 
     gap: Gap = 1e-3
@@ -113,7 +113,7 @@ class Certified:
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`."""
         seconds = math.inf if self.seconds is None else self.seconds
         effort = Effort(self.gap, self.nodes, seconds, self.memory_gib)
         brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
@@ -122,11 +122,11 @@ class Certified:
 
 @dataclass(frozen=True)
 class Searched:
-    """What a search from one belief found.
+    """The result of a search from one belief.
 
     Attributes:
         process: the model.
-        tables: as the kernel wants it.
+        tables: the kernel's tables.
         kept: the messages of the tables, in order.
         store: the nodes.
     """
@@ -147,7 +147,7 @@ class Searched:
         return float(self.store.nodes["upper"][ROOT])
 
     def values(self, node: int = int(ROOT)) -> dict[Action, float]:
-        """Certified lower bounds of the actions not ruled out at an opened node."""
+        """Certified lower bounds of the remaining actions at an opened node."""
         opened = self.store.nodes[node]
         first = int(opened["first_action"])
         actions = self.store.actions[first : first + int(opened["n_actions"])]
@@ -163,8 +163,8 @@ class CertifiedPolicy:
     """Acts on certified lower bounds.
 
     Attributes:
-        found: by the search from the start.
-        brief: the effort for a belief not found there.
+        found: the search from the start.
+        brief: the effort for a belief that it did not reach.
     """
 
     found: Searched
@@ -181,12 +181,12 @@ class CertifiedPolicy:
         return self.found.upper
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """As :class:`xplain.solvers.base.Policy` says."""
+        """See :class:`xplain.solvers.base.Policy`."""
         return best_action(self.values(visible, belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Certified lower bounds of the actions not ruled out. Of equal beliefs that the search
-        came to, the best bounded one answers."""
+        """Certified lower bounds of the remaining actions. Among nodes with the same belief, the
+        one with the best bound is used."""
         store = self.found.store
         given = before_step(self.found.process, visible.given)
         place = visible.step, compress(given, self.found.kept)
@@ -212,15 +212,15 @@ class CertifiedPolicy:
 def search(
     problem: Problem, effort: Effort, told: Callable[[float], None] | None = None
 ) -> Searched:
-    """Searches from the start of an explanation, within the effort. Ctrl-C is heard throughout.
+    """Searches from the start of an explanation, within the effort. Ctrl-C ends it at any time.
 
     Args:
-        problem: of any kind.
-        effort: when to stop.
-        told: receives the gap now and then.
+        problem: a problem of any kind.
+        effort: limits of the search.
+        told: receives the gap regularly.
 
     Raises:
-        TooLargeError: the tables would take more memory, or too many messages matter.
+        TooLargeError: the tables would need too much memory, or too many messages matter.
     """
     tell_when_compiling()
     process, tables, kept = _tables(problem, effort.memory_gib)
@@ -229,7 +229,7 @@ def search(
 
 
 class _Search:
-    """A search under way, of another's tables."""
+    """A running search on given tables."""
 
     def __init__(
         self,
@@ -247,8 +247,8 @@ class _Search:
         start = np.ascontiguousarray(belief, dtype=np.float64)
         words = _words(self.tables, visible.asked)
         kernel.make_root(self.tables, self.store, visible.step, given, start, words)
-        self.backed_up = 1  # nodes, when all were
-        # Coarse before fine: a trial for the final gap would first refine what is ruled out later.
+        self.backed_up = 1  # number of nodes at the last backup of all
+        # Coarse before fine: a trial for the final gap would refine actions that are excluded later
         self.asked = max(float(effort.gap), self.gap / COARSER)
 
     @property
@@ -258,7 +258,7 @@ class _Search:
         return float(root["upper"] - root["lower"])
 
     def run(self) -> Searched:
-        """Searches until the effort is spent, or the gap closed as far as it will."""
+        """Searches until the effort is used, or the gap cannot become smaller."""
         effort, tail_gap = self.effort, self.effort.gap * TAIL / self.process.n_steps
         limits = effort.nodes, CHUNK
         while True:
@@ -282,7 +282,7 @@ class _Search:
         return Searched(self.process, self.tables, self.kept, self.store)
 
     def _back_up_all(self, scratch: Scratch) -> None:
-        """Backs up all nodes: what follows a question first, then the step before."""
+        """Backs up all nodes: those after a question first, then the earlier steps."""
         self.backed_up = int(self.store.used[NODES])
         nodes = self.store.nodes[: self.backed_up]
         asked = np.bitwise_count(self.store.asked[: self.backed_up]).sum(axis=1)
@@ -291,7 +291,7 @@ class _Search:
         kernel.back_up_all(self.tables, self.store, scratch, self.missed, order, least)
 
     def _grow(self) -> bool:
-        """Makes room. False where that would take more memory than the effort."""
+        """Allocates more room. False if this would need more memory than the effort allows."""
         if 2 * sum(array.nbytes for array in self.store) > self.effort.memory_gib * GIB:
             log.warning("the search stops at solver.memory_gib=%g", self.effort.memory_gib)
             return False
@@ -306,7 +306,7 @@ def _words(tables: Tables, asked: int) -> NDArray[np.int64]:
 
 
 def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple[int, ...]]:
-    """The process, as the search reads it, and the messages that matter, the cheapest first."""
+    """The process in the form of the search, and the messages that matter, cheapest first."""
     kept = weighable(problem, "certified")
     sets = 1 << len(kept) if problem.messages_land else 1 << 2 * problem.table.relevant.shape[1]
     size = 48 * (problem.n_steps + 1) * sets * problem.n_types
@@ -340,7 +340,7 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
 
 
 def _store(tables: Tables, states: int) -> Store:
-    """An empty store, with room for some thousand nodes."""
+    """An empty store with room for some thousand nodes."""
     nodes = 1 << 12 if states <= 64 else 1 << 10
     sets, words = len(tables.price), -(-len(tables.model.asked_answered) // WORD)
     actions, rows = max(4 * nodes, 2 * sets), 16
@@ -378,17 +378,17 @@ GROWS = {
     SETS: ("sets", "base", "over", "under"),
     PLACES: ("published", "vector", "peak", "height", "by", "source"),
 }
-"""The arrays that grow with what is counted."""
+"""The arrays that grow with each counter."""
 
 
 def _grown(store: Store) -> Store:
-    """The same store with twice the room for whatever has used up half of it."""
+    """The same store, with twice the room for arrays that are half full."""
     arrays: dict[str, Any] = store._asdict()
     short = {k for k, names in GROWS.items() if 2 * store.used[k] >= len(arrays[names[0]])}
     for kind in short or set(GROWS):
         for name in GROWS[kind]:
             array = arrays[name]
-            # Fresh zeros cost nothing until they are touched.
+            # New zeros use no memory until they are written.
             arrays[name] = np.zeros((2 * len(array), *array.shape[1:]), array.dtype)
             arrays[name][: store.used[kind]] = array[: store.used[kind]]
     arrays["table"] = np.full(4 * len(arrays["nodes"]), kernel.NONE, np.int32)

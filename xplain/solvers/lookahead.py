@@ -1,8 +1,8 @@
-"""Lookahead: one step of expectimax over QMDP, for problems too large to be searched.
+"""Lookahead: one step of expectimax over QMDP, for problems that are too large for a search.
 
-At a decision every set of messages is scored by QMDP; the best few are looked into: for each answer
-that the user may give, the belief is updated and QMDP asked what is best *then*. So the policy asks
-for the sake of the answer, which QMDP never does.
+At a decision QMDP scores every set of messages. The best few are evaluated further: for each
+possible answer the belief is updated, and QMDP gives the best value *after* it. So the policy acts
+to gain information from answers, which QMDP never does.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from xplain.solvers.process import (
 from xplain.solvers.voi import with_questions
 
 NEGLIGIBLE = 1e-9
-"""Answers less likely keep the score of being told the state."""
+"""Less likely answers keep the value of a known state."""
 KEPT = 16
-"""Bitmasks of messages whose subsets are kept."""
+"""Maximum number of bitmasks of messages whose subsets are cached."""
 Sets = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
-"""[B] sets of messages, [B, S] what they add to a cell, [B] their prices and discounts."""
+"""[B] sets of messages, [B, S] the number that each adds to a cell, [B] their prices and
+discounts."""
 
 
 @checks("solver")
 @dataclass(frozen=True)
 class Lookahead:
     """Args:
-    candidates: sets of messages looked into at a decision.
-    answers: most distinguishable answers followed for each; a set with more keeps its
-        QMDP score.
-    memory_gib: most that the tables of known types, and of all sets of messages, may take.
+    candidates: number of sets of messages evaluated at a decision. answers: maximum number of
+    distinguishable answers for each; a set with more keeps its QMDP score. memory_gib: maximum
+    memory of the tables of known types and of all sets of messages.
     """
 
     candidates: Count = 16
@@ -56,7 +56,7 @@ class Lookahead:
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`."""
         greedy = greedy_policy(problem, "lookahead", self.memory_gib)
         process, known = greedy.process, greedy.known
         messages = sum(1 << j for j in weighable(problem, "lookahead"))
@@ -68,13 +68,13 @@ class Lookahead:
 
 @dataclass(frozen=True)
 class Expectimax:
-    """One step of it, computed when asked.
+    """One step of expectimax, computed at each decision.
 
     Attributes:
-        process, known: the model, and its values where the state is known.
-        messages: bitmask of those with an effect.
-        candidates, answers: as :class:`Lookahead` has them.
-        kept: of bitmasks of messages that were asked for, at most KEPT.
+        process, known: the model, and its values for known states.
+        messages: bitmask of the messages with an effect.
+        candidates, answers: see :class:`Lookahead`.
+        kept: cache for bitmasks of messages, at most KEPT.
     """
 
     process: Process
@@ -85,12 +85,12 @@ class Expectimax:
     kept: dict[int, Sets] = field(default_factory=dict)
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """As :class:`xplain.solvers.base.Policy` says."""
+        """See :class:`xplain.solvers.base.Policy`."""
         return best_action(self.values(visible, belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Of the sets looked into, the best by QMDP's score first: a set whose score is below a
-        value found cannot be worth more."""
+        """The values of the evaluated sets, in descending order of QMDP's score. A set whose score
+        is below a found value cannot be better."""
         process, step = self.process, visible.step
         said = before_step(process, visible.given)
         messages = self.messages & matters(process, belief) & ~said
@@ -127,8 +127,8 @@ class Expectimax:
         return found
 
     def _later(self, step: int, said: int, belief: NDArray[np.float64]) -> float:
-        """The value of *explain* where QMDP decides after the answers; inf where these are too
-        many."""
+        """The value of *explain* if QMDP decides after the answers; inf if there are too many
+        answers."""
         process, known = self.process, self.known
         following = outcomes(process, step, said, belief, NEGLIGIBLE, self.answers)
         if following is None:

@@ -82,28 +82,28 @@ from xplain.solvers.process import (
 DepthUnit = Literal["steps", "actions"]
 Backup = Literal["mean", "max"]
 CHUNK = 50_000
-"""Simulations between two looks at Ctrl-C."""
+"""Simulations between two checks of Ctrl-C."""
 QUESTIONS = 4
-"""Questions that a search tries at a belief, at most: the most telling."""
+"""Maximum number of questions that a search tries at a belief: the most informative ones."""
 FIRST_TABLE = 1 << 12
-"""Entries of the table of nodes that a search begins with."""
+"""Initial number of entries in the table of nodes."""
 REMEMBERED = 1 << 11
-"""Most observations whose likelihoods a search remembers: they stay in the processor's cache."""
+"""Maximum number of observations whose likelihoods a search caches; they fit into the processor's
+cache."""
 CODED = 1 << 24
-"""Bytes of coded labels, about."""
+"""Approximate bytes of coded labels."""
 
 
 @checks("solver")
 @dataclass(frozen=True)
 class POMCP:
     """Args:
-    simulations: of one search, which tries each action at least once; a decision of j messages
-        takes j + 1 searches.
-    depth: d ≥ 1, where simulations end; None for the end of the trace.
-    depth_unit: ``actions`` (messages and *explain*) or ``steps`` (*explain* alone).
-    exploration: c of UCB1, in units of the most expensive single cost (a 0 label, or a message).
-    backup: ``mean`` (the paper) or ``max``.
-    memory_gib: most that tables and the tree may take.
+    simulations: number of simulations in one search, which tries each action at least once; a
+    decision of j messages takes j + 1 searches. depth: d ≥ 1, the end of simulations; None for the
+    end of the trace. depth_unit: ``actions`` (messages and *explain*) or ``steps`` (*explain*
+    alone). exploration: c of UCB1, in units of the most expensive single cost (a label 0, or a
+    message). backup: ``mean`` (the paper) or ``max``. memory_gib: maximum memory of the tables and
+    the tree.
     """
 
     simulations: Count = 6_000
@@ -115,7 +115,7 @@ class POMCP:
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`."""
         tell_when_compiling()
         size = 2 * known_bytes(problem) + _tree_bytes(problem, self.simulations)
         check_memory("pomcp", size, self.memory_gib, "search less, or qhr plans without tables")
@@ -135,14 +135,13 @@ class POMCP:
 
 @dataclass(frozen=True)
 class Search:
-    """A policy that searches for each decision, on a random stream of its own.
+    """A policy that searches at each decision, with a separate random stream.
 
     Attributes:
         process: the model.
-        model: as the kernel wants it.
-        options: as the kernel wants them.
-        simulations: of a search.
-        seed: of the run.
+        model, options: the model and the options in the kernel's form.
+        simulations: number of simulations in a search.
+        seed: seed of the run.
     """
 
     process: Process
@@ -152,7 +151,7 @@ class Search:
     seed: int
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """As :class:`xplain.solvers.base.Policy` says."""
+        """See :class:`xplain.solvers.base.Policy`."""
         chosen = 0
         while True:
             action = best_action(self._values(visible, chosen, belief))
@@ -165,13 +164,13 @@ class Search:
             belief = give_all(self.process, belief, new)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Estimated return of *explain*, of each message and question that was tried."""
+        """Estimated return of *explain*, and of each message and question that was tried."""
         return self._values(visible, 0, belief)
 
     def _values(
         self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]
     ) -> dict[Action, float]:
-        """Where these messages were chosen for this step already."""
+        """The values if the messages ``chosen`` were already chosen for this step."""
         tree = self.search(visible, chosen, belief)
         root, n = tree.nodes[ROOT], self.process.n_messages
         actions = [a for a in range(64) if int(root["actions"]) >> a & 1]
@@ -184,8 +183,8 @@ class Search:
         return {named[a]: value for a, value in values.items()}
 
     def stream(self, visible: VisibleState, said: int, belief: NDArray[np.float64]) -> int:
-        """The seed of a search: it comes from what is to be decided, not from what was decided
-        before."""
+        """The seed of a search. It depends on the state of the decision, not on earlier
+        decisions."""
         digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
         questions = (str(visible.asked),) if visible.asked else ()
         return derived_seed(self.seed, "pomcp", visible.step, said, digest, 0, *questions)
@@ -211,11 +210,11 @@ class Search:
 
 
 def search_model(process: Process, known: KnownValues, searches: bool = True) -> SearchModel:
-    """A process laid out for kernels.
+    """Makes the kernels' form of a process.
 
     Args:
         process, known: the model, and its values.
-        searches: whether simulations read it, which need ``wanted``.
+        searches: True adds ``wanted``, which simulations need.
     """
     lands = process.jump is None
     nothing, questions = np.zeros(0), process.questions
@@ -247,7 +246,7 @@ def search_model(process: Process, known: KnownValues, searches: bool = True) ->
 
 
 def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
-    """``wanted`` of :class:`~xplain.solvers.parts.SearchModel`, where messages land."""
+    """``wanted`` of :class:`~xplain.solvers.parts.SearchModel`, if messages land."""
     steps, types = process.n_steps, process.n_types
     wanted = np.zeros(known.explain.shape, np.int64)
     for bit, own in enumerate(process.own.T):
@@ -264,13 +263,12 @@ def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
 
 
 def _slots(process: Process) -> int:
-    """How many questions a search tries at a belief: no more than a mask has room for."""
+    """Number of questions that a search tries at a belief, at most the bits of a mask."""
     return min(QUESTIONS, len(process.questions.answered), 61 - process.n_messages)
 
 
 def make_tree(process: Process, simulations: int, seed: int) -> Tree:
-    """A tree without a root yet, with memory for that many simulations. Memory that no simulation
-    reaches is never touched."""
+    """An empty tree with memory for this number of simulations. Unused memory is never written."""
     n, steps, states = process.n_messages, process.n_steps, process.n_states
     slots, questions = _slots(process), len(process.questions.answered)
     size, actions, entries = simulations + 1, n + 1 + slots, _entries(simulations)
@@ -301,7 +299,7 @@ def make_tree(process: Process, simulations: int, seed: int) -> Tree:
 
 @lru_cache(maxsize=4)
 def _roots(size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """sqrt(log v) and 1 / sqrt(v) for v = 0 … size (0 for 0), once a size."""
+    """sqrt(log v) and 1 / sqrt(v) for v = 0 … size (0 for 0), cached by size."""
     v = np.maximum(np.arange(size + 1), 1)
     inverse = 1 / np.sqrt(v)
     inverse[0] = 0.0
@@ -313,13 +311,13 @@ def _entries(simulations: int) -> int:
 
 
 def _coded(messages: int, steps: int, states: int) -> int:
-    """How many message sets are kept coded: a power of two."""
+    """Number of cached coded message sets: a power of two."""
     each = steps * (COLUMN.itemsize * states + LABEL.itemsize)
     return 1 << min(max(CODED // each, 16).bit_length() - 1, 12, messages)
 
 
 def _tree_bytes(problem: Problem, simulations: int) -> int:
-    """The most that a tree takes."""
+    """Maximum bytes of a tree."""
     states, n, steps = problem.start.size, problem.n_messages, problem.n_steps
     node = NODE.itemsize + 8 * (states + 1) + EDGE.itemsize * (n + 1 + QUESTIONS) + 4 * QUESTIONS
     entries, sets = _entries(simulations), _coded(n, steps, states)

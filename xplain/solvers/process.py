@@ -1,39 +1,39 @@
 """The one model that every solver plans with: the POMDP of one problem as arrays.
 
-Hidden is s ∈ {0 … S − 1}; visible is v, a bitmask of what was said as far as it matters:
+Hidden is s ∈ {0 … S − 1}; visible is v, a bitmask of the relevant messages:
 
 - *messages land* (``jump`` is None): s is the hidden type, S = N, and v = H, all messages given;
-- *messages may be missed or forgotten*: s = K · N + t, the facts that the user knows (a row K of
-  the label table) and the hidden type t, S = rows · N; v is what was said at this step.
+- *messages may be missed or forgotten*: s = K · N + t, the user's known facts (a row K of the label
+  table) and the hidden type t, S = rows · N; v has the messages of this step.
 
 Tables are flat, [..., cells]. A table is read at x(v, s) = base[s] + Σ_{j ∈ v} stride[j, s]
-(:class:`Cells`). Where messages land a cell is (row of v, t) and ``base[t] = t``; where they may be
-missed it is s itself and every stride is 0.
+(:class:`Cells`). If messages land, a cell is (row of v, t) and ``base[t] = t``; if they may be
+missed, it is s itself and every stride is 0.
 
     give j      pays price[j], discounts by γ' = ``message_discount``; b' = ``give(process, b, j)``:
-                a part accept[s] of b[s] moves to s + jump[j, s] (jump is 0 where nothing changes)
-    explain     pays explain_cost[k, x(v, s)], discounts by γ = ``discount``; the evidence is
-                Π_i P(y_i) with P(y_i = 1) = answered[i, x(v, s)] for i ≤ k; then
-                b' = ``forget(process, b)``: each fact known is lost with probability forget[t]
-    ask q       pays questions.cost, never discounts; the evidence is
-                questions.answered[q, x_q(v, s)], x_q by ``questions.cells``
+    a part accept[s] of b[s] moves to s + jump[j, s] (jump is 0 where nothing changes) explain
+    pays explain_cost[k, x(v, s)], discounts by γ = ``discount``; the evidence is Π_i P(y_i) with
+    P(y_i = 1) = answered[i, x(v, s)] for i ≤ k; then b' = ``forget(process, b)``: each fact known
+    is lost with probability forget[t] ask q       pays questions.cost, never discounts; the
+    evidence is questions.answered[q, x_q(v, s)], x_q by ``questions.cells``
 
-A message is given at most once a step; where messages land, once. Only where they land does giving
-discount (γ' = γ, the paper): where a message may be given again, delay would pay for ever. A
-message that is in ``relevant[s]`` of no s with belief is no action.
+A message is given at most once in a step; if messages land, once in all. A message discounts only
+if messages land (γ' = γ, the paper): if it could be repeated, delay would always gain. A message
+that is relevant to no s with positive belief is no action.
 
-*Explain* leads to k + 1 with v as it is where messages land, else with v = 0 (:func:`before_step`).
+*Explain* leads to k + 1 with the same v if messages land, otherwise with v = 0
+(:func:`before_step`).
 
-With s known labels tell nothing, and the process is an MDP on (k, v), solved backwards in k
+With known s labels give no information, and the process is an MDP on (k, v), solved backwards in k
 (Bellman 1957):
 
-    Q(k, v, s, explain) = γ E_F V(k + 1, v⁺, s') − explain_cost[k, x(v, s)],   V(m, ·) = 0
-    Q(k, v, s, give j) = γ' [α V(k, v + j, s + jump[j, s]) + (1 − α) V(k, v + j, s)] − price[j]
-    V(k, v, s) = max { Q(k, v, s, explain), max_{j ∉ v} Q(k, v, s, give j) }
+    Q(k, v, s, explain) = γ E_F V(k + 1, v⁺, s') − explain_cost[k, x(v, s)],   V(m, ·) = 0 Q(k, v,
+    s, give j) = γ' [α V(k, v + j, s + jump[j, s]) + (1 − α) V(k, v + j, s)] − price[j] V(k, v, s) =
+    max { Q(k, v, s, explain), max_{j ∉ v} Q(k, v, s, give j) }
 
-Where messages land, the maximum over all sets of messages is one sweep a message, the most
-expensive first: of a best set the cheapest is given first. Where they may be missed, what comes
-next depends on what was taken in, and v is the messages of this step.
+If messages land, the maximum over all sets of messages is one sweep for each message, most
+expensive first: the cheapest of a best set is given first. If they may be missed, the next state
+depends on the accepted messages.
 """
 
 from __future__ import annotations
@@ -55,27 +55,28 @@ from xplain.explanation.problem import Problem
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 KEPT = 1 << 12
-"""Bitmasks whose cells are kept: a walk meets the same ones again and again."""
+"""Maximum number of bitmasks whose cells are cached, because a walk uses the same ones
+repeatedly."""
 MAX_MISSED = 10
-"""Messages whose sets are weighed together where they may be missed, at most: a set then leads to
-a belief of its own."""
+"""Maximum number of messages whose sets are compared if messages may be missed. Each set then leads
+to another belief."""
 KEPT_ANSWERS, JOINED = 1 << 9, 1 << 6
-"""Likelihoods that are kept, and how many answers are listed together in one of them."""
+"""Maximum number of cached likelihoods, and of answers listed together in one of them."""
 PATIENCE = 0.1
-"""A message that may be missed must gain this share of its price on top, times the probability that
-the state is not the likeliest one: saying it tells nothing about the user, and hides the answer
-that would. Chosen among 0.05, 0.1, 0.15 and 0.2 on seeds 9700 to 9745."""
+"""A message that may be missed must gain this additional share of its price, times the probability
+that the state is not the most likely one. Such a message gives no information about the user, and
+hides the answer that would. Chosen among 0.05, 0.1, 0.15 and 0.2 on seeds 9700 to 9745."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Where a flat table is read.
+    """The indices of a flat table.
 
     Attributes:
-        base: [S] the cell of s before anything was said.
-        stride: [n, S] what saying message j adds.
-        kept: the cells of bitmasks that were asked for, at most KEPT.
-        answers: what :func:`answer_likelihoods` found, at most KEPT_ANSWERS.
+        base: [S] cell of s before any message.
+        stride: [n, S] the number that message j adds.
+        kept: cached cells of bitmasks, at most KEPT.
+        answers: cached results of :func:`answer_likelihoods`, at most KEPT_ANSWERS.
     """
 
     base: IntArray
@@ -85,7 +86,7 @@ class Cells:
 
     def at(self, said: int) -> IntArray:
         """[S] the cells for a bitmask of messages."""
-        cells = self.kept.get(said)  # a policy may be asked by several threads
+        cells = self.kept.get(said)  # several threads may use a policy
         if cells is None:
             if len(self.kept) == KEPT:
                 self.kept.clear()
@@ -102,12 +103,12 @@ class QuestionTables(NamedTuple):
 
     Attributes:
         answered: [Q, cells] P(answer 1).
-        likelier: [Q, cells] whether the label is likelier 1: alike where this is alike.
-        cells: where a question's table is read.
+        likelier: [Q, cells] True if label 1 is more likely; questions with equal rows are alike.
+        cells: the indices of a question's table.
         relevant: [S] bitmask of the messages that change some answer of s.
         cost: κ.
-        most: asked at most, no more than there are.
-        first: whether only before the first step.
+        most: maximum number of questions, at most Q.
+        first: True if only before the first step.
     """
 
     answered: FloatArray
@@ -123,20 +124,20 @@ class Process(NamedTuple):
     """m steps, n messages, S hidden states of N hidden types; see above.
 
     Attributes:
-        start: [S] the belief before the first step.
+        start: [S] belief before the first step.
         p: [m, cells] P(label 1).
-        answered: [m, cells] P(answer 1); ``p`` itself where users do not err.
+        answered: [m, cells] P(answer 1); the same array as ``p`` if users do not err.
         explain_cost: [m, cells] C_inexp Σ_{i ≤ k} (1 − P), the expected cost of *explain* at k.
-        cells: where these three are read.
-        own: [N, r] the message of each bit of a type's row, NONE for none. Where messages land the
-            bits of a type ascend in price.
+        cells: indices of these three tables.
+        own: [N, r] message of each bit of a type's row, NONE for none. If messages land, the bits
+            of a type ascend in price.
         relevant: [S] bitmask of the messages that change some label of s, or move it.
-        jump: [n, S], or None where messages land.
+        jump: [n, S], or None if messages land.
         accept: [S] α, or None.
-        forget: [N] φ, or None where nothing is ever forgotten.
+        forget: [N] φ, or None if nothing is ever forgotten.
         price: [n] λ C_e.
         discount, message_discount: γ and γ'.
-        questions: that may be asked.
+        questions: the possible questions.
     """
 
     start: FloatArray
@@ -176,12 +177,13 @@ class Process(NamedTuple):
 
 
 def make_process(problem: Problem, dense: bool = False) -> Process:
-    """The process of a problem.
+    """Makes the process of a problem.
 
     Args:
-        problem: of any kind.
-        dense: where messages land, each type's row is over all messages with an effect on some
-            type, so that a row is a set of them; else over its own alone, where that is less.
+        problem: a problem of any kind.
+        dense: if messages land, True makes each type's row cover all messages with an effect on
+            some type, so that a row is a set of them; False makes it cover the type's own messages
+            if these are fewer.
 
     Raises:
         TooLargeError: more than MAX_RELEVANT messages of a row.
@@ -229,7 +231,7 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
 
 
 def row_messages(problem: Problem, dense: bool = False) -> list[tuple[int, ...]]:
-    """For each type the messages of its row, ascending, where messages land."""
+    """For each type, the messages of its row, ascending, if messages land."""
     own = problem.table.effective()
     union = problem.messages_with_effect
     together = tuple(sorted({j for row in own for j in row}))
@@ -239,10 +241,10 @@ def row_messages(problem: Problem, dense: bool = False) -> list[tuple[int, ...]]
 
 
 def weighable(problem: Problem, what: str) -> tuple[int, ...]:
-    """The messages with an effect, ascending, for solvers that weigh sets of them together.
+    """The messages with an effect, ascending, for solvers that compare sets of them.
 
     Raises:
-        TooLargeError: they are too many.
+        TooLargeError: too many messages.
     """
     messages = problem.messages_with_effect
     most = MAX_RELEVANT if problem.messages_land else MAX_MISSED
@@ -261,7 +263,7 @@ def _by_price(table: LabelTable, price: FloatArray) -> LabelTable:
 
 
 def _cells_by_row(table: LabelTable, messages: int) -> Cells:
-    """Of a table [..., rows · N] where messages land."""
+    """The cells of a table [..., rows · N], if messages land."""
     stride = np.zeros((messages, table.n_types), np.int64)
     whose, bit = np.nonzero(table.relevant != NONE)
     stride[table.relevant[whose, bit], whose] = table.n_types << bit
@@ -269,7 +271,8 @@ def _cells_by_row(table: LabelTable, messages: int) -> Cells:
 
 
 def _jumps(table: LabelTable, messages: int) -> IntArray:
-    """[n, S] where messages may be missed: from a state without a relevant fact to that with it."""
+    """[n, S] if messages may be missed: the distance from a state without a relevant fact to the
+    state with it."""
     types, width = table.relevant.shape
     rows = np.arange(1 << width)
     jump = np.zeros((messages, len(rows), types), np.int64)
@@ -286,17 +289,17 @@ def _answer_changing(table: LabelTable, problem: Problem) -> IntArray:
 
 
 def before_step(process: Process, given: int) -> int:
-    """v before the messages of a step, of the bitmask of all messages given so far."""
+    """v before the messages of a step, from the bitmask of all messages given so far."""
     return given if process.jump is None else 0
 
 
 def matters(process: Process, belief: FloatArray) -> int:
-    """Bitmask of the messages that change a label of some state with belief."""
+    """Bitmask of the messages that change a label of some state with positive belief."""
     return int(np.bitwise_or.reduce(process.relevant[belief > 0]))
 
 
 def give(process: Process, belief: FloatArray, message: int) -> FloatArray:
-    """The belief(s) [..., S] after message j was said once."""
+    """The belief(s) [..., S] after message j was given once."""
     if process.jump is None or process.accept is None:
         return belief
     jump = process.jump[message]
@@ -309,7 +312,7 @@ def give(process: Process, belief: FloatArray, message: int) -> FloatArray:
 
 
 def give_all(process: Process, belief: FloatArray, messages: int) -> FloatArray:
-    """The belief(s) [..., S] after these messages were said."""
+    """The belief(s) [..., S] after these messages."""
     for message in indices(messages):
         belief = give(process, belief, message)
     return belief
@@ -334,10 +337,10 @@ def expected_after_forgetting(process: Process, values: FloatArray) -> FloatArra
 def answer_likelihoods(
     process: Process, step: int, said: int, possible: IntArray
 ) -> list[FloatArray]:
-    """What distinguishable answers to *explain* at (k, v) tell, as factors: [B, P] P(answer | s) of
-    B answers in each, for P possible states. The same are asked for at many beliefs."""
+    """The distinguishable answers to *explain* at (k, v), as factors: [B, P] P(answer | s) of B
+    answers in each, for P possible states. Cached, because many beliefs use the same ones."""
     kept, key = process.cells.answers, (step, said, possible.tobytes())
-    factors = kept.get(key)  # a policy may be asked by several threads
+    factors = kept.get(key)  # several threads may use a policy
     if factors is None:
         if len(kept) == KEPT_ANSWERS:
             kept.clear()
@@ -364,21 +367,21 @@ def outcomes(
     negligible: float = 0.0,
     most: int | None = None,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """What may follow *explain* at (k, v): answers that tell the same are one.
+    """The possible outcomes of *explain* at (k, v). Answers with the same information are merged.
 
     Transitions with equal columns P(answer 1 | s) are exchangeable, so the number of their 1s is
-    enough; those that all states answer alike tell nothing.
+    enough; transitions that all states answer alike give no information.
 
     Args:
         process: the model.
         step, said: k and v.
-        belief: [S] when the labels are asked for; needs not sum to 1.
-        negligible: answers less likely than this are not listed.
-        most: answers listed.
+        belief: [S] before the labels; need not sum to 1.
+        negligible: less likely answers are not listed.
+        most: maximum number of answers.
 
     Returns:
-        [B, S] joint probabilities of an answer and the state at the next step, and [S] of all
-        answers that are not listed; None where they are more than ``most``.
+        [B, S] joint probabilities of an answer and the state at the next step, and [S] the sum over
+        all answers that are not listed; None if there are more than ``most``.
     """
     possible = np.flatnonzero(belief > 0)
     weights, tail = belief[None, possible], np.zeros(len(belief))
@@ -395,8 +398,8 @@ def outcomes(
 
 
 def expected_after_giving(process: Process, messages: list[int], values: FloatArray) -> FloatArray:
-    """[F, S] E[v_j(s') | s] after message j was said once, of values [F, S] for each of F messages
-    j."""
+    """[F, S] E[v_j(s') | s] after message j was given once, from values [F, S] for each of F
+    messages j."""
     if process.jump is None or process.accept is None:
         return values
     landed = np.take_along_axis(
@@ -406,7 +409,8 @@ def expected_after_giving(process: Process, messages: list[int], values: FloatAr
 
 
 def all_given(process: Process, belief: FloatArray, messages: list[int]) -> FloatArray:
-    """[2^F, S] the belief after each set of F messages, as ``message_sets.subsets`` lists them."""
+    """[2^F, S] the belief after each set of F messages, in the order of
+    ``message_sets.subsets``."""
     after = belief[None]
     for message in messages:
         after = np.concatenate([after, give(process, after, message)])
@@ -414,8 +418,8 @@ def all_given(process: Process, belief: FloatArray, messages: list[int]) -> Floa
 
 
 def set_prices(process: Process, sets: IntArray) -> tuple[FloatArray, FloatArray]:
-    """[B] the discounted price of B sets of messages, the cheapest first, and what each set
-    discounts."""
+    """[B] the discounted price of B sets of messages, cheapest message first, and the discount of
+    each set."""
     price, discount = np.zeros(len(sets)), np.ones(len(sets))
     for j in np.argsort(process.price, kind="stable"):
         has = sets >> j & 1 == 1
@@ -427,18 +431,18 @@ def set_prices(process: Process, sets: IntArray) -> tuple[FloatArray, FloatArray
 def hear_answer(
     process: Process, belief: FloatArray, said: int, question: int, answer: int
 ) -> FloatArray:
-    """[S] joint probabilities of the state and the answer 0 or 1 to a question, with v said."""
+    """[S] joint probabilities of the state and the answer 0 or 1 to a question, at v."""
     yes = process.questions.answered[question, process.questions.cells.at(said)]
     return belief * (yes if answer else 1 - yes)
 
 
 class KnownValues(NamedTuple):
-    """V and Q in two layouts behind one lookup.
+    """V and Q in two layouts with one interface.
 
     Attributes:
-        value: [m + 1, cells] V, read by ``value_cells``.
-        explain: [m, cells] Q of *explain*, read by ``explain_cells``.
-        value_cells, explain_cells: the indices of the cells in the two layouts.
+        value: [m + 1, cells] V, with indices ``value_cells``.
+        explain: [m, cells] Q of *explain*, with indices ``explain_cells``.
+        value_cells, explain_cells: the indices of the two layouts.
     """
 
     value: FloatArray
@@ -460,9 +464,9 @@ def known_values(process: Process, idle: bool = False) -> KnownValues:
 
     Args:
         process: the model.
-        idle: whether a known type may be given messages of its row that change nothing for it.
-            Given for the sake of others they put off its costs: where giving discounts, Σ b V
-            bounds the optimum from above only so.
+        idle: True allows messages of a known type's row that change nothing for it. Given because
+            of other types they delay its costs: if messages discount, Σ b V is an upper bound of
+            the optimum only with them.
     """
     prices = _bit_prices(process, idle)
     solve = _where_messages_land if process.jump is None else _where_messages_are_missed
@@ -470,7 +474,7 @@ def known_values(process: Process, idle: bool = False) -> KnownValues:
 
 
 def known_bytes(problem: Problem) -> int:
-    """What :func:`~xplain.solvers.process.make_process` and :func:`known_values` take, in bytes."""
+    """Memory of :func:`~xplain.solvers.process.make_process` and :func:`known_values`, in bytes."""
     steps, rows, types = problem.table.p.shape
     if problem.messages_land:
         return 8 * 4 * (steps + 1) * types << max(map(len, row_messages(problem)))
@@ -478,7 +482,7 @@ def known_bytes(problem: Problem) -> int:
 
 
 def _bit_prices(process: Process, idle: bool) -> FloatArray:
-    """[r, N] price of the message of each bit; inf where there is none, or it changes nothing."""
+    """[r, N] price of the message of each bit; inf if there is none, or it changes nothing."""
     own, types = process.own.T, np.arange(process.n_types)
     exists = own != NONE
     if not idle:
@@ -502,7 +506,7 @@ def _where_messages_land(process: Process, prices: FloatArray) -> KnownValues:
 
 
 def _where_messages_are_missed(process: Process, prices: FloatArray) -> KnownValues:
-    """[m + 1, sets of the step, S] where messages may be missed."""
+    """[m + 1, sets of the step, S] values if messages may be missed."""
     states, types, bits = process.n_states, process.n_types, len(prices)
     assert process.accept is not None
     accept = process.accept[:types]
@@ -513,7 +517,7 @@ def _where_messages_are_missed(process: Process, prices: FloatArray) -> KnownVal
         later = expected_after_forgetting(process, value[k + 1, 0])
         explain[k] = process.discount * later - process.explain_cost[k]
         value[k] = explain[k]
-        for size in reversed(range(bits)):  # one message more is known already
+        for size in reversed(range(bits)):  # sets with one more message are already solved
             for bit in range(bits):
                 without = sets[(np.bitwise_count(sets) == size) & (sets >> bit & 1 == 0)]
                 more = value[k, without | 1 << bit]

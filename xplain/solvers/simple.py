@@ -1,13 +1,13 @@
-"""Solvers that search for nothing.
+"""Solvers without a search.
 
-- *QHR* takes the best set of messages if nothing could be said after the next step:
-  Q(b, a) = −(λ C_e(a) + Σ_{j > k}^{m} Σ_{i ≤ j} C_inexp (1 − P[t, i, H ∪ a])), expected over the
+- *QHR* takes the set of messages that is best if nothing can be said after the next step: Q(b, a) =
+  −(λ C_e(a) + Σ_{j > k}^{m} Σ_{i ≤ j} C_inexp (1 − P[t, i, H ∪ a])), the expectation over the
   belief (the paper, "Myopic Approximation: QHR", after Fern et al. 2014). The sum over j begins
   with the prefix that the next *explain* shows. As in the paper nothing is discounted.
-- *Silent* says nothing: its cost is that of all labels 0 under the empty message set.
-- *Say all* gives every message before the first step: λ Σ_j C_e(j), and what stays inexplicable.
-- *Ask first* asks the questions whose answers tell the most (greedy mutual information), whatever
-  they cost, before the first step; from then on it is QMDP.
+- *Silent* gives no messages: its cost is that of all labels 0 under the empty message set.
+- *Say all* gives every message before the first step: λ Σ_j C_e(j) plus the remaining labels 0.
+- *Ask first* asks the most informative questions (greedy mutual information), at any cost, before
+  the first step; then it is QMDP.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from xplain.solvers.voi import telling_questions, with_questions
 
 @dataclass(frozen=True)
 class QHR:
-    """No options: a closed form, computed when asked."""
+    """Has no options: a closed form, computed at each decision."""
 
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says.
+        """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`.
 
         Raises:
             TooLargeError: messages may be missed, and too many have an effect.
@@ -64,8 +64,8 @@ class QHR:
 
 
 def _candidates(process: Process) -> NDArray[np.int64]:
-    """The sets of messages to weigh, ascending: all, or where more than DENSE messages have an
-    effect those that one state looks at."""
+    """The sets of messages to compare, ascending: all sets, or those relevant to one state if more
+    than DENSE messages have an effect."""
     together = int(np.bitwise_or.reduce(process.relevant))
     own = [together] if together.bit_count() <= DENSE else np.unique(process.relevant).tolist()
     return np.unique(np.concatenate([subsets(indices(mask)) for mask in own]))
@@ -77,9 +77,9 @@ class QHRPolicy:
 
     Attributes:
         process: the model.
-        sets: those weighed, ascending. Where these are not all, the best one is added to what was
-            chosen until nothing is worth adding.
-        shown: [m, cells] what the prefixes from k on cost, where nothing more is said.
+        sets: the sets to compare, ascending. If these are not all, the best one is added to the
+            chosen set until no addition is better.
+        shown: [m, cells] costs of the prefixes from k on, without further messages.
     """
 
     process: Process
@@ -87,7 +87,7 @@ class QHRPolicy:
     shown: NDArray[np.float64]
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """As :class:`xplain.solvers.base.Policy` says."""
+        """See :class:`xplain.solvers.base.Policy`."""
         chosen, best = -1, 0
         while best != chosen:
             chosen = best
@@ -95,7 +95,7 @@ class QHRPolicy:
         return give(chosen)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Of *explain*, of each message alone, and of the set chosen."""
+        """The values of *explain*, of each single message, and of the chosen set."""
         chosen = messages_of(self.decide(visible, belief))
         weighed: dict[int, float] = {}
         for first in (0, chosen):
@@ -106,7 +106,8 @@ class QHRPolicy:
     def _weigh(
         self, visible: VisibleState, belief: NDArray[np.float64], chosen: int
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Sets of messages that may be given and have those chosen, ascending, and their values."""
+        """The sets of messages that may be given and contain the chosen ones, ascending, with their
+        values."""
         process = self.process
         said = before_step(process, visible.given)
         heard = belief[None]
@@ -134,7 +135,7 @@ class Silent:
 
 @dataclass(frozen=True)
 class SayAll:
-    """Gives all messages at once, those too that change nothing."""
+    """Gives all messages at once, including those without effect."""
 
     knows: Knowledge = "types"
 
@@ -145,7 +146,7 @@ class SayAll:
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """Gives a set of messages at the first opportunity, whatever the user answers.
+    """Gives a set of messages at the first step, independent of the user's answers.
 
     Attributes:
         chosen: the set, a bitmask.
@@ -154,11 +155,11 @@ class OpenLoop:
     chosen: int
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """Gives those of the set that are not yet given."""
+        """Gives the messages of the set that were not yet given."""
         return give(self.chosen & ~visible.given)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """None: nothing was weighed."""
+        """Empty, because nothing was compared."""
         return {}
 
 
@@ -166,21 +167,21 @@ class OpenLoop:
 @dataclass(frozen=True)
 class AskFirst:
     """Args:
-    memory_gib: most that QMDP's tables may take.
+    memory_gib: maximum memory of QMDP's tables.
     """
 
     memory_gib: Positive = 8.0
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`."""
         policy = greedy_policy(problem, "ask_first", self.memory_gib)
         return AsksFirst(policy, policy.process)
 
 
 @dataclass(frozen=True)
 class AsksFirst:
-    """Asks what tells the most while anything does, before the first step.
+    """Asks the most informative question before the first step, as long as one is informative.
 
     Attributes:
         policy: decides on messages.
@@ -191,7 +192,7 @@ class AsksFirst:
     process: Process
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """As :class:`xplain.solvers.base.Policy` says."""
+        """See :class:`xplain.solvers.base.Policy`."""
         if not visible.step and not visible.given:
             questions, _ = telling_questions(self.process, visible, belief, 1)
             if questions:
@@ -199,5 +200,5 @@ class AsksFirst:
         return self.policy.decide(visible, belief)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """QMDP's, of messages alone: questions are not weighed."""
+        """QMDP's values of messages; questions have no values."""
         return self.policy.values(visible, belief)

@@ -1,14 +1,14 @@
-"""Value of information: how much a question is worth to a policy that does not plan to ask.
+"""Value of information: the value of a question for a policy that does not plan to ask.
 
     VOI(q) = Σ_y P(y | b) V(b_y) − V(b) − κ
 
 (Howard 1966; one question ahead, "myopic"). V is not QMDP's bound, which assumes that the state
 becomes known at no cost. V is the return of QMDP's own decisions from a belief, estimated by
 simulation. W(b) = Σ b_s V(k, v, s) is linear in b, and answers do not change its mean. So the
-return of QMDP's decisions is W(b) minus the expected losses: what each decision loses against
-knowing the state at that step. W is the same on both sides, and the losses vary little, so few
-simulations are enough if all beliefs share their random numbers. Where labels are certain, one
-simulation a state is exact.
+return of QMDP's decisions is W(b) minus the expected losses: the loss of each decision relative to
+a known state at that step. W is the same on both sides, and the losses vary little, so few
+simulations are enough if all beliefs share their random numbers. If labels are certain, one
+simulation of each state is exact.
 
 Only the open questions with the most informative answers (mutual information) are evaluated, as
 chosen by :func:`telling_questions`.
@@ -31,21 +31,21 @@ from xplain.solvers.pomcp_kernel import Tree, roll
 from xplain.solvers.process import KnownValues, Process, before_step, hear_answer
 
 LOOKED_INTO = 12
-"""Questions whose worth a decision looks into: the most telling."""
+"""Number of most informative questions that are evaluated at a decision."""
 ROLLS = 40
-"""Simulations from a belief."""
+"""Number of simulations from a belief."""
 FAINT = 1e-6
-"""A state less likely than this is not simulated."""
+"""Less likely states are not simulated."""
 SPREAD = 0xD1342543DE82EF95
-"""Between the streams of two simulations."""
+"""Distance between the streams of two simulations."""
 WORDS = (1 << 64) - 1
 
 
 def telling_questions(
     process: Process, visible: VisibleState, belief: NDArray[np.float64], most: int | None = None
 ) -> tuple[list[int], list[float]]:
-    """The questions that may be asked and tell something, the most telling first, and the nats that
-    their answers tell: those of :func:`~xplain.solvers.parts.rank_questions`."""
+    """The possible questions that are informative, most informative first, with the nats of
+    information in their answers, from :func:`~xplain.solvers.parts.rank_questions`."""
     questions, asked = process.questions, visible.asked
     if asked.bit_count() >= questions.most or (questions.first and (visible.step or visible.given)):
         return [], []
@@ -57,7 +57,7 @@ def telling_questions(
 
 
 def with_questions(policy: Policy, process: Process, known: KnownValues, seed: int) -> Policy:
-    """The policy, which asks where there are questions."""
+    """The policy, extended to ask if there are questions."""
     if not len(process.questions.answered):
         return policy
     stream = derived_seed(seed, "value of information")
@@ -66,12 +66,12 @@ def with_questions(policy: Policy, process: Process, known: KnownValues, seed: i
 
 @dataclass(frozen=True)
 class VoiPolicy:
-    """Asks the question that is worth the most, while one is worth anything.
+    """Asks the question with the largest positive value of information, if any.
 
     Attributes:
         policy: decides on messages.
-        process, model: the model, and as simulations read it.
-        stream: of the simulations.
+        process, model: the model, and its form for simulations.
+        stream: random stream of the simulations.
     """
 
     policy: Policy
@@ -80,7 +80,7 @@ class VoiPolicy:
     stream: int
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """As :class:`xplain.solvers.base.Policy` says."""
+        """See :class:`xplain.solvers.base.Policy`."""
         gains = self._gains(visible, belief)
         best = max(gains, key=lambda q: gains[q], default=0)
         if gains and gains[best] > TIE:
@@ -113,9 +113,9 @@ class VoiPolicy:
         return gains
 
     def _worth(self, tree: Tree, step: int, said: int, belief: NDArray[np.float64]) -> float:
-        """What QMDP's decisions earn from a belief [S]."""
+        """The value of QMDP's decisions from a belief [S]."""
         process, model = self.process, self.model
-        # What happens to a user is no chance where answers are certain.
+        # If answers are certain, a simulation has no randomness.
         certain = process.jump is None and not (process.answered % 1).any()
         states, weights, streams = _spread(belief, 1 if certain else ROLLS)
         seeds = np.array([self.stream + i * SPREAD & WORDS for i in streams], np.uint64)
@@ -127,8 +127,8 @@ def _spread(
     belief: NDArray[np.float64], rolls: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], list[int]]:
     """States to simulate, their weights, and the numbers of their random streams. Every likely
-    state is simulated equally often; if there are more states than simulations, the states are
-    spread evenly over the belief."""
+    state is simulated equally often. If there are more states than simulations, the simulated
+    states are spread evenly over the belief."""
     likely = np.flatnonzero(belief > FAINT)
     if rolls > 1 and len(likely) > rolls:
         at = (np.arange(rolls) + 0.5) / rolls
