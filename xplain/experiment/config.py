@@ -208,7 +208,8 @@ _OTHER_KIND = re.compile(rf"Value '(.*)' .*could not be converted to ({'|'.join(
 
 
 def _causes(error: BaseException) -> list[BaseException]:
-    """The chain of causes; the first one of our own errors comes first."""
+    """The chain of an error's causes. If errors of this package are among them, the innermost of
+    these comes first."""
     chain: list[BaseException] = []
     current: BaseException | None = error
     while current is not None and current not in chain:

@@ -191,11 +191,11 @@ class Adaptive:
         misread: share of clips that are misunderstood as a whole.
         none: probability that no hypothesis fits a person.
         from_others: weight of earlier observers in the prior of the next one.
-        check: share of the questions, once a person's incorrect beliefs are known, that check
-            whether there are others: with all known facts told, the robot's frequent transitions
-            should be explicable.
-        in_turn: True asks one question of each person in turn, like people who answer at the same
-            time, each with a prior from all others so far; False asks one person after the other.
+        check: share of check questions, once a person's incorrect beliefs are known. They tell all
+            known facts and ask about a frequent transition of the robot. The answer 0 means that
+            there are further incorrect beliefs.
+        in_turn: True asks each person one question in turn, as if people answered at the same time;
+            each prior comes from all others so far. False asks one person after the other.
         hypotheses: an ``.npz`` file; None: those of the domain.
     """
 

@@ -87,7 +87,7 @@ class QuestionMatrix:
         return cls(hypotheses, labels, facts, own, which.ravel(), sets)
 
     def having(self, function: int) -> NDArray[np.int64]:
-        """The transitions with a label function."""
+        """The transitions with this label function."""
         return self.transitions[self.function == function]
 
     def probability(

@@ -1,5 +1,4 @@
-"""The outputs folder with its runs, sweeps and results, and messages about failures after
-saving."""
+"""The outputs folder, with its runs, sweeps and results."""
 
 from __future__ import annotations
 

@@ -265,7 +265,7 @@ def mark_failed(folder: Path, error: BaseException) -> None:
 
 
 def ended_by(error: SystemExit) -> str:
-    """Describes a component's call that ends the program."""
+    """Names what a component called to end the program."""
     return f"a component ended the program (sys.exit({error.code!r})) while the experiment ran"
 
 

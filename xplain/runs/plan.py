@@ -240,7 +240,7 @@ def _swept_text(value: Any) -> str:
 
 
 def _text(value: Any) -> str:
-    """A value as in YAML; numbers have no trailing zeros."""
+    """A value in YAML's form; numbers have no trailing zeros."""
     if isinstance(value, float):
         return f"{value:.10g}"
     return value if isinstance(value, str) else json.dumps(value)

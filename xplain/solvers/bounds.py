@@ -112,7 +112,8 @@ def _plan(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
 
 
 def _plan_value(process: Process, plan: list[int]) -> float:
-    """Expected discounted return of these sets, the cheapest message first, for any answers."""
+    """Expected discounted return of a fixed plan of sets, which ignores answers. The cheapest
+    message of a set comes first."""
     given, value, discount = 0, 0.0, 1.0
     for step, new in enumerate(plan):
         given |= new

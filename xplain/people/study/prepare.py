@@ -121,13 +121,13 @@ def _quiz(
     need: int,
     number: int,
 ) -> tuple[Statement, ...]:
-    """Makes two statements about facts that the type needed (then its other incorrect facts, then
-    any facts), and two about something else: facts that everybody is told, or that the type
-    believes correctly.
+    """Makes the quiz of a type: two statements about facts that the type needed, and two about
+    other facts.
 
-    One statement of each two is true. Facts that everybody is told sound the other way round (a
-    true sentence is bad news there), so guessing by the sound of a sentence is right only half of
-    the time.
+    If fewer than two facts were needed, the type's other incorrect facts follow, then any facts.
+    The other statements are about facts that everybody is told, or that the type believes
+    correctly. One statement of each two is true. True sentences that everybody is told are bad
+    news, so the sound of a sentence does not reveal whether it is true.
 
     Args:
         facts, known: of the plan.
@@ -198,10 +198,11 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
 
 
 def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The conditions; if questions are allowed, with the personalized explainer that asks.
+    """The conditions. If questions are allowed, these include the personalized explainer that asks.
 
     Raises:
-        InputError: only a condition or only a key asks for questions, or a study cannot ask them.
+        InputError: a condition asks but no key allows questions, or the reverse; or a study cannot
+            ask questions of this kind.
     """
     conditions, ask = config["conditions"], config.get("ask", {"kinds": []})
     if not ask["kinds"]:
