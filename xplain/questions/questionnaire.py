@@ -327,21 +327,14 @@ class Questionnaire:
         known = self.hypotheses
         try:
             asked, told = question
-            transitions = np.atleast_1d(np.asarray(asked))
-            if transitions.ndim != 1 or transitions.dtype.kind not in "iu" or not len(transitions):
-                raise TypeError
-            told = int(told)
+            each, told = np.atleast_1d(asked).tolist(), np.asarray(told).item()
         except (TypeError, ValueError):
             raise InputError("question", question, "(transition or list, message set)") from None
-        unknown = transitions[(transitions < 0) | (transitions >= known.n_transitions)]
-        if len(unknown):
-            allowed = f"a transition 0 … {known.n_transitions - 1} of the hypotheses"
-            raise InputError("question", int(unknown[0]), allowed)
-        if len(transitions) > MAX_CLIP:
-            raise InputError("question", len(transitions), f"at most {MAX_CLIP} transitions")
-        if not 0 <= told < 1 << known.n_messages:
-            raise InputError("question", told, f"a set of {known.n_messages} messages")
-        return transitions.astype(np.int64), told
+        if not 1 <= len(each) <= MAX_CLIP:
+            raise InputError("question", len(each), f"1 … {MAX_CLIP} transitions")
+        last, every = known.n_transitions - 1, (1 << known.n_messages) - 1
+        transitions = [whole_number("question.transition", t, 0, last) for t in each]
+        return np.array(transitions), whole_number("question.messages", told, 0, every)
 
 
 def _rates(
@@ -350,18 +343,15 @@ def _rates(
     """[2, T] slips and guesses; None without either."""
     if slip is None and guess is None:
         return None
-    rows = []
-    for key, given in (("slip", slip), ("guess", guess)):
-        try:
-            row = np.broadcast_to(np.asarray(0.0 if given is None else given, float), transitions)
-        except (TypeError, ValueError):
-            raise InputError(key, given, f"{transitions} probabilities, or one") from None
-        if not ((row >= 0) & (row < 1)).all():
-            raise InputError(key, given, "probabilities in [0, 1)")
-        rows.append(row)
-    rates = np.stack(rows)
-    if not (rates.sum(axis=0) < 1).all():
-        raise InputError("slip", float(rates.sum(axis=0).max()), "slip + guess < 1")
+    given = [0.0 if one is None else one for one in (slip, guess)]
+    try:
+        rates = np.stack([np.broadcast_to(np.asarray(one, float), transitions) for one in given])
+        sound = bool((rates >= 0).all() and (rates.sum(axis=0) < 1).all())
+    except (TypeError, ValueError):
+        sound = False
+    if not sound:
+        allowed = f"{transitions} probabilities each, or one; slip + guess < 1"
+        raise InputError("slip and guess", given, allowed)
     return rates
 
 
