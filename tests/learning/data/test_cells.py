@@ -134,6 +134,16 @@ def followed(text: str, advice: str) -> list[str]:
     return value
 
 
+def test_where_nearly_every_answer_is_about_another_step_the_advice_works(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = table(tmp_path, age=[1, 2, 3, 3, 1, 2], load=[4, 4, 5, 4, 5, 5], label=[0, 1] * 3)
+    read_table(path, features=["age", "row", "load"])
+    assert "nearly every answer is about another step" in caplog.text
+    again = read_table(path, features=followed(caplog.text, "; try "))
+    assert again.feature_names == ("row", "load")
+
+
 @pytest.mark.parametrize("told", [True, False])
 @pytest.mark.parametrize("shuffled", [True, False])
 def test_a_number_of_the_row_is_no_feature_however_it_counts(

@@ -260,10 +260,13 @@ def read_table(
     if not under_way:
         _check(dataset, key)
     rows, steps = len(dataset), len(dataset.features)
-    log.info("data: %d steps by the features %s", steps, ", ".join(features))
-    if steps > NEARLY_ALL * rows:
-        log.warning("data: nearly every answer is about another step; leave columns out by ignore=")
-    log.info("data: nothing was told in %d of %d rows", int((dataset.message_set == 0).sum()), rows)
+    log.info("%s: %d steps by the features %s", key, steps, ", ".join(features))
+    if steps > NEARLY_ALL * rows and len(features) > 1:
+        most = max(features, key=lambda name: len(columns[name].words))
+        advice = option(key, "features", *(name for name in features if name != most))
+        log.warning("%s: nearly every answer is about another step; try %s", key, advice)
+    silent = int((dataset.message_set == 0).sum())
+    log.info("%s: nothing was told in %d of %d rows", key, silent, rows)
     return dataset
 
 
@@ -472,7 +475,8 @@ def _choose_features(
         name, why = next(iter(left.items()))
         raise InputError(key, name, f"{why}; if it is a feature: {option(key, 'features', name)}")
     if left:
-        log.warning("data: left out: %s; to take all: %s", reasons, option(key, "features", *names))
+        advice = option(key, "features", *names)
+        log.warning("%s: left out: %s; to take all: %s", key, reasons, advice)
     return taken
 
 

@@ -453,7 +453,8 @@ class DirichletMixture(Clusterer):
         depth = min(self.depth or usual, n)
         if n**depth > 64 * MAX_SUBSETS:
             raise TooLargeError(
-                f"clusterer.depth={depth}: too many sets of {n} messages; use a smaller depth"
+                f"clusterer.depth={depth}: too many sets of {n} messages; at most "
+                f"{int(math.log(64 * MAX_SUBSETS, n))}"
             )
         answers, prior = SortedLabels.of(dataset), Prior.of(n, depth)
         sweeps = min(self.sweeps, max(self.updates // observers, FEWEST_SWEEPS))
