@@ -61,6 +61,9 @@ def test_without_features_the_text_is_one(tmp_path: Path) -> None:
         ("text,load\na,1\nb\n", "line 3 has 1 cells, the header has 2"),
         ("text,load\na,1\nb,inf\n", "infinite in 1 rows of load, first in row 2"),
         ("text,load\n", "has no rows"),
+        ('text,inexplicable_if\na,x\nb,y\nc,"x,y"\n', "='x,y': .* joined .*, give it another name"),
+        ("text,inexplicable_if\na,x\nb,X\n", "differs from x by case alone"),
+        ("text,inexplicable_if\na,x\nb,none\n", "leave the cell empty"),
         ("", "it is empty"),
     ],
 )

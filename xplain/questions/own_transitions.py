@@ -13,8 +13,8 @@ from xplain.domains.base import Domain
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import InputError
-from xplain.explanation.message_sets import mask_of
-from xplain.learning.data.label_file import MISSING, Column, features_of, read_cells
+from xplain.explanation.message_sets import mask_of, names_of
+from xplain.learning.data.label_file import Column, features_of, message_sets, read_cells
 
 TEXT, IMAGE, ALT, WHEN = "text", "image", "alt", "inexplicable_if"
 
@@ -99,8 +99,8 @@ def read_transitions(path: str | Path) -> OwnTransitions:
         raise InputError("transitions", TEXT, f"a text in every row; missing in row {row}")
     facts = None
     if WHEN in words:
-        cells = ("" if cell in MISSING else cell for cell in words[WHEN])
-        facts = tuple(tuple(filter(None, map(str.strip, cell.split(";")))) for cell in cells)
+        sets, known = message_sets(Column.of("transitions", WHEN, table[WHEN]))
+        facts = tuple(names_of(int(one), known) for one in sets)
     described = [name for name in table.columns if name not in (TEXT, IMAGE, ALT, WHEN)]
     columns = [Column.of("transitions", name, table[name]) for name in described]
     features, names = features_of(columns) if columns else (None, ())

@@ -119,6 +119,7 @@ def test_a_file_may_hold_more_than_the_domain_asks_for(
     again = FileObservers(str(path)).collect(setting, Shared(), 0).dataset
     assert again.feature_names == names
     assert "left out: age (the same in all rows of a person)" in caplog.text
+    assert "to take all: 'observers.features=[" in caplog.text
     changing = pd.read_csv(path).assign(age=np.arange(len(dataset)) % 7)
     changing.to_csv(path, index=False)
     with pytest.raises(InputError, match="age") as caught:

@@ -511,7 +511,7 @@ def _dataset(
     observer = columns["observer"]
     observer.refuse(observer.words == "", "missing")
     observer.warn_of_similar()
-    message_set, known = _message_sets(columns["messages"], messages)
+    message_set, known = message_sets(columns["messages"], messages)
     return Dataset(
         features=features[np.unique(transition, return_index=True)[1]],
         feature_names=names,
@@ -524,10 +524,19 @@ def _dataset(
     )
 
 
-def _message_sets(
-    column: Column, messages: Sequence[str] | None
+def message_sets(
+    column: Column, messages: Sequence[str] | None = None
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Returns the message set of each row [P], and the names of all messages."""
+    """Returns the message set of each row [P], and the names of all messages.
+
+    Args:
+        column: names joined by ``;`` in each cell.
+        messages: the allowed names, in order; None: all names in the column, sorted.
+
+    Raises:
+        InputError: a name is unknown, or looks like several names, like no message, or like
+            another name; or there are too many.
+    """
     absent = MISSING - {*(messages or ())}
     given = [[" ".join(x.split()) for x in cell.split(";") if x.strip()] for cell in column.words]
     given = [[] if len(names) == 1 and names[0] in absent else names for names in given]
@@ -546,7 +555,9 @@ def _message_sets(
 def _ask_about_names(key: str, names: Sequence[str]) -> None:
     """Raises InputError for a name that looks like several names, like no message, or like another
     name."""
-    one = f"if it is one message: {option(key, 'messages', *names)}"
+    one = "if it is one message, give it another name"
+    if key in PREFIXES:
+        one = f"if it is one message: {option(key, 'messages', *names)}"
     parts = {x: [part.strip() for part in re.split(r"[,|+&/\\]", x)] for x in names}
     for name, own in parts.items():
         single = not any(" " in part for part in own)
