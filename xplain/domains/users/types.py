@@ -149,7 +149,9 @@ def first_distinct(
         if not distinct or len(np.unique(Setting.build(domain, drawn).distinct)) == count:
             return drawn
     allowed = f"no draw of {ATTEMPTS} gives so many types of {domain.name} that behave differently"
-    raise InputError("users.count", count, f"{allowed}; ask for fewer")
+    raise InputError(
+        "users.count", count, f"{allowed}; ask for fewer, or replace facts that change no label"
+    )
 
 
 @checks("users")
