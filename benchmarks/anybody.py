@@ -26,7 +26,7 @@ from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.experiment.explanations import problem_of_types, what_is_thought
 from xplain.experiment.from_config import components_of
-from xplain.experiment.pipeline import Prepared
+from xplain.experiment.pipeline import Case, Prepared
 from xplain.experiment.strangers import with_others
 from xplain.explanation.anybody import Open
 from xplain.explanation.belief import BeliefUpdate, Independent
@@ -89,7 +89,8 @@ class Told(NamedTuple):
     """One episode: of which world, λ, kind, policy, trace and user it is.
 
     Attributes:
-        right: [N] whether each type found is the user's, who thinks as it does on this trace.
+        right: [N] whether each type found thinks as the user did, of all that this user was shown:
+            no answer tells the two apart.
     """
 
     seed: int
@@ -136,15 +137,26 @@ def episodes(name: str, seeds: Iterable[int], trade_offs: Iterable[float], *over
                             seed = derived_seed(world.seed, "explainee", index, user)
                             own = truth.of_types([user])
                             person = people[kind].meet(own, same, seed)
-                            alike = np.array_equal(people[kind].thoughts(own, same, seed).p, own.p)
-                            right = prepared.matched_true_type == prepared.distinct[user]
                             about = world.seed, trade_off, kind, policy, index, user
                             talk = explain(problem, planned, person, update)
-                            yield Told(*about, right & alike, talk)
+                            yield Told(*about, thought_alike(world.prepared, case, talk), talk)
+
+
+def thought_alike(prepared: Prepared, case: Case, episode: Episode) -> NDArray[np.bool_]:
+    """[N] whether each learned type's true labels are what the user thought at every step."""
+    own = [np.flatnonzero(prepared.distinct == one)[0] for one in prepared.matched_true_type]
+    given, alike = 0, np.ones(len(own), np.bool_)
+    for k, (said, thoughts) in enumerate(zip(episode.messages, episode.thoughts, strict=True)):
+        given |= int(said)
+        labels = case.labels.label_probabilities(k + 1, given)[own]
+        alike &= (labels == thoughts[: k + 1]).all(axis=1)
+    return alike
 
 
 def ratio(over: NDArray[np.float64], under: NDArray[np.float64]) -> tuple[float, float]:
-    """Of the sums of two costs by world, and its standard error."""
+    """Of the sums of two costs by world, and its standard error; of two zeros it is 1."""
+    if not under.any():
+        return (np.inf if over.any() else 1.0), 0.0
     found = over.sum() / under.sum()
     rest = over - found * under
     return float(found), float(np.sqrt((rest**2).sum()) / under.sum())
@@ -175,7 +187,7 @@ def table(
                 }
                 reference = min(list(POLICIES)[1:], key=lambda policy: own[policy].sum())
                 found, error = ratio(own["open"], own[reference])
-                if kind != "backlash":
+                if kind != "backlash" and 0 < found < np.inf:
                     logs[trade_off].append(np.log(found))
                 cells.append(f"{found:.2f} ± {error:.2f}")
                 best.append(f"{reference} {own[reference].mean():.2f}")

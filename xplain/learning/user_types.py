@@ -45,7 +45,8 @@ observer (seeds 9300 to 9302) it was 0.04 to 0.07 if 5 % were wrong, and 0.15 to
 were polite, repeated themselves, or answered at random."""
 NOISY_TEXT = (
     "about %.0f %% of the answers are not what people think: the types may be wrong; compare "
-    "explanations by them with solver=conformant and solver=say_all"
+    "explanations by them with solver=conformant, and with solver=say_all, whose cost does not "
+    "depend on types"
 )
 
 

@@ -61,6 +61,16 @@ def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
     assert compared(plan, nobody) == {}
 
 
+@pytest.mark.parametrize(("error", "doubtful"), [(0.0, False), (0.05, False), (0.45, True)])
+def test_types_are_doubtful_where_answers_are_not_what_people_think(
+    error: float, doubtful: bool
+) -> None:
+    people = [person(number, replace(FAULTLESS, error=error)) for number in range(8)]
+    found = found_types(COLLECTION.plan, people)
+    assert found is not None
+    assert found.doubtful == doubtful
+
+
 def test_only_who_finished_and_looked_is_learned_from() -> None:
     done = person(0)
     assert done.left_out == ""

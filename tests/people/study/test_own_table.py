@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,11 @@ from PIL import Image
 from tests.people.client import Client
 from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor, differences, pages
+from xplain import Explainer
 from xplain.cli.people import configured
 from xplain.errors import InputError
+from xplain.explanation.anybody import Open
+from xplain.explanation.belief import NO_FIT
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.saved import LearnedTypes, TableLabeler
 from xplain.people.store import Store
@@ -25,6 +29,7 @@ from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
+from xplain.people.study.tables import fit_of, glance, tables
 from xplain.people.web import create_app
 
 
@@ -71,21 +76,26 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def save_types(path: Path, feature: str, messages: tuple[str, ...] = FACTS) -> None:
+def save_types(
+    path: Path, feature: str, messages: tuple[str, ...] = FACTS, facts: bool = False
+) -> None:
     features = np.arange(len(WHEN), dtype=np.float32)[:, None]
     told = [{f for j, f in enumerate(FACTS) if mask >> j & 1} for mask in range(8)]
-    labelers = [
+    *labelers, everything = [
         TableLabeler(
             rows=features,
             values=np.array(
-                [[0.01 + 0.98 * sense(row, {fact} - one) for one in told] for row in range(6)]
+                [[0.01 + 0.98 * sense(row, wrong - one) for one in told] for row in range(6)]
             ),
             n_messages=3,
         )
-        for fact in FACTS
+        for wrong in (*({fact} for fact in FACTS), {*FACTS})
     ]
     names = tuple(f"{fact}?" for fact in FACTS)
-    LearnedTypes(tuple(labelers), names, np.full(3, 1 / 3), messages, (feature,)).save(path)
+    known: dict[str, Any] = {"wrong": (1, 2, 4), "about_everything": everything} if facts else {}
+    LearnedTypes(tuple(labelers), names, np.full(3, 1 / 3), messages, (feature,), **known).save(
+        path
+    )
 
 
 def plan_of(**changes: Any) -> StudyPlan:
@@ -141,6 +151,32 @@ def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path
                 "image/png",
             )
     assert differences(store) == []
+    store.close()
+
+
+def test_whom_no_type_fits_is_in_the_export_and_on_the_researchers_page(
+    lab: Path, tmp_path: Path
+) -> None:
+    save_types(lab / "types.npz", "place", facts=True)
+    flow = Study.of(plan_of(belief="open"))
+    assert flow.plan.problem.type_names[-1] == "none of these"
+    explainer = Explainer(LearnedTypes.load(lab / "types.npz"), belief_update=Open("learned"))
+    beliefs = explainer.session([[row - 1] for row in TRACE]).belief
+    known = flow.plan.problem.type_belief(flow.plan.problem.start)
+    np.testing.assert_allclose([*beliefs.values()], known)
+    store, fits = Store(tmp_path / "s.sqlite", flow), []
+    visitor = Visitor(Client(create_app(store, GENEROUS)))
+    for who, noise in enumerate((0.0, 0.5)):
+        habits = replace(FAULTLESS, label_noise=noise)
+        person = StudyBot(flow.plan, habits, np.random.default_rng(who))
+        assert [*pages(visitor, person, *store.invite(1, "person"))][-1][1].stage == "done"
+        visitor.client.cookies.clear()
+        fits.append(fit_of(flow.plan, store.present()[who].state))
+    assert fits[0] > NO_FIT > fits[1]
+    people = [*tables(flow.plan, store.present())["participants"]]
+    assert [row["fit"] for row in people] == fits
+    seen = glance(flow, store.present())
+    assert (seen["fits"], seen["unfit"]) == (2, 1)
     store.close()
 
 

@@ -27,6 +27,7 @@ from xplain.learning.data.label_file import write_table
 from xplain.learning.evidence import Evidence
 from xplain.learning.mixture.labeler import KnownAnswers
 from xplain.learning.mixture.likelihood import KnownTransitions
+from xplain.learning.user_types import NOISY
 from xplain.people.collect.asking import ATTENTION, HEEDED, STATED, AskedClip, CollectState, prior
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
@@ -103,6 +104,11 @@ class KnownSoFar:
     evidence: Evidence
     new_types: float
     next_new: float
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether so many answers are wrong that the types may be wrong, as for ``discover``."""
+        return self.error > NOISY
 
 
 def fact_sets(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[NDArray[np.int64], float]:

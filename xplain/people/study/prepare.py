@@ -19,6 +19,7 @@ from xplain.errors import InputError, one_of, whole_number
 from xplain.experiment.explanations import Costs
 from xplain.experiment.from_config import component
 from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
+from xplain.explanation.belief import Facts
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.learning.data.queries import sample_trace
@@ -272,6 +273,20 @@ def learned_table(material: Material, types: LearnedTypes, rows: Transitions) ->
     return label_table(types.labelers, material.features[rows][:, columns], made)
 
 
+def facts_of_types(
+    material: Material, types: LearnedTypes | None, trace: Transitions, asked: Transitions
+) -> Facts | None:
+    """What is known of the facts that people may believe incorrectly; None where nothing is."""
+    if types is None or types.wrong is None:
+        return None
+    columns = [material.feature_names.index(name) for name in types.feature_names]
+    of_trace, of_asked = (
+        types.everything(material.features[rows][:, columns].tolist()) if len(rows) else None
+        for rows in (trace, asked)
+    )
+    return None if of_trace is None else Facts(of_trace, types.wrong, of_asked, types.new)
+
+
 def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: int) -> Transitions:
     """The transitions that may be asked about while a trace is explained, nearest first."""
     Pool(clips=clips)
@@ -374,7 +389,6 @@ def drafted(
     labels, asked_about = material.labels(trace), asks[0] if asks else trace[:0]
     shown = [material.clips[row] for row in (*trace, *asked_about)]
     facts, known = own["facts"], tuple(Known(**one) for one in wording["known"])
-    habits = instantiate(config["belief"]).habits(learned and learned.habits)
     before, asked = lab_questions(config["before"], config["questions"])
     roles = roles_of(facts, types, labels, wording)
     problem = costs.problem(table, tuple(fact.name for fact in facts), names, shares)
@@ -385,6 +399,8 @@ def drafted(
         shows = asked_about[:, None] == trace
         problem = replace(problem, questions=Questions(asks[1], limits, shows))
         clip_labels = LabelTable.dense(material.labels(asked_about)).compact(len(facts))
+    wrong = facts_of_types(material, learned, trace, asked_about)
+    people = instantiate(config["belief"]).people
     return StudyPlan(
         **own,
         known=known,
@@ -395,7 +411,7 @@ def drafted(
         roles=(natural_role(facts, known, labels),) if natural else roles,
         kinds=tuple(role.wrong for role in roles) if natural else (),
         shown=tuple(clip.worded(in_words) for clip in shown),
-        problem=problem.with_habits(habits),
+        problem=people(problem, learned and learned.habits, wrong),
         clip_labels=clip_labels,
         true_labels=labels,
         conditions=config["conditions"],

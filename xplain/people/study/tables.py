@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from xplain.errors import InputError, one_of
+from xplain.explanation.belief import NO_FIT
 from xplain.explanation.listening import Explained
 from xplain.explanation.message_sets import names_of
 from xplain.people.export import Row, seconds, write
@@ -38,7 +39,7 @@ def export(database: Path, folder: Path) -> str:
 
 
 def glance(study: Study, people: People) -> dict[str, Any]:
-    """The free places, for the researcher's page."""
+    """Free places, and how many participants no type fits, for the researcher's page."""
     held, plan, rows = study.holders(people), study.plan, []
     for own in sorted({"person", *(name for name, _ in held)}):
         for user_type, condition in plan.cells:
@@ -52,7 +53,18 @@ def glance(study: Study, people: People) -> dict[str, Any]:
                 {"stream": own, "user_type": user_type, "condition": condition}
                 | {"completed": sum(inside), "held": inside.count(False), "free": free}
             )
-    return {"slots": rows, "roles": plan.roles}
+    done = [one.state for one in people if one.stream == "person" and one.state.stage == "done"]
+    fits = [fit for state in done if (fit := fit_of(plan, state)) is not None]
+    unfit = sum(fit < NO_FIT for fit in fits)
+    return {"slots": rows, "roles": plan.roles, "fits": len(fits), "unfit": unfit}
+
+
+def fit_of(plan: StudyPlan, state: StudyState) -> float | None:
+    """P(the participant is of a found type, as assumed). None before the evaluation, or where the
+    belief only knows found types."""
+    if not state.belief or plan.problem.as_found.all():
+        return None
+    return plan.problem.fit(np.array(state.belief))
 
 
 @dataclass(frozen=True)
@@ -140,6 +152,7 @@ def _participant(plan: StudyPlan, one: Person) -> Row:
         "window_width": consent.get("width"),
         "attention_missed": state.missed,
         **({"messages_again": state.again} if not plan.problem.messages_land else {}),
+        **({} if plan.problem.as_found.all() else {"fit": fit_of(plan, state)}),
         **({"questions_asked": len(state.asked), "cost": cost} if plan.clips else {}),
     }
 
