@@ -38,7 +38,7 @@ def kernel(function: Callable[..., Any]) -> Any:
     try:
         return numba.njit(cache=True, nogil=True)(function)
     except RuntimeError as error:
-        log.warning("kernels are compiled anew by every process (%s): set NUMBA_CACHE_DIR", error)
+        log.warning("every process compiles the kernels again (%s): set NUMBA_CACHE_DIR", error)
         return numba.njit(nogil=True)(function)
 
 

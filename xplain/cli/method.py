@@ -129,7 +129,7 @@ def plan(words: list[str]) -> dict[str, Any] | list[dict[str, Any]]:
 @command("export", "write a saved problem for POMDP solvers", "export")
 @keys
 def export(words: list[str]) -> None:
-    """Writes a saved problem for other programs, the whole file or nothing:
+    """Writes a saved problem for other programs:
     ``xplain export problem=FILE.npz format=pomdp output=FILE.pomdp``.
     """
     from xplain.experiment.config import composed
@@ -145,14 +145,14 @@ def export(words: list[str]) -> None:
     print(Path(cfg.output))
 
 
-@command("report", "tables, plots and a page of a sweep, anew")
+@command("report", "make the tables, plots and page of a sweep")
 @click.argument("words", nargs=-1)
 def report(words: tuple[str, ...]) -> None:
     """Tables, plots and a page of a sweep: ``xplain report [SWEEP FOLDER] [measure=NAME]``.
 
-    Without a folder, the newest sweep below ``outputs/``. Jobs are compared by their ``regret``
-    where all of them share an oracle, else by ``above_floor``, the cost above the clairvoyant's;
-    ``measure=cost``, ``regret`` or ``above_floor`` compares by that.
+    The default is the newest sweep below ``outputs/``. Jobs are compared by their ``regret`` if all
+    of them share an oracle, otherwise by ``above_floor``, the cost above the clairvoyant's;
+    ``measure=cost``, ``regret`` or ``above_floor`` chooses another measure.
     """
     from xplain.report.page import write_report
     from xplain.report.terminal import print_sweep
@@ -179,8 +179,8 @@ def report(words: tuple[str, ...]) -> None:
 def sync(words: tuple[str, ...]) -> None:
     """Sends results on disk to MLflow: ``xplain sync [FOLDER ...] [tracking.uri=URI]``.
 
-    Without folders, every result below ``outputs/``. Sweeps arrive as a parent with its children.
-    What is in MLflow already is not sent again; what was left open or half-sent is mended.
+    The default is every result below ``outputs/``. A sweep is a parent run with its jobs as
+    children. Runs that are already in MLflow are not sent again; incomplete ones are completed.
     """
     from hydra.utils import instantiate
 
@@ -205,8 +205,8 @@ def clean(delete: bool, outputs: Path) -> None:
         xplain clean [--outputs FOLDER]        lists them
         xplain clean --delete                  deletes them
 
-    Results below ``results/`` stay when a run's or sweep's folder is deleted; so do those of jobs
-    that ran while their sweep's list was lost. What is deleted is computed anew where it is needed.
+    Results below ``results/`` stay when a run's or sweep's folder is deleted, or a sweep's list is
+    lost. A deleted result is computed again when it is needed.
     """
     from xplain.runs.folder import delete_result, unlisted_results
 
@@ -249,15 +249,15 @@ def serve(words: list[str]) -> None:
 @keys
 def demo(words: list[str], user: str | None, trace: int | None, html: Path) -> None:
     """Plays one explanation, and writes it as a page to step through, on phones too: at each step
-    the robot says what this user needs to know, and the user says which transitions make no sense.
+    the robot gives messages to this user, and the user says which transitions make no sense.
 
-        xplain demo                              writes demo.html: a user and a trace that show much
+        xplain demo                              writes demo.html: an instructive user and trace
         xplain demo --user B lambda=2            a simulated user of type B
         xplain demo --trace 3                    another trace, from 0
         xplain demo --html mine.html             another file
         xplain demo domain=four_rooms solver=qhr seed=3
 
-    Without --trace it is the one of the first five in which the user's type is found with fewest
+    The default trace is the one of the first five in which the user's type is found with fewest
     messages. Keys are those of the experiment (domain, users, solver, lambda, seed, ...).
     """
     if not html.absolute().parent.is_dir():

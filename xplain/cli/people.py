@@ -50,10 +50,10 @@ def _of_both(
 @keys
 def serve(name: str, words: list[str]) -> None:
     """Serves the user study, or pages on which people give labels, until it is stopped:
-    ``xplain NAME port=8080``; of one's own robot with ``transitions=TABLE.csv facts=FACTS.csv``.
+    ``xplain NAME port=8080``; for your own robot with ``transitions=TABLE.csv facts=FACTS.csv``.
 
-    The first start fixes it in its database; later starts go on with it. One worker process with
-    threads: it alone has the database open. How a lab does it: docs/study.md, docs/collect.md.
+    The first start stores the plan in the database; later starts continue with it. One process with
+    threads has the database open. Instructions for a lab: docs/study.md, docs/collect.md.
     """
     from xplain.people.server import LOOPBACK
 
@@ -202,17 +202,17 @@ def bots(
     save: Path | None,
     flags: tuple[str, ...],
 ) -> None:
-    """Lets simulated people take part in what a server runs, over HTTP. They are marked as bots in
-    the data for ever, take nobody's place, and are never mixed with people.
+    """Lets simulated people take part on a server, over HTTP. Their data is always marked as that
+    of bots, they take no places of people, and are never mixed with people.
 
         xplain NAME bots --key KEY [--url http://127.0.0.1:8080] [--count 40] [--at-once 8]
             [--pace 0] [--leaving 0] [--seed 0] [--save FILE]
 
-    ``--key``: the researcher's key, which the server prints, better as the variable XPLAIN_KEY: any
-    user of the machine can see a command line; ``--pace``: 1 is real time;
-    ``--leaving``: chance to leave, a page; ``--save``: where the export (ZIP) goes afterwards.
-    Every habit is a flag: of ``xplain.people.study.bot.Habits`` such as ``--label-noise 0.1``, of
-    ``xplain.people.collect.bot.Habits`` such as ``--error 0.05`` (share of wrong answers) and
+    ``--key``: the researcher's key, which the server prints, better as the variable XPLAIN_KEY,
+    because any user of the machine can see a command line; ``--pace``: 1 is real time;
+    ``--leaving``: probability of leaving at each page; ``--save``: file for the export (ZIP) at the
+    end. Every habit is a flag: of ``xplain.people.study.bot.Habits`` such as ``--label-noise 0.1``,
+    of ``xplain.people.collect.bot.Habits`` such as ``--error 0.05`` (share of wrong answers) and
     ``--lapse 0`` (share of pages clicked through).
     """
     from requests import RequestException
@@ -248,8 +248,8 @@ def export(name: str, database: Path, folder: Path, identifiers: Path | None) ->
 
         xplain NAME export DATABASE FOLDER [--identifiers FILE]
 
-    ``--identifiers`` writes who is who into a file apart: completion codes, and the platform's ids
-    where the server keeps them.
+    ``--identifiers`` writes a separate file with completion codes, and the platform's ids if the
+    server keeps them.
     """
     from xplain.people.export import write_identifiers
     from xplain.people.log import read
@@ -281,17 +281,15 @@ def backup(name: str, database: Path, file: Path) -> None:
 @click.argument("database", type=FILE)
 @click.argument("reference")
 def erase(name: str, database: Path, reference: str) -> None:
-    """Erases everything that one participant did or said, by the reference they were given.
+    """Erases the data of one participant, by the reference on their last page.
 
         xplain NAME erase DATABASE REFERENCE
 
     The database is one that no server has open; a running server's page can do the same. The
-    erasure is an event. Exports and backups made before keep
-    the data.
+    erasure is an event. Earlier exports and backups keep the data.
 
-    What was learned from their answers to a collection before, about which questions tell most of
-    others, stays in the log without answers or reference: the questions of those who came after
-    followed from it.
+    In a collection, the priors of later participants depend on earlier answers. These priors stay
+    in the log, without answers or reference.
     """
     if not database.is_file():
         raise InputError("database", str(database), flow(name).PLAN.OF + "'s database")
@@ -305,12 +303,12 @@ def erase(name: str, database: Path, reference: str) -> None:
 @_of_both("replay", "compute it again from its log")
 @click.argument("database", type=FILE)
 def replay(name: str, database: Path) -> None:
-    """Says whether the plan would decide all of it again: beliefs and messages of a study,
+    """Checks that the plan leads to the same decisions again: beliefs and messages of a study,
     questions and posteriors of a collection.
 
         xplain NAME replay DATABASE
 
-    The database is one that no server has open. Exit code 1 where anything differs.
+    The database is one that no server has open. Exit code 1 if anything differs.
     """
     from xplain.people.export import replayed
     from xplain.people.log import read
@@ -330,15 +328,14 @@ def replay(name: str, database: Path) -> None:
 @click.argument("database", type=FILE)
 @click.option("--stream", default="person")
 def habits(name: str, database: Path, stream: str) -> None:
-    """How people listened and answered, learned from the log: how often they err, take a message in
-    and forget, as keys for a study or an experiment.
+    """Learns from the log how often people err, accept a message and forget it, as keys for a study
+    or an experiment.
 
         xplain NAME habits DATABASE [--stream person]
 
     The database is one that no server has open (or a snapshot); ``--stream`` is person, pilot or
-    bot. Of a study, messages that are said again tell most: with belief.accept and belief.forget. A
-    collection has to be begun with ``rules.listening``; a step after which something may be
-    forgotten is a page of it.
+    bot. In a study, repeated messages (belief.accept and belief.forget) give most information. A
+    collection must be started with ``rules.listening``; its unit of forgetting is a page.
     """
     from xplain.explanation.listening import learned_habits
 
@@ -361,7 +358,7 @@ def preregister(database: Path, out: Path | None) -> None:
 
         xplain study preregister DATABASE [--out FILE]
 
-    DATABASE holds a study that was started once: what is registered is what runs.
+    DATABASE is that of a study that was started once, so the registered study is the one that runs.
     """
     from xplain.people.log import read_plan
     from xplain.people.study.analysis import document
@@ -385,8 +382,8 @@ def preregister(database: Path, out: Path | None) -> None:
 @click.option("--seed", default=0)
 @click.option("--out", type=FILE)
 def analyse(folder: Path, stream: str, exclude: Path | None, seed: int, out: Path | None) -> None:
-    """The paper's Table 2 from an export of the study, with plots; where a condition asks, also how
-    it compares with the personalized one.
+    """The paper's Table 2 from an export of the study, with plots; if a condition asks, also its
+    comparison with the personalized one.
 
         xplain study analyse FOLDER [--stream person] [--exclude FILE] [--seed 0] [--out FOLDER]
 

@@ -200,7 +200,7 @@ def read_facts(path: str | None, names: Sequence[str]) -> tuple[Parameter, ...]:
     """
     wanted = (
         "a .csv file with the columns fact, message, belief: the robot's value, and what "
-        f"somebody who holds it wrong would say, of {', '.join(names)}"
+        f"the sentence of people who believe it incorrectly, for {', '.join(names)}"
     )
     if path is None:
         raise InputError("facts", None, wanted)

@@ -62,7 +62,7 @@ class Store(Log[Any]):
         if differences := replayed(flow, self.everybody()[-LATEST:]):
             raise XplainError(
                 "database: this version of xplain decides differently from the one that started "
-                f"{flow.plan.OF} in it; go on and replay with that version, or start anew in "
+                f"{flow.plan.OF} in it; go on and replay with that version, or start again in "
                 f"another database ({differences[0]})"
             )
 

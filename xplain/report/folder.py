@@ -57,7 +57,7 @@ class SweepFolder:
             content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             if {"command", "results"} <= content.keys() and isinstance(content["jobs"], list):
                 return content
-        raise InputError("sweep", str(path), "is damaged; the sweep's own command writes it anew")
+        raise InputError("sweep", str(path), "is damaged; the command of the sweep writes it again")
 
     @cached_property
     def jobs(self) -> tuple[Listed, ...]:

@@ -1,8 +1,9 @@
 """Runs and sweeps from Python, with the same configuration, cache, folders and MLflow as on the
 command line.
 
-    run = xplain.run("solver=pomcp", domain="rescue", trade_off=1.5) sweep =
-    xplain.sweep("solver=qmdp,qhr", trade_off=[0.5, 1, 2]) sweep.frame()
+    run = xplain.run("solver=pomcp", domain="rescue", trade_off=1.5)
+    sweep = xplain.sweep("solver=qmdp,qhr", trade_off=[0.5, 1, 2])
+    sweep.frame()
 
 See docs/python.md.
 """

@@ -148,7 +148,7 @@ def finish(
     end += ["run the others: the same command"] if finished < count else []
     end += [f"folder: {os.path.relpath(folder.path)}"]
     end += [f"report: {os.path.relpath(folder.path / 'report' / 'index.html')}", *lines]
-    with attempted("the end was not told"):
+    with attempted("the end was not reported"):
         tell("\n".join(end))
     return finished == count
 

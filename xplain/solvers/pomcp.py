@@ -1,9 +1,9 @@
 """POMCP with d-step lookahead: Monte-Carlo tree search over histories, with exact beliefs.
 
-Silver & Veness (2010) with the paper's two changes ("POMCP with d-step lookahead"): beliefs at
-the nodes are exact, and a simulation goes to depth d only. There, a history already in the tree
-is worth QMDP's value at its belief; a history not in the tree is added and rolled out, at any
-depth. Actions are chosen by UCB1:
+Silver & Veness (2010) with the paper's two changes ("POMCP with d-step lookahead"): beliefs at the
+nodes are exact, and a simulation ends at depth d. At depth d, a history in the tree has QMDP's
+value at its belief. A history outside the tree is added and rolled out, at any depth. Actions are
+chosen by UCB1:
 
     search(b):  repeat
                     s ~ b; h ← root
@@ -12,19 +12,19 @@ depth. Actions are chosen by UCB1:
                     R ← QMDP's value at b(h) if h was in the tree, else a rollout's return
                     add R to the means of the actions on the way
 
-Rewards of *explain* are the exact expectations under a node's belief rather than the drawn labels,
-and a rollout's return is what known states are worth less what QMDP's decisions lose on the way:
-the same means with less noise. Of the actions not yet tried at a node QMDP's comes first, as the
-others are often many and useless. A decision searches, takes the action with the best value,
-and searches anew after each message until that action is *explain*; so a decision taken up in the
-middle goes on as it would have. A certain type is not searched for: its Q* is known, and is what
-the default setting finds there.
+Rewards of *explain* are exact expectations under a node's belief, not the drawn labels. A rollout's
+return is the value of known states minus the losses of QMDP's decisions. Both have the same means
+as plain simulations, with less noise. Among untried actions of a node, QMDP's comes first, because
+the others are often many and useless. A decision searches, takes the action with the best value,
+and searches again after each message until that action is *explain*. So a decision that is restored
+in the middle continues in the same way. If the type is certain, there is no search: its Q* is
+known.
 
-``backup="max"`` is MaxUCT (Keller & Helmert 2013): a node is worth its best action, not the mean
-over everything that was tried. It keeps exploration and first rollouts out of the values, which
-the mean forgets only slowly. Histories at depth d are then worth the mean of their rollouts:
-QMDP's value promises too much, and messages lead to such histories sooner than labels do. So a
-search of enough simulations is a step of policy improvement over QMDP, and does not lose to it.
+``backup="max"`` is MaxUCT (Keller & Helmert 2013): the value of a node is that of its best action,
+not the mean over all tries. Exploration and first rollouts then do not affect the values; a mean
+includes them for long. Histories at depth d have the mean of their rollouts, because QMDP's value
+is too high, and messages reach such histories sooner than labels. So a search with enough
+simulations is a step of policy improvement over QMDP, and does not lose to it.
 """
 
 from __future__ import annotations

@@ -11,11 +11,12 @@ Tables are flat, [..., cells]. A table is read at x(v, s) = base[s] + Σ_{j ∈ 
 missed, it is s itself and every stride is 0.
 
     give j      pays price[j], discounts by γ' = ``message_discount``; b' = ``give(process, b, j)``:
-    a part accept[s] of b[s] moves to s + jump[j, s] (jump is 0 where nothing changes) explain
-    pays explain_cost[k, x(v, s)], discounts by γ = ``discount``; the evidence is Π_i P(y_i) with
-    P(y_i = 1) = answered[i, x(v, s)] for i ≤ k; then b' = ``forget(process, b)``: each fact known
-    is lost with probability forget[t] ask q       pays questions.cost, never discounts; the
-    evidence is questions.answered[q, x_q(v, s)], x_q by ``questions.cells``
+                a part accept[s] of b[s] moves to s + jump[j, s] (jump is 0 where nothing changes)
+    explain     pays explain_cost[k, x(v, s)], discounts by γ = ``discount``; the evidence is
+                Π_i P(y_i) with P(y_i = 1) = answered[i, x(v, s)] for i ≤ k; then
+                b' = ``forget(process, b)``: each fact known is lost with probability forget[t]
+    ask q       pays questions.cost, never discounts; the evidence is
+                questions.answered[q, x_q(v, s)], x_q by ``questions.cells``
 
 A message is given at most once in a step; if messages land, once in all. A message discounts only
 if messages land (γ' = γ, the paper): if it could be repeated, delay would always gain. A message
@@ -27,9 +28,9 @@ that is relevant to no s with positive belief is no action.
 With known s labels give no information, and the process is an MDP on (k, v), solved backwards in k
 (Bellman 1957):
 
-    Q(k, v, s, explain) = γ E_F V(k + 1, v⁺, s') − explain_cost[k, x(v, s)],   V(m, ·) = 0 Q(k, v,
-    s, give j) = γ' [α V(k, v + j, s + jump[j, s]) + (1 − α) V(k, v + j, s)] − price[j] V(k, v, s) =
-    max { Q(k, v, s, explain), max_{j ∉ v} Q(k, v, s, give j) }
+    Q(k, v, s, explain) = γ E_F V(k + 1, v⁺, s') − explain_cost[k, x(v, s)],   V(m, ·) = 0
+    Q(k, v, s, give j) = γ' [α V(k, v + j, s + jump[j, s]) + (1 − α) V(k, v + j, s)] − price[j]
+    V(k, v, s) = max { Q(k, v, s, explain), max_{j ∉ v} Q(k, v, s, give j) }
 
 If messages land, the maximum over all sets of messages is one sweep for each message, most
 expensive first: the cheapest of a best set is given first. If they may be missed, the next state

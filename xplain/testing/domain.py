@@ -28,7 +28,7 @@ class DomainConformance(Conformance):
         """Each parameter has a unique name, a sentence, and an inaccurate value other than the
         accurate one."""
         parameters = component.parameters
-        assert parameters, "a domain needs a parameter that people may hold wrong"
+        assert parameters, "a domain needs a parameter that people may believe incorrectly"
         names = [parameter.name for parameter in parameters]
         assert len(set(names)) == len(names), f"names are given twice: {names}"
         for parameter in parameters:

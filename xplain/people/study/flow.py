@@ -1,7 +1,7 @@
 """The flow of the study:
 
     consent → before → briefing → training → ahead → eligibility → evaluation → quiz → questions
-    ↑__________________________|  (a failed attempt, while some are left)
+                           ↑__________________________|  (a failed attempt, while some are left)
 
 Participants without a briefing have no eligibility test. Within the evaluation, a policy that asks
 opens pages of the stage ``asking`` before a step.
