@@ -1,12 +1,27 @@
+"""Tables as people have them: what is read is what was written, or one line says what to do."""
+
+from __future__ import annotations
+
 import gzip
+import shlex
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hypothesis import given
+from hypothesis import strategies as st
 
 from xplain.errors import InputError
-from xplain.learning.data.label_file import read_table
+from xplain.learning.data.label_file import (
+    option,
+    read_cells,
+    read_questions,
+    read_table,
+    write_table,
+)
 
 ROWS = {
     "observer": ["a", "a", "a", "b", "b", "b"],
@@ -176,3 +191,369 @@ def test_features_are_put_in_the_order_of_a_domain(tmp_path: Path) -> None:
         read_table(path, like=names[:3])
     with pytest.raises(InputError, match="data='up': unknown value in 3 rows of action"):
         read_table(path, like=("action=down", "action=left", "row"))
+
+
+WORDS = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs", "Zl", "Zp")))
+TEXTS = st.lists(st.tuples(WORDS, WORDS, WORDS), min_size=1, max_size=6)
+
+
+def quoted(cell: str) -> str:
+    return '"' + cell.replace('"', '""') + '"'
+
+
+@given(
+    rows=TEXTS,
+    separator=st.sampled_from(",;\t|"),
+    first=st.sampled_from(["", "sep={}"]),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]),
+    end=st.sampled_from(["\n", "\r\n"]),
+)
+def test_cells_come_out_as_they_went_in(
+    rows: list[tuple[str, ...]],
+    separator: str,
+    first: str,
+    encoding: str,
+    end: str,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    path = tmp_path_factory.mktemp("cells") / "table.csv"
+    rows += [("", "", "x")]
+    table_ = ["one", "two", "three"], *[map(quoted, row) for row in rows], ["", "", ""]
+    lines = [first.format(separator)] * bool(first) + [separator.join(row) for row in table_]
+    path.write_bytes(end.join(lines).encode(encoding))
+    read = read_cells(path, "data").to_numpy().tolist()
+    assert read == [[*row] for row in rows if any(row)]
+
+
+NAMES = ["007", "7", "1.10", "1.1", "1E2", "NA", "null", "true", "a=b", "ü, ö", "x"]
+
+
+@given(
+    items=st.lists(st.sampled_from(NAMES), min_size=6, max_size=6),
+    loads=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=6, max_size=6),
+    people=st.lists(st.sampled_from(["01", "1", "NA", "1e3"]), min_size=6, max_size=6),
+    told=st.lists(st.sets(st.sampled_from(["m0", "m1", "Fire, run"])), min_size=6, max_size=6),
+    ending=st.sampled_from([".csv", ".csv.gz", ".parquet", ".PARQUET"]),
+)
+def test_a_random_table_is_the_same_after_writing_and_reading(
+    items: list[str],
+    loads: list[float],
+    people: list[str],
+    told: list[set[str]],
+    ending: str,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    folder = tmp_path_factory.mktemp("tables")
+    own: dict[str, Any] = {
+        "observer": people,
+        "messages": [";".join(sorted(names)) for names in told],
+        "item": items,
+        "load": loads,
+        "label": [0, 1] * 3,
+        "row": None,
+        "action": None,
+    }
+    how: dict[str, Any] = {"features": ["item", "load"], "under_way": True}
+    how["messages"] = ["m0", "m1", "Fire, run"]
+    given_ = {*items} - {"NA", "null"}
+    are_numbers = given_ <= {"7", "1.10", "1.1"} and not given_ >= {"1.10", "1.1"}
+    if (are_numbers or given_ <= {"true"}) and given_ != {*items}:  # a number is missing
+        with pytest.raises(InputError, match=r"missing in .* of item"):
+            read_table(table(folder, **own), **how)
+        return
+    dataset = read_table(table(folder, **own), **how)
+    assert [dataset.observers[i] for i in dataset.observer] == people
+    write_table(dataset, folder / f"again{ending}")
+    again = read_table(folder / f"again{ending}", like=dataset.feature_names, **how)
+    assert again.feature_names == dataset.feature_names
+    assert again.observers == dataset.observers
+    shown, expected = again.features[again.transition], dataset.features[dataset.transition]
+    assert np.array_equal(shown, expected)
+    for field in ("observer", "message_set", "label"):
+        assert np.array_equal(getattr(again, field), getattr(dataset, field))
+
+
+@given(st.lists(st.text(st.characters(exclude_categories=("Cc", "Cs"))), min_size=1))
+def test_what_to_write_reaches_the_configuration_as_it_is(values: list[str]) -> None:
+    (word,) = shlex.split(option("data", "ignore", *values))
+    (override,) = OverridesParser.create().parse_overrides([word])
+    assert override.value() == values
+
+
+def test_columns_that_cannot_be_features_are_named_and_the_advice_works(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    extra = {"age": [30] * 3 + [40] * 3, "Duration (s)": [7, 9, 2, 4, 5, 8]}
+    path = table(tmp_path, **extra)
+    assert read_table(path).feature_names == ("row", "action=left", "action=up")
+    assert "steps by the features row, action" in caplog.text
+    assert "age (the same in all rows of a person)" in caplog.text
+    assert "Duration (s) (another value in nearly every row)" in caplog.text
+    advice, _, _ = caplog.text.partition("to take all: ")[2].partition("\n")
+    (word,) = shlex.split(advice)
+    advised = OverridesParser.create().parse_overrides([word])[0].value()
+    assert len(read_table(path, features=advised).feature_names) == 5
+
+
+def followed(text: str, advice: str) -> list[str]:
+    """What the advice in a text sets its key to."""
+    (word,) = shlex.split(text.partition(advice)[2].partition("\n")[0])
+    (override,) = OverridesParser.create().parse_overrides([word])
+    value = override.value()
+    assert isinstance(value, list)
+    return value
+
+
+def test_where_nearly_every_answer_is_about_another_step_the_advice_works(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = table(tmp_path, age=[1, 2, 3, 3, 1, 2], load=[4, 4, 5, 4, 5, 5], label=[0, 1] * 3)
+    read_table(path, features=["age", "row", "load"])
+    assert "nearly every answer is about another step" in caplog.text
+    again = read_table(path, features=followed(caplog.text, "; try "))
+    assert again.feature_names == ("row", "load")
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("shuffled", [True, False])
+def test_a_number_of_the_row_is_no_feature_however_it_counts(
+    told: bool,
+    shuffled: bool,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    rng_of_the_day: np.random.Generator,
+) -> None:
+    """As of an experiment's log: trials of each person from 0, and seconds since the start. Where
+    all are asked alike and nothing is told, the number of a trial is one of its step as well."""
+    rows: dict[str, list[Any]] = {x: [] for x in ("observer", "messages", "step", "trial", "date")}
+    asked = [(h, s) for h in (("", "m0", "m1") if told else ("",)) for s in "abcdef"]
+    for observer in "pqrstuvw":
+        order = rng_of_the_day.permutation(len(asked)) if shuffled else range(len(asked))
+        for trial, i in enumerate(order):
+            own = observer, *asked[i], trial, f"2026-11-{1 + trial % 2:02d} 10:{trial:02d}"
+            for column, value in zip(rows.values(), own, strict=True):
+                column.append(value)
+    label = rng_of_the_day.integers(2, size=len(rows["step"])).tolist()
+    path = table(tmp_path, row=None, action=None, label=label, **rows)
+    dataset = read_table(path)
+    if told or shuffled:
+        assert dataset.feature_names == tuple(f"step={s}" for s in "abcdef")
+        assert "trial (it counts the rows of each person), date" not in caplog.text
+        assert "it counts the rows of each person" in caplog.text
+        again = read_table(path, features=followed(caplog.text, "to take all: "))
+        assert {"trial", "step=a"} < {*again.feature_names}
+    assert len(dataset.features) == 6
+    assert "date (dates or times)" in caplog.text
+
+
+def test_numbers_that_name_the_steps_are_features(tmp_path: Path) -> None:
+    """They rise from row to row of each person, but each is one step, asked about under different
+    messages."""
+    people = ["a", "b", "c"]
+    path = table(
+        tmp_path,
+        observer=[x for x in people for _ in range(4)],
+        messages=["", "m0", "", "m0", "m0", "", "m0", "", "", "", "m0", "m0"],
+        row=[1, 2, 3, 4] * 3,
+        action=["up", "up", "left", "left"] * 3,
+        label=[0, 1] * 6,
+    )
+    assert "row" in read_table(path).feature_names
+
+
+@pytest.mark.parametrize(
+    ("header", "meant"),
+    [
+        ("Observer", "observer"),
+        ("MESSAGES", "messages"),
+        ("message", "messages"),
+        ("Label", "label"),
+    ],
+)
+def test_a_column_with_nearly_the_name_is_asked_about_and_the_advice_works(
+    header: str, meant: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path)
+    written, expected = path.read_text(), read_table(path)
+    path.write_text(written.replace(meant, header, 1))
+    with pytest.raises(InputError, match=f"data='{header}': rename this column to {meant}$"):
+        read_table(path)
+    path.write_text(written.replace(meant, f"{meant} ", 1))
+    assert read_table(path).messages == expected.messages
+
+
+@pytest.mark.parametrize("alike", ["Up", "up\u200b", "\uff55p"])
+def test_values_that_look_alike_are_named(
+    alike: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = table(tmp_path, action=["up", alike, "left", "up", alike, "left"])
+    assert f"action={alike}" in read_table(path).feature_names
+    assert "in the column action look alike; they count as two" in caplog.text
+
+
+def test_a_name_that_would_be_that_of_a_value_is_refused(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text().replace("row", "zone=river", 1))
+    with pytest.raises(InputError, match="data='zone=river': rename this column"):
+        read_table(path)
+
+
+def test_where_no_column_can_be_a_feature_it_is_asked_and_the_advice_works(tmp_path: Path) -> None:
+    path = table(tmp_path, row=[1, 1, 1, 2, 2, 2], action=None)
+    with pytest.raises(InputError, match="the same in all rows of a person") as caught:
+        read_table(path)
+    (word,) = shlex.split(str(caught.value).partition("if it is a feature: ")[2])
+    advised = OverridesParser.create().parse_overrides([word])[0].value()
+    assert read_table(path, features=advised).feature_names == ("row",)
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [
+        (["", "m0", "m1", "m0,m1", "", "m0"], "data='m0,m1': looks like messages joined"),
+        (
+            ["", "go on", "m1", "go on + m1", "", ""],
+            "data='go on . m1': looks like messages",
+        ),
+        (
+            ["", "go on/turn left", "turn left/wait here", "", "", ""],
+            "data='go on/turn left': looks like messages",
+        ),
+        *(
+            (["", "m0", "m1", f"m0{joint}m1", "", "m0"], "looks like messages joined")
+            for joint in (" ", "\n", " and ", ":", "-", "_", "', '")
+        ),
+        (["", "m0", "m1", "None", "", "m0"], "data='None': leave the cell empty"),
+        (["", "m0", "m1", "m0;NA", "", "m0"], "data='NA': leave the cell empty"),
+        (["", "m0", "M0", "m1", "", "m0"], "differs from m0 by case alone"),
+        *(
+            ([no, "m0", "m1", no, "m0", ""], "leave the cell empty")
+            for no in ("0", "–", "n/a", ".")
+        ),
+        (["'m0;m1'", "m0", "m1", "", "", "m0"], "looks like messages joined"),
+        (["{m0}", "{m1}", "{m1}", "", "", "{m0}"], "looks like messages joined"),
+    ],
+)
+def test_odd_messages_are_asked_about_and_the_advice_works(
+    told: list[str], said: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path, messages=told)
+    with pytest.raises(InputError, match=said) as caught:
+        read_table(path)
+    (word,) = shlex.split(str(caught.value).partition("if it is one message: ")[2])
+    advised = OverridesParser.create().parse_overrides([word])[0].value()
+    written = {name for cell in told for name in cell.split(";")} - {""}
+    written = {" ".join(name.split()) for name in written}
+    assert set(read_table(path, messages=advised).messages) == written
+    assert "\n" not in str(caught.value)
+
+
+BAD_LINE = "p2,,1,a, comma,1"
+
+
+@pytest.mark.parametrize(
+    ("bad", "advice", "followed"),
+    [
+        (BAD_LINE, r"holds a comma in double quotes", 'p2,,1,"a, comma",1'),
+        ("p2,None,1,up,1", r"leave the cell empty", "p2,,1,up,1"),
+        ("p2,,NA,up,1", r"leave those rows out", ""),
+        ("p2,,1,hill \xfc,1", r"save it as .CSV UTF-8", "p2,,1,hill \u00fc,1"),
+        ("p2,,'1',up,2", r"a label is 0 or 1", "p2,,1,up,1"),
+    ],
+)
+def test_what_an_error_says_to_write_is_read(
+    bad: str, advice: str, followed: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path)
+    written = path.read_text()
+    path.write_bytes(f"{written}{bad}\n".encode("latin-1"))
+    with pytest.raises(InputError, match=advice):
+        read_table(path)
+    path.write_text(f"{written}{followed}\n", encoding="utf-8")
+    assert len(read_table(path)) == 6 + bool(followed)
+
+
+def test_a_column_that_lacks_values_or_has_decimal_commas_is_mended_as_advised(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = table(tmp_path, load=[1.5, None, 2.5, 1.5, 2.5, 3.5])
+    with pytest.raises(InputError, match=r"or the column by 'ignore=\[load\]'"):
+        read_table(path)
+    assert "load" not in read_table(path, ignore=["load"]).feature_names
+    commas = table(tmp_path, load=["1,5", "2,5", "2,5", "1,5", "2,5", "3,5"])
+    assert "load=1,5" in read_table(commas).feature_names
+    assert "a number is written 1.5, not 1,5" in caplog.text
+    assert "load" in read_table(table(tmp_path, load=[1.5, 2.5, 2.5, 1.5, 2.5, 3.5])).feature_names
+
+
+def test_missing_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    dataset = read_table(table(tmp_path, messages=["NA", "m0", "N/A", "null", "", "m0"]))
+    assert dataset.messages == ("m0",)
+    assert "nothing was told in 4 of 6 rows" in caplog.text
+
+
+@pytest.mark.parametrize(("cells", "said"), [("a,m0,1", "8 has 3"), ("a,,1,up,0,9", "8 has 6")])
+def test_a_row_of_another_length_is_named_by_its_line(
+    cells: str, said: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text() + cells + "\n")
+    with pytest.raises(InputError, match=f"line {said} cells, the header has 5"):
+        read_table(path)
+
+
+def test_row_names_without_a_header_are_asked_about_and_the_advice_works(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    header, *rows = path.read_text().splitlines()
+    numbered = "\n".join([header, *(f"{i},{row}" for i, row in enumerate(rows))])
+    path.write_text(numbered)
+    with pytest.raises(InputError, match="begin the header with a comma"):
+        read_table(path)
+    path.write_text(f",{numbered}")
+    assert read_table(path).feature_names == ("row", "action=left", "action=up")
+
+
+def test_what_a_sheet_has_above_or_behind_the_table_is_named_or_left_out(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    written, expected = path.read_text(), read_table(path)
+    path.write_text(f"\n\n{written}")
+    assert np.array_equal(read_table(path).features, expected.features)
+    path.write_text(f"My experiment\n{written}")
+    with pytest.raises(InputError, match="'My experiment', is no header; delete it"):
+        read_table(path)
+    header, *rows = written.splitlines()
+    path.write_text("\n".join([header, *(f"{row}," for row in rows)]))
+    with pytest.raises(InputError, match="line 2 has 6 cells") as caught:
+        read_table(path)
+    assert "begin the header" not in str(caught.value)  # it would shift every column
+
+
+@pytest.mark.parametrize("alike", ["P0", "p0\u200b", "\uff500", "p0.0"])
+def test_observers_that_look_alike_are_named(
+    alike: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = table(tmp_path, observer=["p0", alike, "p1", "p0", alike, "p1"])
+    assert len(read_table(path).observers) == 3
+    assert "look alike; they count as two" in caplog.text
+
+
+def test_the_further_header_rows_of_qualtrics_are_left_out(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    header, rest = path.read_text().split("\n", 1)
+    texts = ",".join(["Who?"] * 5), ",".join([quoted('{"ImportId":"QID1"}')] * 5)
+    expected = read_table(path)
+    path.write_text("\n".join([header, *texts, rest]))
+    again = read_table(path)
+    assert np.array_equal(again.features, expected.features)
+    assert again.observers == expected.observers
+
+
+def test_questions_keep_their_cells(tmp_path: Path) -> None:
+    like = read_table(table(tmp_path, observer=["001", "1", "NA"] * 2))
+    asked = tmp_path / "asked.csv"
+    asked.write_text("observer,row,action,note\n001,1,up,007\nNA,2,left,1.10\n")
+    rows, questions = read_questions(asked, like)
+    assert rows.to_numpy().tolist() == [["001", "1", "up", "007"], ["NA", "2", "left", "1.10"]]
+    assert questions.feature_names == like.feature_names

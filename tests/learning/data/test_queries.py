@@ -1,14 +1,24 @@
-"""Random traces, asked of everybody or of each their own."""
+"""Traces of the robot, and the questions that observers are asked."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from tests.domains.users.corridor import Corridor
+from xplain.domains.mdp import MDP
 from xplain.domains.users.setting import Setting, UserType
-from xplain.learning.data.queries import Answered, Independent, Queries, RandomTraces, Shared
+from xplain.learning.data.queries import (
+    Answered,
+    Independent,
+    Queries,
+    RandomTraces,
+    Shared,
+    expected_visits,
+    sample_trace,
+)
 
 DESIGNS = [pytest.param(Independent, id="independent"), pytest.param(Shared, id="shared")]
 
@@ -57,3 +67,70 @@ def test_shared_questions_are_shared_and_independent_ones_are_not() -> None:
 
     assert len(batteries(Shared())) == 1
     assert len(batteries(Independent())) == 4
+
+
+COUNT = 4000
+
+
+def share(values: list[int], value: int) -> float:
+    return values.count(value) / len(values)
+
+
+def near(expected: float) -> object:
+    return pytest.approx(expected, abs=4 * (expected * (1 - expected) / COUNT) ** 0.5)
+
+
+def small() -> tuple[MDP, NDArray[np.bool_]]:
+    """States 0 and 1, which may take actions 0 and 2, lead to state 2 or, one time in five, back to
+    state 0; no outcome leads to state 3. State 2 ends a trace."""
+    successor = np.tile([2, 0, 3], (4, 3, 1))
+    probability = np.tile([0.8, 0.2, 0.0], (4, 3, 1))
+    terminal = np.array([False, False, True, False])
+    model = MDP(successor, probability, np.zeros((4, 3, 3)), 0.9, terminal)
+    return model, np.tile([True, False, True], (4, 1))
+
+
+@pytest.fixture(scope="module")
+def traces() -> list[list[tuple[int, int, int]]]:
+    """From states 0 and 1."""
+    model, optimal = small()
+    rng = np.random.default_rng(5)
+    found = [sample_trace(model, optimal, np.array([0, 1]), rng, 3) for _ in range(COUNT)]
+    return [[tuple(step) for step in trace.tolist()] for trace in found]
+
+
+def test_starts_optimal_actions_and_outcomes_come_as_often_as_they_should(
+    traces: list[list[tuple[int, int, int]]],
+) -> None:
+    starts, actions, after = (list(column) for column in zip(*(t[0] for t in traces), strict=True))
+    assert share(starts, 0) == near(0.5)
+    assert share(actions, 0) == near(0.5)
+    assert share(actions, 1) == 0
+    assert share(after, 0) == near(0.2)
+    assert share(after, 3) == 0
+
+
+def test_a_trace_hangs_together_and_ends_at_the_end_or_where_it_is_cut(
+    traces: list[list[tuple[int, int, int]]],
+) -> None:
+    for trace in traces:
+        assert all(one[2] == two[0] for one, two in pairwise(trace))
+        assert trace[-1][2] == 2 or len(trace) == 3
+        assert all(step[2] != 2 for step in trace[:-1])
+    # Two unlikely outcomes in a row: one trace in 25 is as long as may be.
+    assert share([len(trace) for trace in traces], 3) == near(0.04)
+
+
+def test_expected_visits_are_the_mean_of_many_traces(
+    traces: list[list[tuple[int, int, int]]],
+) -> None:
+    every = [(s, a, to) for s in (0, 1) for a in (0, 2) for to in (0, 2)]
+    model, optimal = small()
+    found = expected_visits(model, optimal, np.array([0, 1]), np.array(every), 3)
+    # From 0 and 1 as often; two actions; on to 0 one time in five, at most twice more.
+    of_zero = 0.5 + 0.2 + 0.04
+    by_hand = {0: of_zero / 2, 1: 0.25}
+    for (s, _, to), visits in zip(every, found, strict=True):
+        assert visits == pytest.approx(by_hand[s] * (0.8 if to == 2 else 0.2))
+    steps = [step for trace in traces for step in trace]
+    assert len(steps) / COUNT == pytest.approx(found.sum(), abs=0.05)
