@@ -1,4 +1,4 @@
-"""What kernels are made with, by numba's public means: decorators, bits of masks, random words.
+"""Tools for compiled kernels, from numba's public API: decorators, bits of masks, random words.
 
 numba caches machine code beside the source, or below ``NUMBA_CACHE_DIR``, and takes it from there
 while the kernel's own file is as it was. Parts may be in other files: a digest of these is in the
@@ -112,7 +112,7 @@ def first_bit(typing: Any, mask: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def count_bits(typing: Any, mask: Any) -> Any:
-    """How many bits are set."""
+    """The number of bits that are 1."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.ctpop(arguments[0])

@@ -1,4 +1,4 @@
-"""What the compiled searches have in common: the process of one problem, inside a kernel."""
+"""Shared by the compiled searches: the process of one problem, inside a kernel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from xplain.numba_kernels import first_bit, kernel, part
 
 NO_NEWS = 1e-12
-"""Nats below which an answer tells nothing."""
+"""An answer with fewer nats of information is not informative."""
 
 
 class SearchModel(NamedTuple):
@@ -58,7 +58,7 @@ class SearchModel(NamedTuple):
 
 @part
 def find_cell(stride, said, s):  # type: ignore[no-untyped-def]
-    """Where a table with these strides [n, S] has (v, s)."""
+    """The cell of (v, s) in a table with these strides [n, S]."""
     at = s
     while said:
         at += stride[first_bit(said), s]
@@ -68,7 +68,7 @@ def find_cell(stride, said, s):  # type: ignore[no-untyped-def]
 
 @part
 def give(jump, accept, belief):  # type: ignore[no-untyped-def]
-    """The belief [S] after a message was said once, with its jumps [S]: a part α has it."""
+    """The belief [S] after a message was given once, with its jumps [S]; a share α accepts it."""
     for s in range(len(belief)):
         if jump[s] > 0:
             landed = accept[s] * belief[s]
@@ -78,7 +78,7 @@ def give(jump, accept, belief):  # type: ignore[no-untyped-def]
 
 @part
 def forget(lose, belief):  # type: ignore[no-untyped-def]
-    """The belief [S] after each fact known was lost with φ, ``lose`` [N]."""
+    """The belief [S] after each known fact was forgotten with probability φ, ``lose`` [N]."""
     types = len(lose)
     bit = types
     while bit < len(belief):
@@ -92,7 +92,7 @@ def forget(lose, belief):  # type: ignore[no-untyped-def]
 
 @part
 def _entropy(p):  # type: ignore[no-untyped-def]
-    """Of a bit, in nats."""
+    """Entropy of a bit, in nats."""
     value = 0.0
     if 0.0 < p < 1.0:
         value = -p * np.log(p) - (1.0 - p) * np.log1p(-p)

@@ -325,7 +325,7 @@ def write_table(dataset: Dataset, path: str | Path) -> None:
 
 
 def is_parquet(path: Path, key: str) -> bool:
-    """Whether a table is Parquet rather than CSV, by the end of its name.
+    """True if a table is Parquet, False if it is CSV, by the end of its name.
 
     Raises:
         InputError: another ending; ``key`` is the key that the user set.

@@ -107,7 +107,7 @@ class KnownSoFar:
 
     @property
     def doubtful(self) -> bool:
-        """Whether so many answers are wrong that the types may be wrong, as for ``discover``."""
+        """True if so many answers are wrong that the types may be wrong, as in ``discover``."""
         return self.error > NOISY
 
 

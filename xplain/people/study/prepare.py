@@ -276,7 +276,7 @@ def learned_table(material: Material, types: LearnedTypes, rows: Transitions) ->
 def facts_of_types(
     material: Material, types: LearnedTypes | None, trace: Transitions, asked: Transitions
 ) -> Facts | None:
-    """What is known of the facts that people may believe incorrectly; None where nothing is."""
+    """The facts that people may believe incorrectly; None if unknown."""
     if types is None or types.wrong is None:
         return None
     columns = [material.feature_names.index(name) for name in types.feature_names]
