@@ -56,6 +56,7 @@ from xplain.learning.types import Clustering
 from xplain.learning.user_types import Perfect, UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
 
 RESULTS = Path(__file__).parent / "results"
@@ -160,7 +161,7 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
             runs = {key: (problems[key], policies[key]) for key in plans}
             runs["oracle"] = alone, QMDP().plan(alone)
             for key, (problem, policy) in runs.items():
-                cost[key].append(explain(problem, policy, user, Independent()).cost)
+                cost[key].append(explain(problem, CachedPolicy(policy), user, Independent()).cost)
     mean = {key: float(np.mean(values)) for key, values in cost.items()}
     return {
         "regret_found": mean["found"] - mean["oracle"],

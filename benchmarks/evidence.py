@@ -48,6 +48,7 @@ from xplain.learning.mixture import labeler as hypothesis_labeler
 from xplain.learning.user_types import label_table
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
 
 KEPT = Path(__file__).parent / "results/evidence.csv"
@@ -92,7 +93,8 @@ def costs(setting: Setting, types: Any, traces: int, seed: int) -> tuple[float, 
         own = label_table(types.labelers, features, trace).array(n)
         tables: list[Any] = [own, truth.astype(float)]
         plans = [
-            (problem, QMDP().plan(problem)) for problem in (Problem(t, np.ones(n)) for t in tables)
+            (problem, CachedPolicy(QMDP().plan(problem)))
+            for problem in (Problem(t, np.ones(n)) for t in tables)
         ]
         for labels in truth:
             user = SimulatedUser.of(labels)

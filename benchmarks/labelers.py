@@ -49,6 +49,7 @@ from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import Perfect, UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import series_style
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
 
 LABELERS = {
@@ -103,11 +104,11 @@ def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[st
         policy = QMDP().plan(unknown)
         for t in range(len(setting.types)):
             user = SimulatedUser.of(labels[t])
-            cost["qmdp"].append(explain(unknown, policy, user, Independent()).cost)
+            cost["qmdp"].append(explain(unknown, CachedPolicy(policy), user, Independent()).cost)
             for key, one in (("oracle", p[t : t + 1]), ("clairvoyant", labels[t : t + 1])):
                 known = Problem(one.astype(float), np.ones(n))
                 plan = QMDP().plan(known)
-                cost[key].append(explain(known, plan, user, Independent()).cost)
+                cost[key].append(explain(known, CachedPolicy(plan), user, Independent()).cost)
     floor = np.mean(cost["clairvoyant"])
     return {key: float(np.mean(cost[key]) - floor) for key in ("oracle", "qmdp")}
 

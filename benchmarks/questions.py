@@ -77,6 +77,7 @@ from xplain.learning.user_types import UserTypes, label_table, learn_perfect, or
 from xplain.questions.designs import Adaptive, Battery
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
 
 RESULTS = Path(__file__).parent / "results"
@@ -268,7 +269,7 @@ def _costs(
                 alone = Problem(table[t : t + 1], np.ones(n))
                 runs[key] = alone, QMDP().plan(alone)
             for key, (problem, plan) in runs.items():
-                cost = explain(problem, plan, user, IndependentLabels()).cost
+                cost = explain(problem, CachedPolicy(plan), user, IndependentLabels()).cost
                 found.setdefault(key, []).append(cost)
     return {key: float(np.mean(costs)) for key, costs in found.items()}
 

@@ -28,7 +28,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.solvers.base import Solver
+from xplain.solvers.base import CachedPolicy, Solver
 from xplain.solvers.bounds import known_type_value
 from xplain.solvers.greedy import QMDP, Baseline, Conformant
 from xplain.solvers.hsvi import Certified
@@ -70,7 +70,7 @@ def measured(
 ) -> tuple[float, float, NDArray[np.float64]]:
     """Milliseconds to plan and for a decision, and what each user's explanation cost."""
     began = time.process_time()
-    policy = solver.plan(problem)
+    policy = CachedPolicy(solver.plan(problem))
     planned = time.process_time()
     costs = [explain(problem, policy, user, Independent()).cost for user in users]
     decisions = len(users) * problem.n_steps

@@ -18,6 +18,7 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
 
 QUICK = ["points=150", "lambda=1.5", "clusterer=dirichlet", "labeler=tree"]
@@ -53,7 +54,7 @@ def test_it_plays_the_experiments_episode(rescue, user):
     problem = rescue.session()._talk.problem
     labels = case.labels.of_types([prepared.types.index(user)])
     policy = QMDP().plan(problem)
-    episode = explain(problem, policy, SimulatedUser(labels), Independent())
+    episode = explain(problem, CachedPolicy(policy), SimulatedUser(labels), Independent())
     played = play(rescue, user)
     said = [mask_of(step.said, prepared.messages) for step in played.steps]
     assert said == episode.messages.tolist()

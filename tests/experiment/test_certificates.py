@@ -20,7 +20,7 @@ from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, upd
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.solvers import evaluate as policy_value
-from xplain.solvers.base import GIB, Policy
+from xplain.solvers.base import GIB, CachedPolicy, Policy
 from xplain.solvers.greedy import QMDP, Baseline, KnownType
 from xplain.solvers.process import known_bytes
 from xplain.solvers.simple import QHR, Silent
@@ -125,7 +125,7 @@ def test_simulated_values_come_with_the_error_of_their_mean():
     problems = [problem_of(case) for case in prepared.cases]
     found = found_for(solver, prepared, seed, beliefs=0, episodes=400)
     each = [
-        policy_value.simulate(problem, solver.plan(problem), 400, trace_seed(seed, i))
+        policy_value.simulate(problem, CachedPolicy(solver.plan(problem)), 400, trace_seed(seed, i))
         for i, problem in enumerate(problems)
     ]
     value, error = found["policy_value"], found["policy_value_se"]

@@ -245,7 +245,7 @@ def test_tables_kept_by_type_are_explained_as_dense_ones():
     dense = a_prepared(steps=(2, 3))
 
     def of(table):
-        return table.over(table.effective())
+        return table.select_messages(table.effective())
 
     by_type = with_cases(
         dense,

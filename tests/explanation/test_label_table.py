@@ -59,10 +59,10 @@ def test_problems_made_of_it_are_those_made_of_the_dense_one(both: tuple[Problem
 def test_what_is_relevant_is_found_in_a_dense_table(both: tuple[Problem, Problem]) -> None:
     by_type, dense = both
     every = [range(dense.n_messages)] * dense.n_types
-    found = dense.table.over(dense.table.effective())
+    found = dense.table.select_messages(dense.table.effective())
     assert found.rows == [list(row) for row in by_type.table.effective()]
     assert dense.table.effective_of_any() == tuple(sorted(set().union(*found.rows)))
-    assert np.array_equal(found.over(every).p, dense.table.p)
+    assert np.array_equal(found.select_messages(every).p, dense.table.p)
 
 
 def large(n: int = 60) -> Problem:

@@ -11,6 +11,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
+from xplain.solvers.base import CachedPolicy
 
 
 class Scripted:
@@ -46,7 +47,9 @@ def interactions(draw):
 @settings(max_examples=60, deadline=None)
 def test_cost_is_definition_2(interaction):
     problem, table, script = interaction
-    episode = explain(problem, Scripted(script), SimulatedUser.of(table), Independent())
+    episode = explain(
+        problem, CachedPolicy(Scripted(script)), SimulatedUser.of(table), Independent()
+    )
     total = 0.0
     zeros = 0
     given_so_far: set[int] = set()
@@ -74,7 +77,9 @@ def test_cost_is_definition_2(interaction):
 @settings(max_examples=40, deadline=None)
 def test_beliefs_are_bayes_over_all_labels_given(interaction):
     problem, table, script = interaction
-    episode = explain(problem, Scripted(script), SimulatedUser.of(table), Independent())
+    episode = explain(
+        problem, CachedPolicy(Scripted(script)), SimulatedUser.of(table), Independent()
+    )
     weight = problem.prior.copy()
     mask = 0
     for k in range(problem.n_steps):
@@ -89,7 +94,9 @@ def test_beliefs_are_bayes_over_all_labels_given(interaction):
 @settings(max_examples=40, deadline=None)
 def test_persistent_belief_counts_each_label_of_a_message_set_once(interaction):
     problem, table, script = interaction
-    episode = explain(problem, Scripted(script), SimulatedUser.of(table), Persistent())
+    episode = explain(
+        problem, CachedPolicy(Scripted(script)), SimulatedUser.of(table), Persistent()
+    )
     weight = problem.prior.copy()
     seen: set[tuple[int, int]] = set()
     mask = 0
@@ -114,7 +121,12 @@ class Careless(Scripted):
 def test_a_policy_that_repeats_or_invents_messages_is_caught(script):
     problem = Problem(np.full((1, 2, 4), 0.5), np.ones(2))
     with pytest.raises(ValueError, match="policy gave message set"):
-        explain(problem, Careless(script), SimulatedUser.of(np.ones((2, 4))), Independent())
+        explain(
+            problem,
+            CachedPolicy(Careless(script)),
+            SimulatedUser.of(np.ones((2, 4))),
+            Independent(),
+        )
 
 
 @given(interactions())
@@ -123,8 +135,8 @@ def test_a_user_answers_alike_whatever_messages_the_table_is_over(interaction):
     problem, table, script = interaction
     whole = LabelTable.dense(table[None])
     one, other = (
-        explain(problem, Scripted(script), SimulatedUser(labels), Independent())
-        for labels in (whole, whole.over(whole.effective()))
+        explain(problem, CachedPolicy(Scripted(script)), SimulatedUser(labels), Independent())
+        for labels in (whole, whole.select_messages(whole.effective()))
     )
     assert np.array_equal(one.labels, other.labels)
     assert one.cost == other.cost

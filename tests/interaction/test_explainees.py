@@ -22,6 +22,7 @@ from xplain.interaction.explainees import (
     Slips,
     Sticky,
 )
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.simple import Silent
 
 PEOPLE = 400
@@ -159,7 +160,7 @@ def test_costs_are_by_thoughts_and_beliefs_by_answers() -> None:
 
     problem = Problem(np.array([0.9, 0.1])[:, None, None].repeat(STEPS, 1), np.empty(0))
     plain, contrary = (
-        explain(problem, Silent().plan(problem), user, Independent())
+        explain(problem, CachedPolicy(Silent().plan(problem)), user, Independent())
         for user in (SimulatedUser.of(np.zeros((STEPS, 1))), Contrary())
     )
     assert plain.cost == contrary.cost == STEPS * (STEPS + 1) / 2

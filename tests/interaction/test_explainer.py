@@ -19,6 +19,7 @@ from xplain.explanation.listening import learned_habits
 from xplain.explanation.message_sets import mask_of, names_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp import POMCP
@@ -88,7 +89,9 @@ def test_a_session_is_an_episode_of_the_experiments(situation):
     problem, answers, explainer, _ = situation
     problem = problem.with_habits(explainer.belief_update.habits(None))
     policy = explainer.solver.plan(problem)
-    episode = explain(problem, policy, SimulatedUser.of(answers), explainer.belief_update)
+    episode = explain(
+        problem, CachedPolicy(policy), SimulatedUser.of(answers), explainer.belief_update
+    )
     session = explainer.session(range(problem.n_steps))
     said = play(session, answers)
     names = problem.message_names
@@ -202,8 +205,8 @@ def answered(labels):
     session.observe(labels)
 
 
-TWICE = [["give", []], ["labels", [1]], ["labels", [1]]]
-UNKNOWN = [["give", ["z"]]]
+TWICE = [["tell", []], ["observe", [1]], ["observe", [1]]]
+UNKNOWN = [["tell", ["z"]]]
 
 
 def test_misuse_is_one_clear_line():
@@ -238,7 +241,7 @@ def test_misuse_is_one_clear_line():
         (lambda: explainer.session([-1]), "trace"),
         (lambda: explainer.from_json(json.dumps(state | {"messages": ["b", "a"]})), "messages"),
         (lambda: explainer.from_json(json.dumps(state | {"events": [["say", []]]})), "event"),
-        (lambda: explainer.from_json(json.dumps(state | {"events": [["give"]]})), "JSON"),
+        (lambda: explainer.from_json(json.dumps(state | {"events": [["tell"]]})), "JSON"),
         (lambda: anything.session([object()]).to_json(), "JSON"),
         (lambda: explainer.from_json("{}"), "JSON"),
         (lambda: explainer.from_json("no"), "JSON"),

@@ -18,7 +18,7 @@ from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.interaction.dialogue import Answered, Asked, Event, Given, Labelled
-from xplain.interaction.session import Say, Session
+from xplain.interaction.session import Session
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import Clustering
@@ -143,7 +143,7 @@ class Situation:
                 ahead = []
             elif isinstance(move, Question):
                 session.answer(int(rng.integers(2)))
-            elif not isinstance(move, Say):
+            else:
                 session.observe(rng.integers(2, size=move.steps))
             if restored:
                 session = explainer.from_json(session.to_json())

@@ -63,7 +63,7 @@ class ByTransition:
         self.asked.append(len(features))
         both = LabelTable.by_type([[0, 1]], self.entries(features, transitions)[None])
         n = self.n_messages
-        return both.over([range(n)]) if n <= DENSE else both
+        return both.select_messages([range(n)]) if n <= DENSE else both
 
 
 @pytest.mark.parametrize("n", [2, DENSE, DENSE + 1])

@@ -19,6 +19,7 @@ from xplain.explanation.belief import told
 from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.hsvi import Certified
@@ -139,7 +140,7 @@ def test_exact_values_are_those_by_enumeration_and_simulation_is_near(
                 assert worth.value_is == "exact"
                 assert worth.value == pytest.approx(value, abs=1e-9)
                 assert worth.cost == pytest.approx(cost, abs=1e-9)
-            drawn = simulate(one, policy, 300, seed)
+            drawn = simulate(one, CachedPolicy(policy), 300, seed)
             assert drawn.value_is == "simulated"
             assert drawn.value == pytest.approx(value, abs=5 * drawn.value_se + 1e-9)
             assert drawn.cost == pytest.approx(cost, abs=5 * drawn.cost_se + 1e-9)
@@ -152,7 +153,7 @@ def test_values_with_questions_are_exact_too(seed: int) -> None:
     policy, optimum = Certified(gap=1e-9).plan(problem), literal_optimal_value(problem)
     worth = evaluate(problem, policy)
     assert (worth.value_is, worth.value) == ("exact", pytest.approx(optimum, abs=1e-7))
-    drawn = simulate(problem, policy, 400, seed)
+    drawn = simulate(problem, CachedPolicy(policy), 400, seed)
     assert drawn.value == pytest.approx(optimum, abs=5 * drawn.value_se + 1e-9)
 
 

@@ -11,7 +11,7 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.solvers.base import Solver
+from xplain.solvers.base import CachedPolicy, Solver
 from xplain.solvers.evaluate import evaluate
 from xplain.solvers.simple import SayAll, Silent
 
@@ -25,7 +25,7 @@ def cost_of(solver: Solver, labels: np.ndarray) -> float:
         np.full((1, 4, 4), 0.5), np.array([0.5, 3.0]), inexplicability_cost=2.0, trade_off=1.5
     )
     user = SimulatedUser.of(labels)
-    return explain(problem, solver.plan(problem), user, Independent()).cost
+    return explain(problem, CachedPolicy(solver.plan(problem)), user, Independent()).cost
 
 
 def test_the_costs_of_a_trace_by_hand() -> None:

@@ -13,6 +13,7 @@ from tests.decisions import messages_given, worth_by_enumeration
 from tests.explanation.problems import tiny_problems
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.problem import Problem
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.simple import QHR
@@ -45,7 +46,10 @@ def test_simulation_agrees_with_the_exact_worth() -> None:
     policy = QMDP().plan(problem)
     # The order of prices matters.
     assert messages_given(policy, 0, 0, problem.prior).bit_count() > 1
-    exact, simulated = evaluate(problem, policy), simulate(problem, policy, 4000, seed=1)
+    exact, simulated = (
+        evaluate(problem, policy),
+        simulate(problem, CachedPolicy(policy), 4000, seed=1),
+    )
     assert (exact.value_is, simulated.value_is) == ("exact", "simulated")
     assert abs(exact.value - simulated.value) < 4 * simulated.value_se
     assert abs(exact.cost - simulated.cost) < 4 * simulated.cost_se
@@ -56,7 +60,7 @@ def test_simulation_agrees_with_the_exact_worth() -> None:
 def test_simulation_agrees_with_every_label_enumerated(problem: Problem) -> None:
     for solver in (QMDP(), Conformant()):
         policy = solver.plan(problem)
-        worth = simulate(problem, policy, 300, seed=5)
+        worth = simulate(problem, CachedPolicy(policy), 300, seed=5)
         value, cost = worth_by_enumeration(problem, policy)
         assert abs(worth.value - value) <= 5 * worth.value_se + 1e-9
         assert abs(worth.cost - cost) <= 5 * worth.cost_se + 1e-9
@@ -67,7 +71,7 @@ def test_simulation_has_no_noise_where_the_type_is_known() -> None:
     problem = confident_problem()
     alone = problem.with_types(problem.p_explicable[:1], ("alone",))
     for policy in (QMDP().plan(alone), Conformant().plan(alone), Counting()):
-        worth, exact = simulate(alone, policy, 5, seed=2), evaluate(alone, policy)
+        worth, exact = simulate(alone, CachedPolicy(policy), 5, seed=2), evaluate(alone, policy)
         assert (worth.value, worth.cost) == (pytest.approx(exact.value), pytest.approx(exact.cost))
         assert max(worth.value_se, worth.cost_se) < 1e-12
 

@@ -19,7 +19,7 @@ from xplain.explanation.label_table import joined
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.explainees import Explainee, Person
 from xplain.interaction.explainer import Explainer, GivenTypes
-from xplain.interaction.session import Candidate, Say, Session, Why
+from xplain.interaction.session import Candidate, Session, Why
 from xplain.randomness import derived_seed, stream
 from xplain.solvers.base import Solver
 
@@ -240,8 +240,8 @@ def play(scene: DemoSetup, user: str) -> Played:
             about = len(scene.case.transitions) + move.number
             asked.append((move, person.answer(about, given)))
             session.answer(asked[-1][1])
-        elif not isinstance(move, Say):
-            said = session.messages()
+        else:
+            said = move.messages
             person.hear(mask_of(said, messages))
             given = mask_of(session.said, messages)
             labels = tuple(map(int, person.react(given, session.shown).answers))

@@ -12,9 +12,10 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import fields, replace
 from itertools import product
 from math import comb
 from pathlib import Path
@@ -24,59 +25,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError, TooLargeError
-from xplain.explanation.asking import Limits, Questions
-from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.problem import Problem, numbers
+from xplain.explanation.problem import Problem
+from xplain.storage import decode, encode
 
-DENSE = ("p_explicable",)
-BY_TYPE = ("relevant", "p_relevant")
-"""The arrays of a table in either form."""
-PREFIX = "question_"
-"""Prefix of the names of the arrays of questions."""
+WHOLE = "problem"
+"""The name of the text, in a file of :func:`save`, that says which field each array is."""
+DENSE, BY_TYPE = {"p_explicable"}, {"relevant", "p_relevant"}
+"""The arrays of a table, of both forms, in other files."""
 EXPLAIN, NOTHING = 0, 0
 """Numbers of an action and an observation in the text."""
 MAX_LINES = 20_000_000
 
 
 def save(problem: Problem, path: str | Path) -> None:
-    """Writes a file for :func:`load`.
-
-    The table is ``p_explicable`` [N, m, 2^n] for few messages, else ``relevant`` [N, r] and
-    ``p_relevant`` [N, m, 2^r]. If users err or miss messages there are ``p_answered``, of the same
-    shape, and ``habits`` [4, F], the fields of :class:`~xplain.explanation.habits.Habits`. With
-    questions there are the same arrays of the questions' table, by type, with the fields of
-    :class:`~xplain.explanation.asking.Questions` and its limits, each with PREFIX.
-    """
-    habits, questions = problem.habits, problem.questions
-    arrays: dict[str, Any] = {
-        field.name: getattr(problem, field.name)
-        for field in fields(problem)
-        if field.name not in ("table", "habits", "questions")
-    }
-    arrays |= _arrays_of(problem.table.compact(problem.n_messages), problem.n_messages)
-    if not (habits.never_err and habits.take_all_in):
-        arrays["habits"] = np.stack([habits.error, habits.accept, habits.forget, habits.prior])
-    if questions:
-        asked = _arrays_of(questions.table) | asdict(questions.limits)
-        asked |= {key: getattr(questions, key) for key in ("shows", "texts", "right")}
-        arrays |= {PREFIX + key: value for key, value in asked.items()}
-    texts = {k: np.array(v, np.str_) for k, v in arrays.items() if isinstance(v, tuple)}
-    np.savez_compressed(path, **arrays | texts)
-
-
-def _arrays_of(table: LabelTable, dense_of: int = -1) -> dict[str, NDArray[Any]]:
-    """The arrays of a table; dense if it covers all of ``dense_of`` messages."""
-    p = table.p.transpose(2, 0, 1)
-    dense = table.is_dense(dense_of)
-    arrays = {"p_explicable": p} if dense else {"relevant": table.relevant, "p_relevant": p}
-    answers = {"p_answered": table.answers.transpose(2, 0, 1)} if table.answers.size else {}
-    return arrays | answers
+    """Writes a file that :func:`load` reads: all arrays of the problem, and ``problem``, a text in
+    JSON with everything else."""
+    arrays: dict[str, NDArray[Any]] = {}
+    kept = replace(problem, table=problem.table.compact(problem.n_messages))
+    text = json.dumps(encode(kept, arrays))
+    np.savez_compressed(path, **{WHOLE: np.array(text)}, **arrays)
 
 
 def load(path: str | Path) -> Problem:
-    """Reads a file of :func:`save`, or of another program: only ``message_cost`` and either
-    ``p_explicable`` or ``relevant`` and ``p_relevant`` are required.
+    """Reads a file of :func:`save`, or of anyone.
+
+    A file of anyone has the arrays ``message_cost`` and either ``p_explicable`` [N, m, 2^n] or
+    ``relevant`` [N, r] and ``p_relevant`` [N, m, 2^r] (:meth:`LabelTable.by_type`), and may have
+    the numbers, texts and arrays of :class:`~xplain.explanation.problem.Problem`.
 
     Raises:
         InputError: no such file, not an ``.npz``, a missing or unknown array, or values out of
@@ -90,15 +66,22 @@ def load(path: str | Path) -> Problem:
         # TypeError means that the file has a single array.
         reason = getattr(error, "strerror", None) or "it must hold named arrays of numbers"
         raise InputError("problem", str(path), f"not a readable .npz file ({reason})") from None
-    own = {k.removeprefix(PREFIX): arrays.pop(k) for k in [*arrays] if k.startswith(PREFIX)}
-    table = _table_of(arrays, {"message_cost"}, Problem)
-    if own:
-        needed = {*BY_TYPE, *(field.name for field in fields(Limits))}
-        questions = _table_of(own, needed, Questions, Limits)
-        limits = Limits(**{field.name: own.pop(field.name) for field in fields(Limits)})
-        arrays["questions"] = Questions(questions, limits, **own)
-    if "habits" in arrays:
-        arrays["habits"] = Habits(*numbers("habits", arrays["habits"]))
+    if WHOLE in arrays:
+        try:
+            problem: Problem = decode(Problem, json.loads(arrays[WHOLE]), arrays)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError("problem", str(path), f"a file of save() ({error!r})") from None
+        return problem
+    form = BY_TYPE if arrays.keys() & BY_TYPE else DENSE
+    if missing := {"message_cost", *form} - arrays.keys():
+        raise InputError("problem", sorted(arrays), f"lacks {', '.join(sorted(missing))}")
+    known = form | {field.name for field in fields(Problem)} - {"table", "habits", "questions"}
+    if unknown := arrays.keys() - known:
+        wanted = f"unknown array; known: {', '.join(sorted(known))}"
+        raise InputError("problem", sorted(unknown)[0], wanted)
+    if form == DENSE:
+        return Problem(arrays.pop("p_explicable"), **arrays)
+    table = LabelTable.by_type(arrays.pop("relevant"), arrays.pop("p_relevant"))
     return Problem(table, **arrays)
 
 
@@ -107,26 +90,6 @@ def _as_python(array: NDArray[Any]) -> Any:
     if not array.ndim:
         return array.item()
     return tuple(array.tolist()) if array.dtype.kind == "U" else array
-
-
-def _table_of(arrays: dict[str, Any], needed: set[str], *kinds: Any) -> Any:
-    """Makes a table from these arrays and removes them; the others must be fields of these classes.
-
-    Raises:
-        InputError: a missing or unknown array, or an invalid table.
-    """
-    form = BY_TYPE if arrays.keys() & {*BY_TYPE} else DENSE
-    if missing := {*needed, *form} - arrays.keys():
-        raise InputError("problem", sorted(arrays), f"lacks {', '.join(sorted(missing))}")
-    known = {field.name for kind in kinds for field in fields(kind)} - {"table", "questions"}
-    known |= {*form, "p_answered"}
-    if unknown := arrays.keys() - known:
-        wanted = f"unknown array; known: {', '.join(sorted(known))}"
-        raise InputError("problem", sorted(unknown)[0], wanted)
-    p, answers = arrays.pop(form[-1]), arrays.pop("p_answered", None)
-    if form == BY_TYPE:
-        return LabelTable.by_type(arrays.pop("relevant"), p, answers)
-    return p if answers is None else LabelTable.dense(p, answers)
 
 
 def pomdp_lines(problem: Problem) -> Iterator[str]:

@@ -131,9 +131,9 @@ class LabelTable:
         for row in given.rows:
             if len(set(row)) < len(row):
                 raise InputError("relevant", row, "each message once a type")
-        table = given._read_over(
+        table = given.select_messages(
             [sorted(row) for row in given.rows]
-        )  # in any order, with pads anywhere
+        )  # of any order, with pads anywhere
         for name, own in ((key, table.p), ("p_answered", table.answers)):
             if own.size and not (own.min() >= 0 and own.max() <= 1):  # NaN fails both
                 wrong = own[~((own >= 0) & (own <= 1))]
@@ -161,11 +161,6 @@ class LabelTable:
     def rows(self) -> list[list[int]]:
         """For each type its relevant messages, ascending."""
         return [[j for j in row if j != NONE] for row in self.relevant.tolist()]
-
-    def is_dense(self, n: int) -> bool:
-        """True if each of n messages is relevant to each type: a row of ``p`` is then a message
-        set."""
-        return self.relevant.shape[1] == n and bool((self.relevant == np.arange(n)).all())
 
     def effective(self) -> list[tuple[int, ...]]:
         """For each type, the messages that change some label, ascending."""
@@ -213,17 +208,16 @@ class LabelTable:
         own = p[:count, self.subset(given), np.arange(self.n_types)]
         return np.ascontiguousarray(own.T)
 
-    def over(self, rows: Rows) -> LabelTable:
-        """The table over these messages of each type, ascending; other messages are never given.
+    def select_messages(self, rows: Rows) -> LabelTable:
+        """The table over these messages of each type, ascending; the others are never given.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages of a type.
         """
-        same = np.array_equal(_padded(rows, max(map(len, rows))), self.relevant)
-        return self if same else self._read_over(rows)
-
-    def _read_over(self, rows: Rows) -> LabelTable:
         width = max(map(len, rows))
+        relevant = _padded(rows, width)
+        if np.array_equal(relevant, self.relevant):
+            return self
         if width > MAX_RELEVANT:
             raise TooLargeError(
                 f"{width} messages matter to some type on this trace, and a table over "
@@ -243,7 +237,7 @@ class LabelTable:
                 return p[:, where[0]]
             return np.stack([p[:, at, t] for t, at in enumerate(where)], axis=-1)
 
-        return self._changed(_padded(rows, width), read)
+        return self._changed(relevant, read)
 
     def array(self, n: int) -> NDArray[np.float64]:
         """[N, m, 2^n] P(label is 1 | type, transition, message set) of n messages, all sets.
@@ -251,12 +245,11 @@ class LabelTable:
         Raises:
             TooLargeError: more than MAX_RELEVANT messages.
         """
-        return self.over([range(n)] * self.n_types).p.transpose(2, 0, 1)
+        return self.select_messages([range(n)] * self.n_types).p.transpose(2, 0, 1)
 
     def compact(self, n: int) -> LabelTable:
-        """The form in which tables are stored: dense for few messages, otherwise over messages that
-        change a label."""
-        return self.over([range(n)] * self.n_types if n <= DENSE else self.effective())
+        """As tables are kept: dense where messages are few, else over what changes some label."""
+        return self.select_messages([range(n)] * self.n_types if n <= DENSE else self.effective())
 
     def of_types(self, types: Sequence[int]) -> LabelTable:
         """Selects types."""
@@ -279,8 +272,8 @@ class LabelTable:
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
         """
-        together = self.over([self.effective_of_any()] * self.n_types)
-        # Weights may exceed a sum of 1 by rounding errors.
+        together = self.select_messages([self.effective_of_any()] * self.n_types)
+        # Weights may sum to a hair more than 1.
         p = (together.p * weights).sum(axis=-1, keepdims=True).clip(0, 1)
         return LabelTable(together.relevant[:1], p)
 
@@ -291,9 +284,9 @@ def joined(parts: Sequence[LabelTable]) -> LabelTable:
     Raises:
         TooLargeError: more than MAX_RELEVANT messages matter to one type.
     """
-    types = range(parts[0].n_types)
-    union = [sorted({j for part in parts for j in part.rows[t]}) for t in types]
-    whole = [part.over(union) for part in parts]
+    by_type = zip(*(part.rows for part in parts), strict=True)
+    union = [sorted(set().union(*rows)) for rows in by_type]
+    whole = [part.select_messages(union) for part in parts]
     relevant, p = whole[0].relevant, np.concatenate([part.p for part in whole])
     if not any(part.answers.size for part in whole):
         return LabelTable(relevant, p)

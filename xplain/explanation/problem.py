@@ -239,23 +239,20 @@ class Problem:
         """
         if habits.never_err and habits.take_all_in:
             return self
-        table = _erring(self.table, habits)
-        asking = replace(self.questions, table=_erring(self.questions.table, habits))
+        table, asked = self.table, self.questions.table
         if not habits.take_all_in:
-            # A row is a user's knowledge. Knowledge of facts without effect does not matter.
-            # Labels and answers to questions depend on the same knowledge.
-            whole = joined([table, asking.table])
-            whole = whole.over(whole.effective())
+            # A row is what somebody knows, for labels and for answers to questions. It leaves out
+            # facts that change neither.
+            whole = joined([table, asked])
+            whole = whole.select_messages(whole.effective())
             table = whole.of_steps(range(self.n_steps))
-            rows = range(self.n_steps, self.n_steps + len(asking))
-            asking = replace(asking, table=whole.of_steps(rows))
-        prior = np.outer(self.prior, habits.prior).ravel()
+            asked = whole.of_steps(range(self.n_steps, len(whole.p)))
         return replace(
             self,
-            table=table,
-            prior=prior,
+            table=_erring(table, habits),
+            prior=np.outer(self.prior, habits.prior).ravel(),
             habits=habits,
-            questions=asking,
+            questions=replace(self.questions, table=_erring(asked, habits)),
             whose=self.whose.repeat(len(habits)),
             as_found=self.as_found.repeat(len(habits)),
         )

@@ -1,12 +1,13 @@
 """A dialogue: the events of one explanation, and the state that follows from them.
 
-Belief and visible state are a fold of the events, so a dialogue can be restored from its events
-alone. Experiments, the study and embedded sessions all use it.
+The belief and the visible state are a fold of the events (:func:`advance`), so a dialogue can be
+continued from its events alone. The experiments, the study and the sessions in people's own
+programs all run this.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -22,35 +23,30 @@ from xplain.solvers.base import Policy
 
 
 class Asked(NamedTuple):
-    """A question was asked, by its number."""
+    """A question was asked: its number."""
 
     question: int
 
 
 class Answered(NamedTuple):
-    """The question was answered, 0 or 1."""
+    """The user answered it: 0 or 1."""
 
     answer: int
 
 
 class Given(NamedTuple):
-    """The messages of a step (a bitmask; 0 for none) were decided and given."""
+    """The messages of a step were given: a bitmask, 0 for none."""
 
     messages: int
 
 
-class Told(NamedTuple):
-    """The calling program received these messages."""
-
-
 class Labelled(NamedTuple):
-    """*Explain* showed one more transition; these are the user's labels of all shown
-    transitions."""
+    """*Explain* showed one more transition: the user's labels of all transitions shown."""
 
     labels: tuple[int, ...]
 
 
-Event = Asked | Answered | Given | Told | Labelled
+Event = Asked | Answered | Given | Labelled
 
 
 class DialogueState(NamedTuple):
@@ -58,19 +54,18 @@ class DialogueState(NamedTuple):
 
     Attributes:
         visible: step, messages and questions.
-        belief: [S] over hidden states.
-        open: the unanswered question; None for none.
-        new: bitmask of the messages given before the next labels; None before the decision.
-        told: True if the calling program received these messages.
-        repeats: True if users who repeat themselves would repeat their last labels.
-        clips: bitmask of the questions since the last message; their answers are labels.
+        belief: [S] over the hidden states.
+        open: the question that the user has not answered yet; None for none.
+        new: bitmask of the messages given at the current step; None before they are decided.
+        repeats: whether the user has received no message and forgotten nothing since the last
+            labels. Users who repeat themselves then give the same labels again.
+        clips: bitmask of the questions asked since then, whose answers are labels.
     """
 
     visible: VisibleState
     belief: NDArray[np.float64]
     open: int | None = None
     new: int | None = None
-    told: bool = False
     repeats: bool = False
     clips: int = 0
 
@@ -107,16 +102,13 @@ def advance(
                 belief=told(problem, belief, messages),
                 open=None,
                 new=messages,
-                told=False,
             )
-            # After a new message, a repeated question is a new question.
+            # After a message, the same question is a new one.
             return given._replace(repeats=False, clips=0) if messages else given
-        case Told():
-            return state._replace(told=True)
         case Labelled(labels):
             heard = np.array(labels, np.uint8)
             evidence = slice(None) if belief_update.fresh_labels else _news(problem, state, heard)
-            # The same holds if people may have forgotten something.
+            # So it is after something may have been forgotten.
             forgets = bool(problem.habits.forget.any())
             return DialogueState(
                 visible._replace(step=len(labels)),
@@ -127,8 +119,8 @@ def advance(
 
 
 def _news(problem: Problem, state: DialogueState, labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """[k + 1] True for new labels that are evidence if people repeat themselves: labels not given
-    since the last message, and only the first one of equal transitions."""
+    """[k + 1] which of the labels just given are evidence if people repeat themselves: labels that
+    were not given since the last message, and of equal transitions only the first one's."""
     count = len(labels)
     news: NDArray[np.bool_] = problem.copies[:count] == np.arange(count)
     if state.repeats:
@@ -145,9 +137,9 @@ class Dialogue:
     Attributes:
         problem: the agent's model of users.
         policy: planned for that problem.
-        belief_update: the labels that change the belief.
-        events: the events, in order.
-        state: the state that follows from them.
+        belief_update: says which labels change the belief.
+        events: in order.
+        state: after these events.
     """
 
     problem: Problem
@@ -162,7 +154,7 @@ class Dialogue:
         self.hear(*events)
 
     def hear(self, *events: Event) -> None:
-        """Adds events.
+        """Adds events, and computes the state after them.
 
         Raises:
             ValueError: see :func:`advance`.
@@ -171,18 +163,13 @@ class Dialogue:
             self.state = advance(self.problem, self.belief_update, self.state, event)
             self.events.append(event)
 
-    def before_last_decision(self) -> tuple[Dialogue, Event] | None:
-        """The dialogue before the last decision, and that decision; None without a decision."""
-        decided = [i for i, e in enumerate(self.events) if isinstance(e, Asked | Given)]
-        if not decided:
-            return None
-        last = decided[-1]
-        before = Dialogue(self.problem, self.policy, self.belief_update, self.events[:last])
-        return before, self.events[last]
+    def at(self, count: int) -> Dialogue:
+        """The dialogue after its first ``count`` events."""
+        return Dialogue(self.problem, self.policy, self.belief_update, self.events[:count])
 
     @property
     def visible(self) -> VisibleState:
-        """The state that the policy sees. Questions whose answers are known from labels count as
+        """The visible state for the policy. Questions that the last labels have answered count as
         asked."""
         state, shows = self.state, self.problem.questions.shows
         if not state.repeats or self.belief_update.fresh_labels:
@@ -191,22 +178,32 @@ class Dialogue:
         return state.visible._replace(asked=state.visible.asked | bitmask(heard.tolist()))
 
     def decide(self, asking: bool = True) -> Action:
-        """The policy's next action; ``asking=False`` excludes questions."""
+        """Returns the policy's action. If ``asking`` is false, it is no question."""
         visible = self.visible
         if not asking:
             visible = visible._replace(asked=(1 << len(self.problem.questions)) - 1)
         return self.policy.decide(visible, self.state.belief)
 
     def values(self) -> Mapping[Action, float]:
-        """The values of the possible actions."""
+        """Returns the values behind the policy's action."""
         return self.policy.values(self.visible, self.state.belief)
 
+    @property
+    def said(self) -> tuple[int, ...]:
+        """The messages of each step, bitmasks."""
+        return tuple(event.messages for event in self.events if isinstance(event, Given))
 
-def all_given(events: Iterable[Event]) -> list[int]:
-    """The messages of each step, as bitmasks."""
-    return [event.messages for event in events if isinstance(event, Given)]
+    @property
+    def labels(self) -> tuple[tuple[int, ...], ...]:
+        """The labels of each step."""
+        return tuple(event.labels for event in self.events if isinstance(event, Labelled))
 
-
-def all_labels(events: Iterable[Event]) -> list[tuple[int, ...]]:
-    """The labels of each step."""
-    return [event.labels for event in events if isinstance(event, Labelled)]
+    def cost(self, zeros: int) -> float:
+        """Definition 2, undiscounted, with so many labels 0; and κ for each question answered."""
+        problem = self.problem
+        answers = sum(isinstance(event, Answered) for event in self.events)
+        return (
+            problem.trade_off * problem.communication(self.said)
+            + problem.inexplicability_cost * zeros
+            + problem.questions.limits.cost * answers
+        )

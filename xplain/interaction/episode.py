@@ -1,5 +1,7 @@
-"""One interaction: a policy explains a trace, step by step, to a user who answers (docs/method.md,
-sections 5 and 7)."""
+"""One episode: a policy explains a trace, step by step, to a user who answers.
+
+docs/method.md, sections 5 and 7.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
 from xplain.interaction.explainees import Person
-from xplain.solvers.base import CachedPolicy, Policy, messages_of
+from xplain.solvers.base import CachedPolicy, messages_of
 
 
 @dataclass(frozen=True)
@@ -21,17 +23,18 @@ class Episode:
     """The record of one explanation of a trace with m transitions.
 
     Attributes:
-        messages: [m] int64, messages (bitmask) given before each *explain*.
-        labels: [m, m] int8, row k has the answers at step k; −1 right of the diagonal.
-        thoughts: [m, m] int8, row k has the user's true labels; costs depend on these.
+        messages: [m] int64, the messages (bitmask) said before each *explain*.
+        labels: [m, m] int8; row k has the labels given at step k, and −1 right of the diagonal.
+        thoughts: [m, m] int8; row k has the labels that the user truly holds. Costs count these.
         beliefs: [m + 1, M] over user types, before the first step and after each.
-        seconds: [m] time of the policy's first decision on questions and messages of each step.
+        seconds: [m] the time that the policy took for each step's decisions. A cached decision
+            counts with its first time.
         communication: Σ C_e of all messages given (not multiplied by λ).
         inexplicability: Σ C_inexp over every transition found inexplicable at every step.
         cost: Definition 2, λ · communication + inexplicability, undiscounted; plus ``asking``.
-        asking: κ of every question.
-        fit: final P(the user has a found type with the assumed habits).
-        questions: [J, 3] step, number and answer of each question.
+        asking: κ for each question.
+        fit: P(the user is of a found type, as assumed) in the end.
+        questions: [J, 3] the step at which each was asked, its number, and the answer.
     """
 
     messages: NDArray[np.int64]
@@ -69,7 +72,7 @@ class Episode:
 
 def explain(
     problem: Problem,
-    policy: Policy,
+    policy: CachedPolicy,
     user: Person,
     belief_update: BeliefUpdate,
     sees_knowledge: bool = False,
@@ -77,20 +80,18 @@ def explain(
     """Explains the whole trace of ``problem`` to ``user``.
 
     Args:
-        problem: the agent's model of users; its costs are the ones that count.
-        policy: planned for that problem; a cached one shares its decisions between users.
-        user: the person, who must be new to the trace.
-        belief_update: the labels that change the belief.
-        sees_knowledge: True if the agent sees the current knowledge of a user of known type.
+        problem: what the agent believes of users; its costs are those that count.
+        policy: planned for that problem; it shares its decisions between users.
+        user: who reacts; new to the trace.
+        belief_update: which labels change the belief.
+        sees_knowledge: whether the agent sees what a user of known type has right now.
 
     Raises:
         InputError: the policy asks a question, and the user does not answer questions.
         ValueError: the policy repeats a message, or gives one that does not exist.
     """
     m = problem.n_steps
-    asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
-    talk = Dialogue(problem, asked, belief_update)
-    messages = np.zeros(m, dtype=np.int64)
+    talk = Dialogue(problem, policy, belief_update)
     labels, thoughts = np.full((2, m, m), -1, dtype=np.int8)
     beliefs = np.empty((m + 1, problem.n_user_types))
     beliefs[0] = problem.type_belief(talk.state.belief)
@@ -100,32 +101,30 @@ def explain(
         if sees_knowledge and (knows := user.knows) is not None:
             talk.state = talk.state._replace(belief=problem.sure(0, knows))
         action, given = talk.decide(), talk.state.visible.given
-        seconds[k] += asked.seconds
+        seconds[k] += policy.seconds
         if isinstance(action, AskQuestion):
             answer = user.answer(m + action.question, given)
             talk.hear(Asked(action.question), Answered(answer))
             questions.append((k, action.question, answer))
             continue
-        messages[k] = messages_of(action)
-        user.hear(int(messages[k]))
-        talk.hear(Given(int(messages[k])))
+        new = messages_of(action)
+        user.hear(new)
+        talk.hear(Given(new))
         thought, answers = user.react(talk.state.visible.given, k + 1)
         thoughts[k, : k + 1], labels[k, : k + 1] = thought, answers
         talk.hear(Labelled(tuple(answers.tolist())))
         beliefs[k + 1] = problem.type_belief(talk.state.belief)
-    communication = problem.communication(messages.tolist())
-    inexplicability = problem.inexplicability_cost * int((thoughts == 0).sum())
-    asking = problem.questions.limits.cost * len(questions)
+    zeros = int((thoughts == 0).sum())
     return Episode(
-        messages,
+        np.array(talk.said, np.int64),
         labels,
         thoughts,
         beliefs,
         seconds,
-        communication,
-        inexplicability,
-        problem.trade_off * communication + inexplicability + asking,
-        asking,
+        problem.communication(talk.said),
+        problem.inexplicability_cost * zeros,
+        talk.cost(zeros),
+        problem.questions.limits.cost * len(questions),
         problem.fit(talk.state.belief),
         np.array(questions, np.int64).reshape(-1, 3),
     )

@@ -114,15 +114,19 @@ class Explainee(Protocol):
         return SimulatedUser(self.thoughts(labels, same, seed))
 
 
-@dataclass(frozen=True)
+@dataclass
 class SimulatedUser(Person):
     """Accepts each message at once and for ever, and answers by the true labels of one user type.
 
+    People who are otherwise change what they know (:meth:`known`) or what they say (:meth:`say`).
+
     Attributes:
-        table: table of this type alone.
+        table: of this type alone.
+        step: how many transitions were shown.
     """
 
     table: LabelTable
+    step: int = field(default=0, init=False)
 
     @classmethod
     def of(cls, labels: ArrayLike) -> SimulatedUser:
@@ -130,22 +134,37 @@ class SimulatedUser(Person):
         return cls(LabelTable.dense(np.asarray(labels)[None]))
 
     def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
-        """[count] the type's true labels of the prefix, if all of ``message_set`` is known."""
-        truth = self.table.label_probabilities(count, message_set)[0]
-        labels: NDArray[np.uint8] = truth.astype(np.uint8)
-        return labels
+        """The type's true labels [count] of the prefix, all of ``message_set`` known."""
+        labels = self.table.label_probabilities(count, message_set)[0]
+        return labels.astype(np.uint8)
 
-    def hear(self, new: int) -> None:
-        """Does nothing: :meth:`react` and :meth:`answer` get all messages in ``given``."""
+    def known(self, given: int) -> int:
+        """Bitmask of the facts that the user knows after the messages ``given``."""
+        return given
+
+    def say(
+        self, thoughts: NDArray[np.uint8], rows: NDArray[np.int64], given: int, *when: int | str
+    ) -> NDArray[np.uint8]:
+        """What the user answers, who thinks ``thoughts`` of these rows of the table.
+
+        Args:
+            thoughts: the labels that the user truly holds.
+            rows: what was asked about.
+            given: bitmask of the messages.
+            when: the step, or the question.
+        """
+        return thoughts
 
     def react(self, given: int, count: int) -> Reaction:
         """See :class:`Person`."""
-        labels = self.labels(count, given)
-        return Reaction(labels, labels)
+        self.step = count
+        thoughts = self.labels(count, self.known(given))
+        return Reaction(thoughts, self.say(thoughts, np.arange(count), given, count))
 
     def answer(self, row: int, given: int) -> int:
         """See :class:`Person`."""
-        return int(self.table.of_steps([row]).label_probabilities(1, given)[0, 0])
+        thought = self.labels(row + 1, self.known(given))[row:]
+        return int(self.say(thought, np.array([row]), given, "asked", row)[0])
 
 
 @dataclass(frozen=True)
@@ -173,46 +192,23 @@ class Slips(Explainee):
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """See :class:`Explainee`."""
-        return _Slipping(SimulatedUser(labels), self, same, seed)
+        return _Slipping(labels, self, same, seed)
 
 
 @dataclass
-class _Slipping(Person):
-    """``step`` counts the shown transitions."""
-
-    user: SimulatedUser
+class _Slipping(SimulatedUser):
     how: Slips
     same: NDArray[np.int64]
     seed: int
-    step: int = 0
 
-    def hear(self, new: int) -> None:
-        """Does nothing: :meth:`react` and :meth:`answer` get all messages in ``given``."""
-
-    def react(self, given: int, count: int) -> Reaction:
-        thoughts, self.step = self.user.labels(count, given), count
-        when = () if self.how.repeats else (count,)
-        mistaken = self._mistaken(thoughts, np.arange(count), given, when)
-        return Reaction(thoughts, thoughts ^ mistaken)
-
-    def answer(self, row: int, given: int) -> int:
-        thought = np.array([self.user.answer(row, given)], np.uint8)
-        when = () if self.how.repeats else ("asked", row)
-        return int((thought ^ self._mistaken(thought, np.array([row]), given, when))[0])
-
-    def _mistaken(
-        self,
-        thoughts: NDArray[np.uint8],
-        rows: NDArray[np.int64],
-        given: int,
-        when: tuple[int | str, ...],
+    def say(
+        self, thoughts: NDArray[np.uint8], rows: NDArray[np.int64], given: int, *when: int | str
     ) -> NDArray[np.uint8]:
-        rate = self.how.rate
+        rate, times = self.how.rate, () if self.how.repeats else when
         if self.how.tires:
             rate = max(rate, min(rate + self.how.tires * self.step, 0.5))
-        drawn = stream(self.seed, "slips", given, *when).random(len(self.same))[self.same[rows]]
-        wrong = drawn < np.where(thoughts == 0, max(rate, self.how.polite), rate)
-        return wrong.astype(np.uint8)
+        drawn = stream(self.seed, "slips", given, *times).random(len(self.same))[self.same[rows]]
+        return thoughts ^ (drawn < np.where(thoughts == 0, max(rate, self.how.polite), rate))
 
 
 @checks("explainee")
@@ -231,18 +227,19 @@ class Sticky(Explainee):
         return _Sticky(labels, self.rate, seed)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Sticky(SimulatedUser):
     rate: float
     seed: int
 
-    def react(self, given: int, count: int) -> Reaction:
-        thoughts = self.labels(count, given)
+    def say(
+        self, thoughts: NDArray[np.uint8], rows: NDArray[np.int64], given: int, *when: int | str
+    ) -> NDArray[np.uint8]:
         answers = thoughts.copy()
-        repeated = stream(self.seed, "sticky", given, count).random(count) < self.rate
+        repeated = stream(self.seed, "sticky", given, *when).random(len(rows)) < self.rate
         for i in np.flatnonzero(repeated[1:]) + 1:
             answers[i] = answers[i - 1]
-        return Reaction(thoughts, answers)
+        return answers
 
 
 class Expert(Explainee):
@@ -310,24 +307,23 @@ class LearnsUntold(Explainee):
         return _LearningUntold(labels, self.after)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _LearningUntold(SimulatedUser):
     """``mattered`` has the first step at which each message would have changed a label."""
 
     after: int
     mattered: dict[int, int] = field(default_factory=dict)
 
-    def react(self, given: int, count: int) -> Reaction:
-        known = given | self._found_out(count)
-        thoughts = self.labels(count, known)
-        for j in indices(sum(1 << j for j in self.table.rows[0]) & ~known):
-            if (self.labels(count, known | 1 << j) != thoughts).any():
-                self.mattered.setdefault(j, count)
-        return Reaction(thoughts, thoughts)
+    def known(self, given: int) -> int:
+        found = (j for j, step in self.mattered.items() if self.step >= step + self.after)
+        return given | sum(1 << j for j in found)
 
-    def _found_out(self, count: int) -> int:
-        found = (j for j, step in self.mattered.items() if count >= step + self.after)
-        return sum(1 << j for j in found)
+    def react(self, given: int, count: int) -> Reaction:
+        reaction, known = super().react(given, count), self.known(given)
+        for j in indices(sum(1 << j for j in self.table.rows[0]) & ~known):
+            if (self.labels(count, known | 1 << j) != reaction.thoughts).any():
+                self.mattered.setdefault(j, count)
+        return reaction
 
 
 @checks("explainee")
@@ -350,14 +346,13 @@ class Heedless(Explainee):
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """See :class:`Explainee`."""
-        return _Heedless(SimulatedUser(labels), self, seed)
+        return _Heedless(labels, self, seed)
 
 
 @dataclass
-class _Heedless(Person):
-    """``told`` counts how often each message was given."""
+class _Heedless(SimulatedUser):
+    """``told`` counts how often each message was said."""
 
-    user: SimulatedUser
     how: Heedless
     seed: int
     knows: int = 0
@@ -369,15 +364,15 @@ class _Heedless(Person):
             if self._by_chance("accept", j, self.told[j], self.how.accept):
                 self.knows |= 1 << j
 
+    def known(self, given: int) -> int:
+        return self.knows
+
     def react(self, given: int, count: int) -> Reaction:
-        reaction = self.user.react(self.knows, count)
+        reaction = super().react(given, count)
         for j in indices(self.knows):
             if self._by_chance("forget", j, count, self.how.forget):
                 self.knows &= ~(1 << j)
         return reaction
-
-    def answer(self, row: int, given: int) -> int:
-        return self.user.answer(row, self.knows)
 
     def _by_chance(self, what: str, message: int, time: int, chance: float) -> bool:
         return bool(stream(self.seed, what, message, time).random() < chance)

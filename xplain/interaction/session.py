@@ -16,48 +16,29 @@ from xplain.explanation.asking import Question
 from xplain.explanation.belief import NO_FIT
 from xplain.explanation.listening import Explained
 from xplain.explanation.message_sets import mask_of, names_of
-from xplain.interaction.dialogue import (
-    Answered,
-    Asked,
-    Dialogue,
-    Event,
-    Given,
-    Labelled,
-    Told,
-    all_given,
-    all_labels,
-)
+from xplain.interaction.dialogue import Answered, Asked, Dialogue, Event, Given, Labelled
 from xplain.solvers.base import messages_of
 
-FORMAT = 4
+FORMAT = 5
 """Version of a session's JSON."""
-KINDS = {Asked: "ask", Answered: "answer", Given: "give", Told: "told", Labelled: "labels"}
-"""Names of events in the JSON."""
-
-
-@dataclass(frozen=True)
-class Say:
-    """Say these messages.
-
-    Attributes:
-        messages: at least one name.
-    """
-
-    messages: tuple[str, ...]
+KINDS = {Asked: "ask", Answered: "answer", Given: "tell", Labelled: "observe"}
+"""What events are called there: by the methods that they are."""
 
 
 @dataclass(frozen=True)
 class Show:
-    """Show the first transitions of the trace, and ask for a label of each.
+    """Say messages, then show the first transitions of the trace and ask for a label of each.
 
     Attributes:
-        steps: number of transitions.
+        messages: names; none where it is best to say nothing.
+        steps: how many transitions.
     """
 
+    messages: tuple[str, ...]
     steps: int
 
 
-Move = Question | Say | Show
+Move = Question | Show
 
 
 @dataclass(frozen=True)
@@ -175,18 +156,17 @@ class Session:
 
     @property
     def again(self) -> tuple[str, ...]:
-        """Names of this step's messages that were given before, because users may miss or forget
+        """Names of this step's messages that were given before, too: users may miss or forget
         some."""
-        *earlier, now = all_given(self._talk.events) or [0]
-        return self._names(now & int(np.bitwise_or.reduce(np.array([0, *earlier]))))
+        *earlier, now = self._talk.said or [0]
+        return self._names(now & int(np.bitwise_or.reduce([0, *earlier])))
 
     @property
     def explained(self) -> Explained:
-        """The messages and answers of one person: the data of
+        """The messages and labels of this person, for
         :func:`~xplain.explanation.listening.learned_habits`."""
-        events = self._talk.events
-        answers = tuple(np.array(labels, np.uint8) for labels in all_labels(events))
-        return Explained(self._talk.problem, tuple(all_given(events)), answers)
+        answers = tuple(np.array(labels, np.uint8) for labels in self._talk.labels)
+        return Explained(self._talk.problem, self._talk.said, answers)
 
     @property
     def belief(self) -> dict[str, float]:
@@ -195,22 +175,15 @@ class Session:
 
     @property
     def fit(self) -> float:
-        """The probability of the found types with the assumed habits. The rest is on people nobody
-        assumed (:mod:`xplain.explanation.anybody`)."""
+        """The share of the belief in the types that were found. The rest is the belief in people
+        nobody assumed (:mod:`xplain.explanation.anybody`)."""
         return self._talk.problem.fit(self._talk.state.belief)
 
     @property
     def cost(self) -> float:
-        """Definition 2 of the paper for all steps so far, undiscounted, plus κ for each answered
-        question."""
-        problem, events = self._talk.problem, self._talk.events
-        zeros = sum(labels.count(0) for labels in all_labels(events))
-        asked = sum(isinstance(event, Answered) for event in events)
-        return (
-            problem.trade_off * problem.communication(all_given(events))
-            + problem.inexplicability_cost * zeros
-            + problem.questions.limits.cost * asked
-        )
+        """Definition 2 of the paper for what happened so far, undiscounted; and κ for each
+        question answered."""
+        return self._talk.cost(sum(labels.count(0) for labels in self._talk.labels))
 
     def extend(self, transitions: Sequence[Any] | NDArray[Any]) -> None:
         """Adds transitions at the end, because the robot did (or plans) more.
@@ -225,27 +198,18 @@ class Session:
             self._trace = (*self._trace, *new)
 
     def next(self) -> Move:
-        """The next action: ask a question, then call :meth:`answer`; say messages, then call
-        ``next`` again; or show steps, then call :meth:`observe`. A repeated call returns the same
-        action; after messages were returned, it returns their steps.
+        """What to do now: ask a question, then :meth:`answer`; or say messages and show steps, then
+        :meth:`observe`. Called again before that, it answers the same.
 
         Raises:
             InputError: all known transitions are labelled.
         """
         talk = self._talk
         if talk.state.open is None and talk.state.new is None and not self.finished:
-            match talk.decide():
-                case AskQuestion(question):
-                    talk.hear(Asked(question))
-                case action:
-                    talk.hear(Given(messages_of(action)))
+            self._decide(asking=True)
         if talk.state.open is not None:
             return talk.problem.questions.question(talk.state.open)
-        said = self.messages()
-        if said and not talk.state.told:
-            talk.hear(Told())
-            return Say(said)
-        return Show(self.shown)
+        return Show(self.messages(), self.shown)
 
     def ask(self, number: int) -> None:
         """Asks the question with this number of ``clips``, independent of the plan; call
@@ -282,7 +246,7 @@ class Session:
         if self._talk.state.new is None:
             if self.finished:
                 raise InputError("session", len(self._trace), "is finished; extend the trace first")
-            self._talk.hear(Given(messages_of(self._talk.decide(asking=False))))
+            self._decide(asking=False)
         return self._names(self._talk.state.new or 0)
 
     def tell(self, names: Sequence[str]) -> None:
@@ -319,10 +283,11 @@ class Session:
         Raises:
             InputError: there is no decision yet.
         """
-        found = self._talk.before_last_decision()
-        if found is None:
+        events, questions = self._talk.events, self._talk.problem.questions
+        decided = [i for i, event in enumerate(events) if isinstance(event, Asked | Given)]
+        if not decided:
             raise InputError("session", 0, "messages() comes first")
-        (before, event), questions = found, self._talk.problem.questions
+        before, event = self._talk.at(decided[-1]), events[decided[-1]]
         messages, asked = dict[tuple[str, ...], float](), list[tuple[Question, float]]()
         for action, value in sorted(before.values().items(), key=lambda item: -item[1]):
             match action:
@@ -352,9 +317,8 @@ class Session:
         methods: dict[str, Callable[[Any], None]] = {
             "ask": self.ask,
             "answer": self.answer,
-            "give": self.tell,
-            "told": lambda _: self._talk.hear(Told()),
-            "labels": self.observe,
+            "tell": self.tell,
+            "observe": self.observe,
         }
         for kind, content in events:
             methods[one_of("session.events", kind, tuple(methods), "event")](content)
@@ -365,31 +329,31 @@ class Session:
         Raises:
             InputError: JSON cannot represent a transition.
         """
-        events = [
-            (
-                KINDS[type(event)],
-                self._names(event.messages)
-                if isinstance(event, Given)
-                else event[0]
-                if event
-                else 0,
-            )
-            for event in self._talk.events
-        ]
+        talk = self._talk
+        contents = [self._names(e.messages) if isinstance(e, Given) else e[0] for e in talk.events]
+        kinds = [KINDS[type(event)] for event in talk.events]
         state = {
             "format": FORMAT,
-            "messages": self._talk.problem.message_names,
-            "types": self._talk.problem.found_types,
+            "messages": talk.problem.message_names,
+            "types": talk.problem.found_types,
             "trace": self._trace,
             "expected_steps": self._expected_steps,
             "clips": [[clip.transition, clip.text, clip.right] for clip in self._clips],
-            "events": events,
+            "events": list(zip(kinds, contents, strict=True)),
         }
         try:
             return json.dumps(state)
         except TypeError as error:
             first = [*self._trace, *(clip.transition for clip in self._clips)][0]
             raise InputError("trace", first, f"transitions for JSON ({error})") from None
+
+    def _decide(self, asking: bool) -> None:
+        """Lets the policy decide; without asking, no question."""
+        match self._talk.decide(asking):
+            case AskQuestion(question):
+                self._talk.hear(Asked(question))
+            case action:
+                self._talk.hear(Given(messages_of(action)))
 
     def _check_step_is_open(self, key: str, value: object) -> None:
         """Raises InputError if this step's messages were given, or the trace is at its end."""

@@ -162,8 +162,8 @@ def _worst(process: Process) -> float:
     return float(zeros + often * process.price.sum() + questions.cost * questions.most)
 
 
-def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> PolicyValue:
-    """The value of a policy as a mean over simulated users, with its standard error.
+def simulate(problem: Problem, policy: CachedPolicy, episodes: int, seed: int) -> PolicyValue:
+    """The policy's worth as a mean over simulated users, with its standard error.
 
     It averages the expected loss of each decision relative to known states, not the costs of the
     drawn labels. Let W(k, v, b) = Σ_s b_s V(k, v, s). The loss is the immediate cost plus the
@@ -173,7 +173,6 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
     are drawn from the belief, which is exact.
     """
     process, rng = make_process(problem), stream(seed, "policy_value")
-    cached = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
     plain = process._replace(discount=1.0, message_discount=1.0)
     models = [(each, known_values(each)) for each in (process, plain)]
     losses = np.zeros((2, episodes))
@@ -181,7 +180,7 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
         visible, belief = VisibleState(), process.start
         while visible.step < process.n_steps:
             k, said = visible.step, before_step(process, visible.given)
-            action = cached.decide(visible, belief)
+            action = policy.decide(visible, belief)
             scale = np.array([_discount(process, visible), 1.0])
             if isinstance(action, AskQuestion):
                 # A question does not change the expected W.
@@ -208,4 +207,4 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
     value, undiscounted = start - losses.mean(axis=1)
     value_se, cost_se = losses.std(axis=1, ddof=1) / np.sqrt(episodes)
     means, errors = (float(value), float(-undiscounted)), (float(value_se), float(cost_se))
-    return PolicyValue(*means, "simulated", *errors, len(cached.decisions))
+    return PolicyValue(*means, "simulated", *errors, len(policy.decisions))

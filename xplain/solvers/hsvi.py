@@ -1,15 +1,15 @@
-"""Certified: searches until the optimum is known to within a gap, and acts on the result.
+"""The certified solver: a search that bounds the optimal value from both sides, and its policy.
 
-HSVI (Smith & Simmons 2004) on a finite lattice, like AO*. Every belief that the search reaches has
-an upper and a lower bound of its optimal value. Trials from the start tighten them until they meet.
-The upper bound is the smallest of three: the values of known states, the bound from other beliefs'
-upper bounds (sawtooth), and that of the best action. The lower bound is the largest of three: plans
-that ignore answers, alpha vectors of other beliefs, and that of the best action. Unlikely answers
-stay coarse, and the least likely ones are merged.
+The search is HSVI (Smith & Simmons 2004) on a finite graph of beliefs. Each belief that it visits
+has an upper and a lower bound of the optimal value. Trials from the start tighten the bounds until
+the gap at the start is small enough. Upper bounds come from the values of known states, from upper
+bounds at other beliefs (sawtooth), and from the best action. Lower bounds come from plans that
+ignore answers, from alpha vectors of other beliefs, and from the best action. Beliefs after
+unlikely answers keep wide bounds, and the least likely answers are treated as one.
 
-The bounds are of the optimal expected *discounted* return under the model. At beliefs that the
-search reached, the policy takes the action with the best certified lower bound. At other beliefs
-(unlikely answers, users unlike the model) it runs a short search from there.
+The bounds are those of the optimal expected *discounted* return under the model. At a belief that
+the search has opened, the policy takes the action with the best lower bound. At other beliefs
+(after unlikely answers, or with users unlike the model) it runs a short search from there.
 """
 
 from __future__ import annotations
@@ -64,28 +64,28 @@ from xplain.solvers.process import (
 log = logging.getLogger(__name__)
 
 CHUNK = 100_000
-"""Work between two checks of the clock and of Ctrl-C: some hundredths of a second."""
+"""The work between two checks of the clock and for Ctrl-C: a few hundredths of a second."""
 COARSER = 2
-"""Each search aims at a gap smaller by this factor than the last one."""
+"""Each time that a gap is closed, the search goes on with a gap smaller by this factor."""
 GROWTH = 1.2
 """All nodes are backed up after their number has grown by this factor."""
 TAIL = 0.6
-"""Share of the gap that may come from merged answers."""
+"""The share of the gap that may come from the answers that are treated as one."""
 SAME = 1e-9
-"""Beliefs are equal if all entries differ by less."""
+"""Beliefs whose entries all differ by less than this are the same."""
 Gap = Annotated[float, Range(1e-9)]
 
 
 @checks("solver")
 @dataclass(frozen=True)
 class Effort:
-    """Limits of a search.
+    """The limits of a search: it stops at the first one that it reaches.
 
     Attributes:
-        gap: stop when upper − lower is at most this.
-        nodes: stop after this number of opened beliefs (the same on every machine).
-        seconds: stop after this time (different on every machine).
-        memory_gib: stop before more memory is needed.
+        gap: the gap, upper − lower, to be closed.
+        nodes: the number of beliefs to open (the result is the same on every machine).
+        seconds: the time (the result depends on the machine).
+        memory_gib: the memory.
     """
 
     gap: Gap = 1e-3
@@ -98,11 +98,13 @@ class Effort:
 @dataclass(frozen=True)
 class Certified:
     """Args:
-    gap: stop at this gap between the bounds of the optimum. nodes: maximum number of beliefs opened
-    before the first step. seconds: time limit, with which results depend on the machine; None is no
-    limit. decision_nodes: maximum number of beliefs opened for a decision at a belief that the
-    search did not reach. memory_gib: maximum memory; larger tables are refused, and the search
-    stops before it.
+    gap: the gap between upper and lower bound at which the search stops.
+    nodes: the largest number of beliefs to open before the first step.
+    seconds: the largest time before the first step; results then depend on the machine. None is no
+        limit.
+    decision_nodes: the largest number of beliefs to open for a decision at a belief that the search
+        has not opened.
+    memory_gib: the largest memory. Larger tables are refused; the search stops at this limit.
     """
 
     gap: Gap = 1e-3
@@ -126,7 +128,7 @@ class Searched:
 
     Attributes:
         process: the model.
-        tables: the kernel's tables.
+        tables: the same, laid out for the kernel.
         kept: the messages of the tables, in order.
         store: the nodes.
     """
@@ -147,7 +149,7 @@ class Searched:
         return float(self.store.nodes["upper"][ROOT])
 
     def values(self, node: int = int(ROOT)) -> dict[Action, float]:
-        """Certified lower bounds of the remaining actions at an opened node."""
+        """Returns certified lower bounds of the actions that may be optimal at an opened node."""
         opened = self.store.nodes[node]
         first = int(opened["first_action"])
         actions = self.store.actions[first : first + int(opened["n_actions"])]
@@ -163,8 +165,8 @@ class CertifiedPolicy:
     """Acts on certified lower bounds.
 
     Attributes:
-        found: the search from the start.
-        brief: the effort for a belief that it did not reach.
+        found: the result of the search from the start.
+        brief: the effort of the search for a decision at another belief.
     """
 
     found: Searched
@@ -185,8 +187,8 @@ class CertifiedPolicy:
         return best_action(self.values(visible, belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Certified lower bounds of the remaining actions. Among nodes with the same belief, the
-        one with the best bound is used."""
+        """Returns the certified lower bounds of the actions that may be optimal. If several opened
+        nodes have this belief, the one with the best lower bound is used."""
         store = self.found.store
         given = before_step(self.found.process, visible.given)
         place = visible.step, compress(given, self.found.kept)
@@ -212,12 +214,12 @@ class CertifiedPolicy:
 def search(
     problem: Problem, effort: Effort, told: Callable[[float], None] | None = None
 ) -> Searched:
-    """Searches from the start of an explanation, within the effort. Ctrl-C ends it at any time.
+    """Searches from the start of an explanation, within the effort. Ctrl-C stops it at any time.
 
     Args:
-        problem: a problem of any kind.
-        effort: limits of the search.
-        told: receives the gap regularly.
+        problem: of any kind.
+        effort: the limits of the search.
+        told: is called with the gap from time to time.
 
     Raises:
         TooLargeError: the tables would need too much memory, or too many messages matter.
@@ -229,7 +231,7 @@ def search(
 
 
 class _Search:
-    """A running search on given tables."""
+    """A search that is running. It uses the tables of an earlier result."""
 
     def __init__(
         self,
@@ -258,7 +260,7 @@ class _Search:
         return float(root["upper"] - root["lower"])
 
     def run(self) -> Searched:
-        """Searches until the effort is used, or the gap cannot become smaller."""
+        """Searches until a limit is reached, or the gap cannot get smaller."""
         effort, tail_gap = self.effort, self.effort.gap * TAIL / self.process.n_steps
         limits = effort.nodes, CHUNK
         while True:
@@ -282,7 +284,7 @@ class _Search:
         return Searched(self.process, self.tables, self.kept, self.store)
 
     def _back_up_all(self, scratch: Scratch) -> None:
-        """Backs up all nodes: those after a question first, then the earlier steps."""
+        """Backs up all nodes, later steps first, and within a step those after more questions."""
         self.backed_up = int(self.store.used[NODES])
         nodes = self.store.nodes[: self.backed_up]
         asked = np.bitwise_count(self.store.asked[: self.backed_up]).sum(axis=1)
@@ -291,7 +293,7 @@ class _Search:
         kernel.back_up_all(self.tables, self.store, scratch, self.missed, order, least)
 
     def _grow(self) -> bool:
-        """Allocates more room. False if this would need more memory than the effort allows."""
+        """Enlarges the store. Returns False if that would take more memory than allowed."""
         if 2 * sum(array.nbytes for array in self.store) > self.effort.memory_gib * GIB:
             log.warning("the search stops at solver.memory_gib=%g", self.effort.memory_gib)
             return False
@@ -300,13 +302,14 @@ class _Search:
 
 
 def _words(tables: Tables, asked: int) -> NDArray[np.int64]:
-    """A bitmask of questions in integers of WORD bits, the first questions first."""
+    """Splits a bitmask of questions into integers of WORD bits, the first questions first."""
     words = range(-(-len(tables.model.asked_answered) // WORD))
     return np.array([asked >> WORD * w & (1 << WORD) - 1 for w in words], np.int64)
 
 
 def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple[int, ...]]:
-    """The process in the form of the search, and the messages that matter, cheapest first."""
+    """Makes the process, its tables for the kernel, and the messages with an effect, the cheapest
+    first."""
     kept = weighable(problem, "certified")
     sets = 1 << len(kept) if problem.messages_land else 1 << 2 * problem.table.relevant.shape[1]
     size = 48 * (problem.n_steps + 1) * sets * problem.n_types
@@ -340,7 +343,7 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
 
 
 def _store(tables: Tables, states: int) -> Store:
-    """An empty store with room for some thousand nodes."""
+    """Allocates an empty store for a few thousand nodes."""
     nodes = 1 << 12 if states <= 64 else 1 << 10
     sets, words = len(tables.price), -(-len(tables.model.asked_answered) // WORD)
     actions, rows = max(4 * nodes, 2 * sets), 16
@@ -349,24 +352,24 @@ def _store(tables: Tables, states: int) -> Store:
     places["row"] = kernel.NONE
     return Store(
         np.zeros(8, np.int64),
-        np.zeros(nodes, kernel.NODE),
-        np.zeros((nodes, states)),
-        np.zeros((nodes, states)),
-        np.zeros((nodes, words), np.int64),
-        np.zeros(actions + len(tables.model.asked_answered), kernel.ACTION),
-        np.zeros(4 * nodes, kernel.ANSWER),
-        np.zeros((4 * nodes, states)),
-        np.zeros(actions, np.int64),
-        np.zeros((actions, states)),
-        np.zeros((actions, states)),
-        np.zeros((actions, states)),
+        np.empty(nodes, kernel.NODE),
+        np.empty((nodes, states)),
+        np.empty((nodes, states)),
+        np.empty((nodes, words), np.int64),
+        np.empty(actions + len(tables.model.asked_answered), kernel.ACTION),
+        np.empty(4 * nodes, kernel.ANSWER),
+        np.empty((4 * nodes, states)),
+        np.empty(actions, np.int64),
+        np.empty((actions, states)),
+        np.empty((actions, states)),
+        np.empty((actions, states)),
         places,
         np.zeros((rows, 2), np.int64),
-        np.zeros((rows, KEPT, states)),
-        np.zeros((rows, KEPT, states)),
-        np.zeros((rows, KEPT)),
-        np.zeros((rows, KEPT), np.int64),
-        np.zeros((rows, KEPT, 2), np.int64),
+        np.empty((rows, KEPT, states)),
+        np.empty((rows, KEPT, states)),
+        np.empty((rows, KEPT)),
+        np.empty((rows, KEPT), np.int64),
+        np.empty((rows, KEPT, 2), np.int64),
         np.full(4 * nodes, kernel.NONE, np.int32),
     )
 
@@ -378,19 +381,21 @@ GROWS = {
     SETS: ("sets", "base", "over", "under"),
     PLACES: ("published", "vector", "peak", "height", "by", "source"),
 }
-"""The arrays that grow with each counter."""
+"""The arrays that grow together, by their position in ``store.used``."""
 
 
 def _grown(store: Store) -> Store:
-    """The same store, with twice the room for arrays that are half full."""
+    """Returns the store with twice the size of all arrays that are half full."""
     arrays: dict[str, Any] = store._asdict()
     short = {k for k, names in GROWS.items() if 2 * store.used[k] >= len(arrays[names[0]])}
     for kind in short or set(GROWS):
         for name in GROWS[kind]:
             array = arrays[name]
-            # New zeros use no memory until they are written.
-            arrays[name] = np.zeros((2 * len(array), *array.shape[1:]), array.dtype)
-            arrays[name][: store.used[kind]] = array[: store.used[kind]]
+            used = store.used[kind]
+            # Of what is published only the numbers must be 0 before the first.
+            make = np.zeros if name == "published" else np.empty
+            arrays[name] = make((2 * len(array), *array.shape[1:]), array.dtype)
+            arrays[name][:used] = array[:used]
     arrays["table"] = np.full(4 * len(arrays["nodes"]), kernel.NONE, np.int32)
     store.used[HASHED] = 0
     return Store(**arrays)

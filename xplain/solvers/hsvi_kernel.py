@@ -1,19 +1,22 @@
 """The compiled search of :mod:`xplain.solvers.hsvi`: sample, back up, share.
 
-One source gives two searches: ``missed`` is None where messages land, True where they may be missed
-or forgotten and move the hidden state; numba drops the branches of None.
+numba compiles this source once for each kind of problem. ``missed`` is None where messages land,
+and True where messages may be missed or forgotten: they then change the hidden state. numba removes
+the branches of a None.
 
 A node is a belief at (k, v) before a step's messages. Between two *explain* actions only questions
-bring information. So an action is either a set of messages (the cheapest first) followed by
-*explain*, or a question. Each answer to an action leads to a node. A function of a visited *place*
-(k, v) is linear in the belief: the immediate cost of a set of messages, the upper bound of its
-value (by known states), and the lower bound (by silence afterwards). Plans that ignore all answers
-bound beliefs from below, too.
+bring information, so an action is either a set of messages (the cheapest first) followed by
+*explain*, or a question. Each answer to an action leads to a node.
 
-Each place keeps the latest bounds that its nodes found. The value of a policy is linear in the
-belief, so its values by state (an alpha vector) bound every belief's optimum from below; and the
-optimum is convex, so an upper bound at one belief bounds the others from above (the sawtooth;
-Hauskrecht 2000).
+A *place* is a pair (k, v). At a place, three quantities of a set of messages are linear in the
+belief: its immediate cost, the upper bound of its value (the state becomes known afterwards), and
+the lower bound (no message is given afterwards). Plans that ignore all answers give further lower
+bounds.
+
+The nodes of a place share their bounds. The value of a policy is linear in the belief, so the
+policy's values by state (an alpha vector) bound the optimum of every belief from below. The optimum
+is convex in the belief, so an upper bound at one belief gives upper bounds at the others (the
+sawtooth; Hauskrecht 2000).
 """
 
 from __future__ import annotations
@@ -54,40 +57,43 @@ ACTION = np.dtype(
 ANSWER = np.dtype([("weight", np.float64), ("node", np.int64)])  # discounted; NONE is the tail
 PLACE = np.dtype([("first_set", np.int64), ("n_sets", np.int64), ("row", np.int64)])
 NODES, ACTIONS, ANSWERS, SETS, PLACES, OPENED, WORK, HASHED = range(8)
-"""What ``store.used`` counts; OPENED nodes, WORK done, and nodes in the hash table."""
+"""Positions in ``store.used``: how much of each array is in use, how many nodes are OPENED, how
+much WORK was done, and how many nodes are in the hash table (HASHED)."""
 ROOT = np.int64(0)
 NONE = -1
-"""For an index: not opened, not expanded, not listed; in the hash table, free."""
+"""An index that does not exist yet: the node is not opened, the action is not expanded, the place
+has no sets, the entry of the hash table is free."""
 SILENCE = 1 << 62
-"""Instead of the action that earns a node's lower bound."""
+"""Stands in ``earned_by`` where no action of another node earns the lower bound."""
 KEPT = 32
-"""Alpha vectors, and upper bounds, kept at each place."""
+"""The number of alpha vectors, and of upper bounds, that each place keeps."""
 GRAIN = 2.0**40
-"""Beliefs equal when rounded to 1 / GRAIN are one node."""
+"""Beliefs that are equal when rounded to multiples of 1 / GRAIN are one node."""
 HAIR = 1e-12
-"""Relative to 1 + its size, what rounding may change a value by."""
+"""The largest rounding error of a value, relative to 1 + its size."""
 ROUNDING = 1e-14
 """Differences below this are rounding."""
 WORD = 62
-"""Questions whose bits one integer holds."""
+"""The number of questions whose bits one integer holds."""
 DONE, WORKING, FULL = 0, 1, 2
-"""How a call of :func:`sample` ends."""
+"""The results of :func:`sample`."""
 CLOSED, NO_ROOM = -1, -2
-"""Instead of an action: the gap is small enough, the store is full."""
+"""The results of :func:`_settle` that are no action: the gap is small enough; the store is full."""
 NEWS = 0.01
-"""Share of the gap by which a bound must improve to be published."""
+"""A bound is published if it improved by more than this share of the gap."""
 
 
 class Tables(NamedTuple):
-    """What a search reads: m steps, S states, messages in the order of their prices.
+    """The data that a search reads: m steps, S states, messages in the order of their prices.
 
     Attributes:
-        model: the process, of these messages; (v, s) is in cell s + v · width.
+        model: the process of these messages; the cell of (v, s) is s + v · width.
         width: S where messages land; 0 where they may be missed.
-        plans: [U, m + 1, cells] values of plans that ignore all answers, which bound every belief
-            from below; the last is silence.
-        floor: [m + 1] every policy earns at least this in every state.
-        price, factor: [2^n] discounted price of a set, and what discounts the *explain* after it.
+        plans: [U, m + 1, cells] the values of plans that ignore all answers. They bound the optimum
+            from below. The last plan gives no message.
+        floor: [m + 1] a lower bound of every policy's value in every state.
+        price: [2^n] the discounted price of each set of messages.
+        factor: [2^n] the discount of the *explain* that follows each set.
     """
 
     model: SearchModel
@@ -99,22 +105,29 @@ class Tables(NamedTuple):
 
 
 class Store(NamedTuple):
-    """What a search found.
+    """The results of a search.
 
     Attributes:
-        used: [8] how much of the rest is in use.
-        nodes: [.] NODE; belief, alpha: [nodes, S], and the values by state of the policy that earns
-            the lower bound; asked: [nodes, words] which questions were asked.
-        actions: [.] ACTION; those of a node lie side by side.
-        answers: [.] ANSWER; those of an action lie side by side; likelihood: [answers, S].
-        sets: [.] sets of messages; those of a place lie side by side; base, over, under: [sets, S]
-            what each is worth at once, at most and at least.
+        used: [8] how much of each array is in use.
+        nodes: [.] NODE.
+        belief: [nodes, S].
+        alpha: [nodes, S] the values by state of the policy that earns the lower bound.
+        asked: [nodes, words] bits of the questions that were asked on the way to the node.
+        actions: [.] ACTION; the actions of a node are side by side.
+        answers: [.] ANSWER; the answers to an action are side by side.
+        likelihood: [answers, S] P(answer | s).
+        sets: [.] sets of messages; the sets of a place are side by side.
+        base, over, under: [sets, S] the immediate reward of each set by state, and an upper and a
+            lower bound of its value.
         places: [m, visible] PLACE, by (k, v).
-        published: [rows, 2] bounds from below and above at a place; the last KEPT:
-        vector: [rows, KEPT, S] alpha vectors; peak: [rows, KEPT, S] beliefs with height: [rows,
-            KEPT] their upper bounds; by: [rows, KEPT] the action of each vector;
-            source: [rows, KEPT, 2] the node of each vector and each peak.
-        table: [.] nodes by (k, v, belief, asked), open addressing.
+        published: [rows, 2] how many lower and upper bounds were published at a place. The last
+            KEPT of them are in the next five arrays.
+        vector: [rows, KEPT, S] alpha vectors.
+        peak: [rows, KEPT, S] beliefs whose upper bounds are in ``height``.
+        height: [rows, KEPT] upper bounds.
+        by: [rows, KEPT] the action of each alpha vector.
+        source: [rows, KEPT, 2] the node of each alpha vector and of each peak.
+        table: [.] hash table (open addressing) of nodes by (k, v, belief, asked).
     """
 
     used: NDArray[np.int64]
@@ -140,13 +153,19 @@ class Store(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room to work in, for one search.
+    """The scratch memory of one search.
 
     Attributes:
-        like, more: [answers, S] likelihoods of answers, and of one kind of label more.
-        belief, after, tail: [S]; asked: [words]; ways: [m + 1, S] likelihoods of a number of 1s.
-        under: [2^n, S] as of the store, for all sets; news: [Q]; cells: [S].
-        path: [levels] nodes of a trial, actions, and gaps before it.
+        like: [answers, S] likelihoods of the answers listed so far.
+        more: [answers, S] the same with one more kind of label.
+        belief, after, tail: [S] beliefs, and the likelihood of the answers that are left out.
+        asked: [words] as in the store.
+        ways: [m + 1, S] likelihoods of each number of 1s.
+        under: [2^n, S] as in the store, for all sets.
+        news: [Q] how informative each question is.
+        cells: [S] where tables of questions are read.
+        path, taken, gaps: [levels] the nodes of a trial, the actions taken, and the nodes' gaps
+            before the trial.
     """
 
     like: NDArray[np.float64]
@@ -166,7 +185,8 @@ class Scratch(NamedTuple):
 
 @kernel
 def sample(tables, store, scratch, missed, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
-    """Trials from the root until its gap is closed, so many nodes are opened, or the work is done.
+    """Runs trials from the root until its gap is at most ``gap``, ``opened`` nodes are opened, or
+    ``work`` more work was done.
 
     Returns:
         DONE, WORKING (call again), or FULL (grow the store and the scratch, call again).
@@ -191,9 +211,8 @@ def sample(tables, store, scratch, missed, gap, tail_gap, opened, work):  # type
 
 @kernel
 def back_up_all(tables, store, scratch, missed, order, least):  # type: ignore[no-untyped-def]
-    """Backs up all that is open, and lets every node profit by what others at its place published
-    since it was last visited. ``order`` is that of all nodes, what follows first; ``least`` as of
-    :func:`_publish`."""
+    """Backs up every open node, after tightening it by the bounds that its place has published. The
+    array ``order`` lists all nodes, later steps first; ``least`` is that of :func:`_publish`."""
     tables, store, scratch = borrow((tables, store, scratch))
     for index in order:
         node = store.nodes[index]
@@ -208,13 +227,13 @@ def back_up_all(tables, store, scratch, missed, order, least):  # type: ignore[n
 
 @kernel
 def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[no-untyped-def]
-    """Fills in the optimal plan of each type, where messages land: its value for every type.
+    """Computes the optimal plan of each known type, and its value for all types. Messages land.
 
     Args:
-        known, explain, cost: V, and Q and cost of *explain*, as of the model.
-        price: [n] of each message.
+        known, explain, cost: V, and Q and cost of *explain*, as in the model.
+        price: [n] the price of each message.
         discounts: γ of *explain* and γ' of a message.
-        plans: [U, m + 1, cells] with N plans before the last.
+        plans: [U, m + 1, cells] receives the N plans, before the last one.
     """
     types, sets = len(plans) - 1, cost.shape[1] // (len(plans) - 1)
     for k in range(len(cost) - 1, -1, -1):
@@ -236,7 +255,7 @@ def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[n
 
 @kernel
 def make_root(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
-    """The first node."""
+    """Makes the first node."""
     tables, store = borrow((tables, store))
     _node_of(tables, store, step, given, belief, asked)
 
@@ -273,7 +292,8 @@ def _walk_down(tables, store, scratch, missed, gap, tail_gap):  # type: ignore[n
 
 @part
 def _walk_up(tables, store, scratch, missed, last, least):  # type: ignore[no-untyped-def]
-    """Backs up a trial, and publishes what improved. Returns whether any bound moved."""
+    """Backs up the nodes of a trial, and publishes improved bounds. Returns whether a bound
+    changed."""
     moved = False
     for level in range(last, -1, -1):
         index, a = scratch.path[level], scratch.taken[level]
@@ -281,7 +301,7 @@ def _walk_up(tables, store, scratch, missed, last, least):  # type: ignore[no-un
         if a >= 0:
             upper, lower, before = node.upper, node.lower, store.actions[a].upper
             _back_up(store, index, a)
-            # What others at its place published may hide that a node's action has moved.
+            # The node's own bounds may be those of others at its place, and so hide this change.
             moved = moved or store.actions[a].upper < before
             _publish(tables, store, scratch, missed, index, upper, lower, least)
         moved = moved or node.upper - node.lower < scratch.gaps[level]
@@ -290,8 +310,8 @@ def _walk_up(tables, store, scratch, missed, last, least):  # type: ignore[no-un
 
 @part
 def _settle(tables, store, scratch, missed, index, allowed, tail_gap):  # type: ignore[no-untyped-def]
-    """Opens a node, and expands its best action until one that is expanded is the best. Returns
-    that action; CLOSED where the gap is small enough, NO_ROOM where the store is full."""
+    """Opens a node, and expands its best action until the best action is an expanded one. Returns
+    that action; CLOSED if the node's gap is small enough, NO_ROOM if the store is full."""
     node, chosen = store.nodes[index], np.int64(CLOSED)
     if node.first_action < 0 and not _open(tables, store, scratch, missed, index):
         chosen = np.int64(NO_ROOM)
@@ -317,7 +337,8 @@ def _settle(tables, store, scratch, missed, index, allowed, tail_gap):  # type: 
 
 @njit(nogil=True)
 def _back_up(store, index, a):  # type: ignore[no-untyped-def]
-    """Both bounds of an expanded action and its node, from its answers'."""
+    """Computes both bounds of an expanded action and of its node, from the bounds of the answers'
+    nodes."""
     node, action = store.nodes[index], store.actions[a]
     upper, lower = action.base + action.tail_upper, action.base + action.tail_lower
     for o in range(action.first_answer, action.first_answer + action.n_answers):
@@ -339,7 +360,7 @@ def _back_up(store, index, a):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
-    """Tightens a node's bounds by what was published at its place."""
+    """Tightens a node's bounds by the bounds that were published at its place."""
     node, belief = store.nodes[index], store.belief[index]
     row = store.places[node.step, node.given].row
     for i in range(min(store.published[row, 0], KEPT) if row >= 0 else 0):
@@ -367,8 +388,8 @@ def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
 
 @part
 def _credit(store, begin, end, messages, value):  # type: ignore[no-untyped-def]
-    """Raises the lower bound of one of these actions to what it is known to earn: the policy takes
-    the best one. False where it is none of them."""
+    """Raises the lower bound of one of these actions to a value that it is known to earn, so that
+    the policy takes it. Returns False if the action is not among them."""
     found = False
     for a in range(begin, end):
         action = store.actions[a]
@@ -381,8 +402,8 @@ def _credit(store, begin, end, messages, value):  # type: ignore[no-untyped-def]
 
 @part
 def _asked_alike(store, index, other):  # type: ignore[no-untyped-def]
-    """Whether the same questions were asked on the way to two nodes: what is left to be asked is
-    part of what a node is worth."""
+    """Whether the same questions were asked on the way to two nodes. Bounds hold for nodes with the
+    same questions left."""
     alike = True
     for w in range(store.asked.shape[1]):
         alike &= store.asked[index, w] == store.asked[other, w]
@@ -391,8 +412,8 @@ def _asked_alike(store, index, other):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _publish(tables, store, scratch, missed, index, upper, lower, least):  # type: ignore[no-untyped-def]
-    """Keeps a node's bounds for the others at its place, where they are better than ``upper`` and
-    ``lower`` by ``least``."""
+    """Publishes a node's bounds for the other nodes of its place, if they are better than ``upper``
+    and ``lower`` by more than ``least``."""
     node = store.nodes[index]
     row = store.places[node.step, node.given].row
     if node.upper < upper - least:
@@ -415,8 +436,8 @@ def _publish(tables, store, scratch, missed, index, upper, lower, least):  # typ
 
 @njit(nogil=True)
 def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-untyped-def]
-    """A node's alpha vector: the value by state of taking an expanded action, and then what the
-    alpha vectors of the answers' nodes stand for."""
+    """Computes a node's alpha vector: the value by state of taking an expanded action and following
+    the policies of the answers' nodes afterwards."""
     node, action, alpha = store.nodes[index], store.actions[a], store.alpha[index]
     belief, step, discount = scratch.belief, node.step, tables.model.discount
     _copy(store.belief[index], belief)
@@ -458,7 +479,7 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
 
 @njit(nogil=True)
 def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def]
-    """Lists the actions that may be optimal at a node. False where the store is full."""
+    """Lists the actions that may be optimal at a node. Returns False if the store is full."""
     node, belief = store.nodes[index], store.belief[index]
     place = store.places[node.step, node.given]
     if place.row < 0 and not _list_sets(tables, store, scratch, missed, node.step, node.given):
@@ -526,9 +547,9 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
 
 @njit(nogil=True)
 def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-untyped-def]
-    """The sets of messages that may be optimal at a place for some belief: all but those that are
-    worth no more, in any state, than silence after one message less, or none. False where the store
-    is full."""
+    """Lists the sets of messages that may be optimal at a place for some belief. A set is left out
+    if in no state its upper bound exceeds the lower bound of giving nothing, or of giving the set
+    without one message. Returns False if the store is full."""
     states, all_sets = store.belief.shape[1], len(tables.price)
     begin, row = store.used[SETS], store.used[PLACES]
     free = (all_sets - 1) & ~given
@@ -570,7 +591,7 @@ def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-
 
 @part
 def _dominated(over, under):  # type: ignore[no-untyped-def]
-    """Whether the one is at most the other in every state."""
+    """Whether one vector is at most the other in every state."""
     dominated = True
     for s in range(len(over)):
         dominated &= over[s] <= under[s]
@@ -579,8 +600,8 @@ def _dominated(over, under):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-untyped-def]
-    """Makes the nodes of an action's answers, but for a tail of unlikely ones that widens the gap
-    by no more than ``gap``. False where the store or the scratch is full."""
+    """Makes the nodes of the answers to an action. Unlikely answers are left out as long as they
+    widen the gap by at most ``gap``. Returns False if the store or the scratch memory is full."""
     node, action, belief = store.nodes[index], store.actions[a], scratch.belief
     step, given, messages = node.step, node.given, action.messages
     _copy(store.belief[index], belief)
@@ -645,10 +666,13 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
 
 @njit(nogil=True)
 def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ignore[no-untyped-def]
-    """The likelihoods by state of all answers to *explain* that are more likely than
-    ``negligible``, and in ``scratch.tail`` that of all others: how many, or −1 where they are more
-    than there is room for, and their array. Transitions with equal columns over the states that are
-    possible are exchangeable: their number of 1s is enough."""
+    """Lists the likelihoods by state of all answers to *explain* that are more likely than
+    ``negligible``. ``scratch.tail`` receives the likelihood of all other answers. Returns the
+    number of answers (−1 if there is not enough memory) and their array.
+
+    Transitions with equal columns over the possible states are exchangeable, so an answer is the
+    number of 1s in each kind of column.
+    """
     states, first = len(belief), given * tables.width
     like, more, count = scratch.like, scratch.more, 1
     for s in range(states):
@@ -684,8 +708,8 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
 
 @part
 def _kind_size(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
-    """Counts the labels of a step that have the same column as label i, if i is the first of them
-    and the column differs between possible states; else 0."""
+    """Counts the labels of a step that have the same column as label i. Returns 0 if i is not the
+    first of them, or if all possible states answer it alike."""
     size, news, one = 0, False, -1
     for s in range(len(belief)):
         if belief[s] > 0.0:
@@ -706,7 +730,8 @@ def _kind_size(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _rank_questions(tables, store, scratch, index):  # type: ignore[no-untyped-def]
-    """Fills ``scratch.news`` [Q] with what the questions tell that may be asked at a node."""
+    """Computes in ``scratch.news`` [Q] how informative each question is that may be asked at a
+    node."""
     node, asked = store.nodes[index], store.asked[index]
     left = tables.model.most
     for q in range(len(tables.model.asked_answered)):
@@ -723,7 +748,7 @@ def _rank_questions(tables, store, scratch, index):  # type: ignore[no-untyped-d
 
 @njit(nogil=True)
 def _node_of(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
-    """The node of a belief; made where there is none, with its first bounds."""
+    """Returns the node of a belief. A new node is made with its first bounds."""
     slot = _find(store, step, given, belief, asked)
     index = np.int64(store.table[slot])
     if index < 0:
@@ -747,7 +772,7 @@ def _node_of(tables, store, step, given, belief, asked):  # type: ignore[no-unty
 
 @njit(nogil=True)
 def _best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def]
-    """The plan that earns most at (k, v) and a belief."""
+    """Returns the plan with the largest value at (k, v) and a belief."""
     best, most = 0, -np.inf
     for u in range(len(tables.plans)):
         value = _dot_cells(tables, belief, tables.plans[u, step], given)
@@ -758,7 +783,7 @@ def _best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _find(store, step, given, belief, asked):  # type: ignore[no-untyped-def]
-    """The slot that holds this belief's node, or the free one where it belongs."""
+    """Returns the slot of this belief's node, or the free slot where the node belongs."""
     mask = uint64(len(store.table) - 1)
     h = uint64(step) * GOLDEN ^ uint64(given)
     for s in range(len(belief)):
@@ -785,7 +810,7 @@ def _find(store, step, given, belief, asked):  # type: ignore[no-untyped-def]
 
 @part
 def _rehash(store):  # type: ignore[no-untyped-def]
-    """Enters into the hash table the nodes that are not in it yet, after the store has grown."""
+    """Enters the nodes that are missing in the hash table, after the store has grown."""
     while store.used[HASHED] < store.used[NODES]:
         index = store.used[HASHED]
         node = store.nodes[index]
@@ -796,7 +821,7 @@ def _rehash(store):  # type: ignore[no-untyped-def]
 
 @part
 def _give_all(tables, messages, belief):  # type: ignore[no-untyped-def]
-    """The belief after these messages were said."""
+    """Updates a belief: these messages are given."""
     left = messages
     while left:
         give(tables.model.jump[first_bit(left)], tables.model.accept, belief)
@@ -805,7 +830,7 @@ def _give_all(tables, messages, belief):  # type: ignore[no-untyped-def]
 
 @part
 def _expect_giving(tables, messages, values):  # type: ignore[no-untyped-def]
-    """E[v(s') | s], s' after these messages were said."""
+    """Replaces values v by E[v(s') | s], where s' is the state after these messages."""
     left = messages
     while left:
         jump = tables.model.jump[first_bit(left)]
@@ -817,7 +842,7 @@ def _expect_giving(tables, messages, values):  # type: ignore[no-untyped-def]
 
 @part
 def _expect_forgetting(tables, values):  # type: ignore[no-untyped-def]
-    """E[v(s') | s], s' what is left of s after a step."""
+    """Replaces values v by E[v(s') | s], where s' is the state after facts were forgotten."""
     types = len(tables.model.forget)
     bit = types
     while bit < len(values):
@@ -829,7 +854,7 @@ def _expect_forgetting(tables, values):  # type: ignore[no-untyped-def]
 
 @part
 def _dot(belief, values):  # type: ignore[no-untyped-def]
-    """Σ_s b(s) x(s)."""
+    """Returns Σ_s b(s) x(s)."""
     total = 0.0
     for s in range(len(belief)):
         total += belief[s] * values[s]
@@ -838,7 +863,7 @@ def _dot(belief, values):  # type: ignore[no-untyped-def]
 
 @part
 def _dot_cells(tables, belief, row, given):  # type: ignore[no-untyped-def]
-    """Σ_s b(s) x(v, s), of a row of a table."""
+    """Returns Σ_s b(s) x(v, s) for a row x of a table."""
     total, first = 0.0, given * tables.width
     for s in range(len(belief)):
         total += belief[s] * row[first + s]
@@ -847,7 +872,7 @@ def _dot_cells(tables, belief, row, given):  # type: ignore[no-untyped-def]
 
 @part
 def _copy(source, target):  # type: ignore[no-untyped-def]
-    """Fills an array from another. (``target[:] = source`` would allocate.)"""
+    """Copies an array. (``target[:] = source`` would allocate memory.)"""
     for i in range(len(target)):
         target[i] = source[i]
 

@@ -1,4 +1,4 @@
-"""Shared by the compiled searches: the process of one problem, inside a kernel."""
+"""The parts that both compiled searches use: the process of one problem, inside a kernel."""
 
 from __future__ import annotations
 
@@ -10,27 +10,31 @@ from numpy.typing import NDArray
 from xplain.numba_kernels import first_bit, kernel, part
 
 NO_NEWS = 1e-12
-"""An answer with fewer nats of information is not informative."""
+"""A question whose answer is expected to give less information than this, in nats, is not asked."""
 
 
 class SearchModel(NamedTuple):
-    """A :class:`~xplain.solvers.process.Process` and its known values, as simulations read them.
+    """A :class:`~xplain.solvers.process.Process` and its known values, as kernels read them.
     The cell of a table for (v, s) is s + Σ_{j ∈ v} stride[j, s].
 
     Attributes:
-        answered, explain_cost, explain: [m, cells] P(answer 1), and the expected cost and Q of
-            *explain*; stride: [n, S] of these.
-        value: [m + 1, value cells] V, and value_stride: [n, S] of it.
+        answered: [m, cells] P(answer 1).
+        explain_cost, explain: [m, cells] the expected cost and the Q of *explain*.
+        stride: [n, S] the strides of these three tables.
+        value: [m + 1, value cells] V.
+        value_stride: [n, S] its strides.
         wanted: [m, value cells] bitmask of the messages that s should be given next rather than
             *explain*, or SETTLED; empty where messages may be missed, and for HSVI.
-        relevant: [S] bitmask of the messages that matter to s.
-        jump, accept, forget: [n, S], [S] and [N], of the process; empty where messages land.
+        relevant: [S] bitmask of the messages that have an effect on s.
+        jump, accept, forget: [n, S], [S] and [N], as in the process; empty where messages land.
         price: [n] λ C_e.
-        asked_answered, likelier: [Q, question cells] P(answer 1), and whether the label is likelier
-            1; question_stride: [n, S] of these.
+        asked_answered, likelier: [Q, question cells] P(answer 1), and whether label 1 is likelier.
+        question_stride: [n, S] the strides of these two tables.
         discount, message_discount: γ and γ'.
-        question_cost, most, first: κ, questions asked at most, and whether only at the start.
-        patience: as :data:`~xplain.solvers.process.PATIENCE`; 0 where messages land.
+        question_cost: κ.
+        most: the largest number of questions.
+        first: whether questions come before the first step only.
+        patience: :data:`~xplain.solvers.process.PATIENCE`; 0 where messages land.
     """
 
     answered: NDArray[np.float64]
@@ -58,7 +62,7 @@ class SearchModel(NamedTuple):
 
 @part
 def find_cell(stride, said, s):  # type: ignore[no-untyped-def]
-    """The cell of (v, s) in a table with these strides [n, S]."""
+    """Returns the cell of (v, s) in a table with these strides [n, S]."""
     at = s
     while said:
         at += stride[first_bit(said), s]
@@ -68,7 +72,7 @@ def find_cell(stride, said, s):  # type: ignore[no-untyped-def]
 
 @part
 def give(jump, accept, belief):  # type: ignore[no-untyped-def]
-    """The belief [S] after a message was given once, with its jumps [S]; a share α accepts it."""
+    """Updates a belief [S]: a message with these jumps [S] is given once, and accepted with α."""
     for s in range(len(belief)):
         if jump[s] > 0:
             landed = accept[s] * belief[s]
@@ -78,7 +82,7 @@ def give(jump, accept, belief):  # type: ignore[no-untyped-def]
 
 @part
 def forget(lose, belief):  # type: ignore[no-untyped-def]
-    """The belief [S] after each known fact was forgotten with probability φ, ``lose`` [N]."""
+    """Updates a belief [S]: each known fact is forgotten with probability φ, ``lose`` [N]."""
     types = len(lose)
     bit = types
     while bit < len(belief):
@@ -92,7 +96,7 @@ def forget(lose, belief):  # type: ignore[no-untyped-def]
 
 @part
 def _entropy(p):  # type: ignore[no-untyped-def]
-    """Entropy of a bit, in nats."""
+    """Returns the entropy of a bit that is 1 with probability p, in nats."""
     value = 0.0
     if 0.0 < p < 1.0:
         value = -p * np.log(p) - (1.0 - p) * np.log1p(-p)
@@ -101,18 +105,18 @@ def _entropy(p):  # type: ignore[no-untyped-def]
 
 @kernel
 def rank_questions(answered, likelier, cells, belief, news):  # type: ignore[no-untyped-def]
-    """Fills ``news`` [Q] with the nats that an answer tells (mutual information), −1 for what is no
-    question now.
+    """Computes in ``news`` [Q] the mutual information of each question's answer and the state, in
+    nats; −1 for questions that cannot be asked now.
 
-    Questions are alike whose labels are likelier 1 for the same states. Of these the first counts
-    as the most telling one, which may be asked after it alone; what all states answer alike is no
-    question.
+    Two questions are alike if label 1 is likelier in the same states. Only the first of them can be
+    asked, and it counts with the largest information among them: the others can be asked after it.
+    A question that all states answer alike is never asked.
 
     Args:
-        answered, likelier: [Q, cells] P(answer 1), and whether the label is likelier 1.
+        answered, likelier: [Q, cells] P(answer 1), and whether label 1 is likelier.
         cells: [S] where these tables are read.
         belief: [S].
-        news: [Q] −1 where a question may not be asked, else 0.
+        news: [Q] −1 for questions that may not be asked, else 0.
     """
     for q in range(len(news)):
         mean, certain, alike = 0.0, 0.0, True

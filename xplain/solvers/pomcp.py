@@ -17,8 +17,7 @@ return is the value of known states minus the losses of QMDP's decisions. Both h
 as plain simulations, with less noise. Among untried actions of a node, QMDP's comes first, because
 the others are often many and useless. A decision searches, takes the action with the best value,
 and searches again after each message until that action is *explain*. So a decision that is restored
-in the middle continues in the same way. If the type is certain, there is no search: its Q* is
-known.
+in the middle continues in the same way.
 
 ``backup="max"`` is MaxUCT (Keller & Helmert 2013): the value of a node is that of its best action,
 not the mean over all tries. Exploration and first rollouts then do not affect the values; a mean
@@ -82,28 +81,30 @@ from xplain.solvers.process import (
 DepthUnit = Literal["steps", "actions"]
 Backup = Literal["mean", "max"]
 CHUNK = 50_000
-"""Simulations between two checks of Ctrl-C."""
+"""The number of simulations between two checks for Ctrl-C."""
 QUESTIONS = 4
-"""Maximum number of questions that a search tries at a belief: the most informative ones."""
+"""The largest number of questions that a search tries at a belief: the most informative ones."""
 FIRST_TABLE = 1 << 12
-"""Initial number of entries in the table of nodes."""
+"""The size of the hash table of nodes at the start of a search."""
 REMEMBERED = 1 << 11
-"""Maximum number of observations whose likelihoods a search caches; they fit into the processor's
-cache."""
+"""The largest number of observations whose likelihoods a search keeps: so many fit into the
+processor's cache."""
 CODED = 1 << 24
-"""Approximate bytes of coded labels."""
+"""The approximate memory for coded labels, in bytes."""
 
 
 @checks("solver")
 @dataclass(frozen=True)
 class POMCP:
     """Args:
-    simulations: number of simulations in one search, which tries each action at least once; a
-    decision of j messages takes j + 1 searches. depth: d ≥ 1, the end of simulations; None for the
-    end of the trace. depth_unit: ``actions`` (messages and *explain*) or ``steps`` (*explain*
-    alone). exploration: c of UCB1, in units of the most expensive single cost (a label 0, or a
-    message). backup: ``mean`` (the paper) or ``max``. memory_gib: maximum memory of the tables and
-    the tree.
+    simulations: the number of simulations of one search, which tries each action at least once. A
+        decision of j messages takes j + 1 searches.
+    depth: the depth d ≥ 1 at which simulations end; None for the end of the trace.
+    depth_unit: what counts as depth: ``actions`` (messages and *explain*) or ``steps`` (*explain*).
+    exploration: the constant c of UCB1, in units of the largest single cost (a 0 label or a
+        message).
+    backup: the value of a node: ``mean`` (the paper) or ``max``.
+    memory_gib: the limit for tables and the tree.
     """
 
     simulations: Count = 6_000
@@ -135,13 +136,14 @@ class POMCP:
 
 @dataclass(frozen=True)
 class Search:
-    """A policy that searches at each decision, with a separate random stream.
+    """A policy that runs a search for each decision. Each search has its own random stream.
 
     Attributes:
         process: the model.
-        model, options: the model and the options in the kernel's form.
-        simulations: number of simulations in a search.
-        seed: seed of the run.
+        model: the same, laid out for the kernel.
+        options: the settings of the kernel.
+        simulations: the number of simulations of a search.
+        seed: the seed of the run.
     """
 
     process: Process
@@ -164,13 +166,13 @@ class Search:
             belief = give_all(self.process, belief, new)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Estimated return of *explain*, and of each message and question that was tried."""
+        """Returns the estimated return of *explain* and of each message and question tried."""
         return self._values(visible, 0, belief)
 
     def _values(
         self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]
     ) -> dict[Action, float]:
-        """The values if the messages ``chosen`` were already chosen for this step."""
+        """Returns the values after these messages were chosen for the step."""
         tree = self.search(visible, chosen, belief)
         root, n = tree.nodes[ROOT], self.process.n_messages
         actions = [a for a in range(64) if int(root["actions"]) >> a & 1]
@@ -183,14 +185,13 @@ class Search:
         return {named[a]: value for a, value in values.items()}
 
     def stream(self, visible: VisibleState, said: int, belief: NDArray[np.float64]) -> int:
-        """The seed of a search. It depends on the state of the decision, not on earlier
-        decisions."""
+        """Derives the seed of a search from the situation alone, not from earlier decisions."""
         digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
         questions = (str(visible.asked),) if visible.asked else ()
         return derived_seed(self.seed, "pomcp", visible.step, said, digest, 0, *questions)
 
     def search(self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]) -> Tree:
-        """The tree after all simulations."""
+        """Runs all simulations of a search; returns its tree."""
         process, said = self.process, before_step(self.process, visible.given) | chosen
         belief = rounded(np.ascontiguousarray(belief, dtype=np.float64))
         seed = self.stream(visible, said, belief)
@@ -210,11 +211,11 @@ class Search:
 
 
 def search_model(process: Process, known: KnownValues, searches: bool = True) -> SearchModel:
-    """Makes the kernels' form of a process.
+    """Lays a process out for kernels.
 
     Args:
         process, known: the model, and its values.
-        searches: True adds ``wanted``, which simulations need.
+        searches: whether POMCP reads it, which needs ``wanted``.
     """
     lands = process.jump is None
     nothing, questions = np.zeros(0), process.questions
@@ -246,7 +247,7 @@ def search_model(process: Process, known: KnownValues, searches: bool = True) ->
 
 
 def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
-    """``wanted`` of :class:`~xplain.solvers.parts.SearchModel`, if messages land."""
+    """Computes ``wanted`` of :class:`~xplain.solvers.parts.SearchModel`, where messages land."""
     steps, types = process.n_steps, process.n_types
     wanted = np.zeros(known.explain.shape, np.int64)
     for bit, own in enumerate(process.own.T):
@@ -263,12 +264,13 @@ def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
 
 
 def _slots(process: Process) -> int:
-    """Number of questions that a search tries at a belief, at most the bits of a mask."""
+    """Returns how many questions a search tries at a belief: a bitmask must hold all actions."""
     return min(QUESTIONS, len(process.questions.answered), 61 - process.n_messages)
 
 
 def make_tree(process: Process, simulations: int, seed: int) -> Tree:
-    """An empty tree with memory for this number of simulations. Unused memory is never written."""
+    """Allocates a tree for that many simulations; the caller adds the root. The operating system
+    provides memory when a simulation reaches it."""
     n, steps, states = process.n_messages, process.n_steps, process.n_states
     slots, questions = _slots(process), len(process.questions.answered)
     size, actions, entries = simulations + 1, n + 1 + slots, _entries(simulations)
@@ -299,7 +301,7 @@ def make_tree(process: Process, simulations: int, seed: int) -> Tree:
 
 @lru_cache(maxsize=4)
 def _roots(size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """sqrt(log v) and 1 / sqrt(v) for v = 0 … size (0 for 0), cached by size."""
+    """Returns sqrt(log v) and 1 / sqrt(v) for v = 0 … size (0 for v = 0)."""
     v = np.maximum(np.arange(size + 1), 1)
     inverse = 1 / np.sqrt(v)
     inverse[0] = 0.0
@@ -311,13 +313,13 @@ def _entries(simulations: int) -> int:
 
 
 def _coded(messages: int, steps: int, states: int) -> int:
-    """Number of cached coded message sets: a power of two."""
+    """Returns how many message sets are kept coded: a power of two."""
     each = steps * (COLUMN.itemsize * states + LABEL.itemsize)
     return 1 << min(max(CODED // each, 16).bit_length() - 1, 12, messages)
 
 
 def _tree_bytes(problem: Problem, simulations: int) -> int:
-    """Maximum bytes of a tree."""
+    """Returns the largest memory that a tree can take, in bytes."""
     states, n, steps = problem.start.size, problem.n_messages, problem.n_steps
     node = NODE.itemsize + 8 * (states + 1) + EDGE.itemsize * (n + 1 + QUESTIONS) + 4 * QUESTIONS
     entries, sets = _entries(simulations), _coded(n, steps, states)

@@ -1,12 +1,14 @@
 """The compiled search of :mod:`xplain.solvers.pomcp`: select, expand, evaluate, back up.
 
-One source gives two searches: ``missed`` is None where messages land, True where they may be missed
-or forgotten and move the hidden state; ``asks`` is None where there are no questions. numba drops
-the branches of None, so that the paper's search has none of the others' work in it.
+numba compiles this source once for each kind of problem. ``missed`` is None where messages land,
+and True where messages may be missed or forgotten: they then change the hidden state. ``asks`` is
+None where there are no questions. numba removes the branches of a None, so the paper's search does
+no work for the other kinds.
 
-What every state answers alike is no news and is not drawn. Labels with the same column P(answer 1)
-are exchangeable, so an observation is known by Σ_i [l_i = 0] · w_i, with one 64-bit hash w a
-distinct column (two observations of a node are taken for one with probability 2^-64).
+A label is *informative* if hidden states answer it differently; only these are drawn. Labels with
+the same column P(answer 1 | s) are exchangeable, so an observation is identified by its code
+Σ_i [l_i = 0] · w_i, where w is a 64-bit hash of the label's column. Two different observations get
+the same code with probability 2^-64.
 """
 
 from __future__ import annotations
@@ -67,23 +69,23 @@ NODES, EDGES, MASK = 0, 1, 2
 ROOT, END = np.int64(0), -1
 """The node that a search begins at, and what comes after the last *explain*."""
 UNVISITED, UNOPENED = 0, 0
-"""``edge.child`` and ``entry.node`` where there is no node (the root is no child), and
-``node.edges`` until a simulation goes on from there (the first edges are unused)."""
+"""UNVISITED stands for "no node" in ``edge.child`` and ``entry.node``: the root is nobody's child.
+UNOPENED stands for "no edges yet" in ``node.edges``: the first edges are never used."""
 SETTLED = -1
-"""In ``wanted``: the state should not be given any message from here to the end."""
+"""This value in ``wanted`` says that the state needs no message from this step to the end."""
 CERTAIN = 1 - 1e-6
-"""A belief from here on counts as certainty in rollouts."""
+"""Rollouts take a state as certain if the belief in it exceeds this."""
 ROUNDING = 1e-12
-"""Messages worth the same but for this are equal, the first is taken."""
+"""Values that differ by less than this are equal; the first message of equal ones is taken."""
 
 
 class Options(NamedTuple):
-    """How to search.
+    """The settings of a search.
 
     Attributes:
-        depth: where simulations end.
-        message_depth: what a message adds to the depth, 0 or 1; *explain* adds 1.
-        exploration: in the problem's unit of cost.
+        depth: the depth at which simulations end.
+        message_depth: how much a message adds to the depth, 0 or 1. *Explain* adds 1.
+        exploration: the constant c of UCB1, in the problem's unit of cost.
         backup: MEAN or MAX.
     """
 
@@ -94,30 +96,36 @@ class Options(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """Room for a search of R simulations: each adds at most one node. Of one search alone.
+    """The memory of one search of R simulations. Each simulation adds at most one node.
 
     Attributes:
         nodes: [R + 1] NODE.
-        edges: [(R + 2) · (n + 1 + B)] EDGE; a node's are those of its actions, in order. The first
-            n + 1 + B are unused, so that 0 means none.
-        beliefs: [R + 1, S]; where messages land, of nodes that begin a step.
-        table: [a power of two > 2 R + 2] ENTRY, nodes by hash; 0 is none (the root is no child).
-            Only the first ``used[MASK] + 1`` entries are in use; they double as nodes come.
-        seen: [a power of two] hashes of observations, 0 is none, and
-        likelihoods: [.., S] what they are for each state.
-        coded: [a power of two] the message set whose labels are coded here, −1 for none:
-        labels: [.., m] LABEL, ``informative``: how many of the first k + 1 labels states answer
-            differently, and ``weight``, of the informative labels in order: their w;
-        columns: [.., m, S] COLUMN, ``p`` of the informative labels in order; ``probability`` and
-            ``code`` where each of the first k + 1 informative labels is the likelier of the two.
-        path: [(n + 1) m + 1 + Q] MOVE of a simulation.
-        zero: [m] which of the labels drawn last are 0, where not all were the likelier.
-        belief: [S] of a rollout; cells: [S] of a history; gain: [n] what QMDP finds messages
-            worth, 0 between calls.
-        tried: [R + 1, B + 2] of nodes that begin a step: questions, how many, and the question that
-            led there, −1 for none; asked: [Q] before; news: [Q] to work in.
-        used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
-        counter: [1] of the random stream.
+        edges: [(R + 2) · (n + 1 + B)] EDGE, one for each action of a node, side by side. The first
+            n + 1 + B edges are never used, so that 0 can mean "no edges yet".
+        beliefs: [R + 1, S] the belief at each node. Where messages land, only nodes that begin a
+            step have one.
+        table: [a power of two > 2 R + 2] ENTRY, the hash table of child nodes; node 0 marks a free
+            entry. Only the first ``used[MASK] + 1`` entries are in use; their number doubles as
+            the tree grows.
+        seen: [a power of two] hashes of the observations in ``likelihoods``; 0 marks a free place.
+        likelihoods: [.., S] P(observation | state).
+        coded: [a power of two] the message set whose labels are coded at this place; −1 for none.
+        labels: [.., m] LABEL. ``informative`` counts the informative ones among the first k + 1
+            labels; ``weight`` has the w of the informative labels, in order.
+        columns: [.., m, S] COLUMN. ``p`` has P(answer 1) of the informative labels, in order;
+            ``probability`` and ``code`` are those of the likeliest answers to the first k + 1
+            labels.
+        path: [(n + 1) m + 1 + Q] the MOVEs of a simulation.
+        zero: [m] which of the labels drawn last are 0; filled if not all were the likelier answer.
+        belief: [S] the belief of a rollout.
+        cells: [S] where tables are read for one message set.
+        gain: [n] how much each message adds to QMDP's value; 0 between calls.
+        tried: [R + 1, B + 2] for nodes that begin a step: the questions to try, their number, and
+            the question that led to the node (−1 for none).
+        asked: [Q] which questions were asked before the search.
+        news: [Q] scratch memory for ranking questions.
+        used: [3] the number of nodes (NODES) and edges (EDGES), and the table's mask (MASK).
+        counter: [1] the counter of the random stream.
     """
 
     nodes: NDArray[np.void]
@@ -143,8 +151,11 @@ class Tree(NamedTuple):
 
 @kernel
 def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_root):  # type: ignore[no-untyped-def]
-    """Runs simulations from the root, whose belief is set. ``log_root[v]`` is sqrt(log v), and
-    ``inverse_root[v]`` is 1 / sqrt(v), but 0 for 0: [a number larger than all visits]."""
+    """Runs simulations from the root. The caller has set the root's belief.
+
+    ``log_root[v]`` is sqrt(log v) and ``inverse_root[v]`` is 1 / sqrt(v), and 0 for v = 0. Both
+    tables are longer than the largest number of visits.
+    """
     model, tree, log_root, inverse_root = borrow((model, tree, log_root, inverse_root))
     n, last = len(model.price), tree.beliefs.shape[1] - 1
     while tree.beliefs[ROOT, last] <= 0.0:
@@ -173,7 +184,7 @@ def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_
 
 @part
 def _draw_state(tree, last):  # type: ignore[no-untyped-def]
-    """A state from the root's belief; the last with positive belief takes what rounding leaves."""
+    """Draws a state from the root's belief. The last possible state gets what rounding leaves."""
     u = next_uniform(tree.counter)
     s = 0
     while s < last and u >= tree.beliefs[ROOT, s]:
@@ -184,8 +195,8 @@ def _draw_state(tree, last):  # type: ignore[no-untyped-def]
 
 @part
 def _select(model, tree, options, missed, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
-    """The action to try at an open node, and its edge: QMDP's comes first, the others not yet tried
-    next, in random order, then UCB1 decides (Auer et al. 2002)."""
+    """Chooses the action to try at an open node; returns its edge and the action. QMDP's action is
+    tried first and the others follow in random order. Then UCB1 decides (Auer et al. 2002)."""
     record = tree.nodes[node]
     first, actions, untried = np.int64(record.edges), record.actions, record.untried
     if untried != 0:
@@ -210,8 +221,9 @@ def _select(model, tree, options, missed, node, log_root, inverse_root):  # type
 
 @part
 def _expand(model, tree, missed, asks, node, edge, action, state):  # type: ignore[no-untyped-def]
-    """The node that an action leads a user in this state to, whether it is new to the tree, and the
-    state after it. The node's belief is set then; END after the last *explain*."""
+    """Takes an action and draws what follows for a user in this state. Returns the next node (END
+    after the last *explain*), whether the node is new, and the next state. Sets the belief of a
+    new node."""
     record, n = tree.nodes[node], len(model.price)
     step, said, base = np.int64(record.step), record.given, np.int64(record.base)
     question, answer, before = np.int64(-1), False, state
@@ -268,9 +280,10 @@ def _expand(model, tree, missed, asks, node, edge, action, state):  # type: igno
 
 @part
 def _evaluate(model, tree, options, missed, node, is_new, state):  # type: ignore[no-untyped-def]
-    """The return from where a simulation ended: 0 after the last *explain*, a rollout's from a new
-    node, QMDP's value from a node at the depth limit. Where messages may be missed QMDP's value in
-    both places: a rollout over so many states takes longer than all the rest."""
+    """Estimates the return after the end of a simulation: 0 after the last *explain*, a rollout's
+    return at a new node, QMDP's value at the depth limit. Where messages may be missed, a rollout
+    over so many states would take longer than all the rest, so QMDP's value is used at new nodes,
+    too."""
     if node == END:
         return 0.0
     record = tree.nodes[node]
@@ -291,10 +304,11 @@ def _evaluate(model, tree, options, missed, node, is_new, state):  # type: ignor
 
 @part
 def _back_up(model, tree, options, node, length, value):  # type: ignore[no-untyped-def]
-    """Adds the return of a node to all nodes on the path up to the root.
+    """Adds a return to the statistics of all nodes on the path up to the root.
 
-    With MAX the value of a node is that of its best action, and the value of *explain* is the mean
-    of the current values of its observations: ``moved`` corrects what earlier arrivals counted as.
+    With MAX, a node's value is the value of its best action, and the value of *explain* is the mean
+    of the current values of the nodes that its observations lead to. If such a node's value
+    changes, ``moved`` corrects the earlier visits, which were counted with the old value.
     """
     n, to_max, moved = len(model.price), options.backup == MAX, 0.0
     if node != END:
@@ -335,11 +349,11 @@ def _back_up(model, tree, options, node, length, value):  # type: ignore[no-unty
 
 @part
 def _find(tree, parent, code):  # type: ignore[no-untyped-def]
-    """Where the table holds this child, or has room for it; and the tag it bears there, without
-    which every other child on the way would have to be looked at.
+    """Finds the entry of a child in the table, or the free entry where it belongs. Returns the slot
+    and the child's tag, by which most other children are ruled out without a look at their nodes.
 
-    Children are found by (node, labels) after *explain*, and by (node where the step began, v)
-    after a message: orders of the same messages lead to one node.
+    The key of a child is (node, labels) after *explain*, and (node where the step began, v) after a
+    message, so all orders of the same messages lead to one node.
     """
     mask = tree.used[MASK]
     h = splitmix64(code + uint64(parent) * GOLDEN)
@@ -358,8 +372,8 @@ def _find(tree, parent, code):  # type: ignore[no-untyped-def]
 
 @part
 def _grow_table(tree):  # type: ignore[no-untyped-def]
-    """Where the table is half full, spreads the children over twice as much of it: a table no
-    larger than need be stays in the processor's cache."""
+    """Doubles the part of the table that is in use, once it is half full, and enters all children
+    again. A small table stays in the processor's cache."""
     if 2 * tree.used[NODES] > tree.used[MASK]:
         tree.used[MASK] = 2 * tree.used[MASK] + 1
         for slot in range(tree.used[MASK] + 1):
@@ -373,7 +387,7 @@ def _grow_table(tree):  # type: ignore[no-untyped-def]
 
 @part
 def _add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
-    """A node without edges; its step, given, base and belief are left to set."""
+    """Adds a node without edges. The caller sets its step, given, base and belief."""
     node = tree.used[NODES]
     tree.used[NODES] += 1
     tree.table[slot].node = node
@@ -390,9 +404,9 @@ def _add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
 
 @part
 def _open(model, tree, missed, asks, node):  # type: ignore[no-untyped-def]
-    """Gives a node its edges, and the expected reward of *explain*: for each message that matters
-    to somebody with belief and was not given yet, for *explain*, and where a step begins for each
-    of the most telling questions."""
+    """Gives a node its edges, and computes the expected reward of *explain*. There is one edge for
+    each message that has an effect on a possible state and was not given yet, one for *explain*,
+    and, where a step begins, one for each of the most informative questions."""
     record, n = tree.nodes[node], len(model.price)
     belief = tree.beliefs[record.base if missed is None else node]
     questions = 0
@@ -417,7 +431,7 @@ def _open(model, tree, missed, asks, node):  # type: ignore[no-untyped-def]
 
 @part
 def _matters(model, belief):  # type: ignore[no-untyped-def]
-    """Bitmask of the messages that change something for some state with belief."""
+    """Returns the bitmask of the messages that have an effect on a possible state."""
     messages = np.int64(0)
     for s in range(len(belief)):
         if belief[s] > 0.0:
@@ -427,14 +441,15 @@ def _matters(model, belief):  # type: ignore[no-untyped-def]
 
 @part
 def _find_cells(stride, tree, said):  # type: ignore[no-untyped-def]
-    """Fills in where tables with these strides have (v, s), for each s."""
+    """Computes for each s the cell of (v, s) in tables with these strides."""
     for s in range(len(tree.cells)):
         tree.cells[s] = find_cell(stride, said, s)
 
 
 @part
 def _wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
-    """The messages that some state should be given next, or SETTLED, at the cells found."""
+    """Returns the bitmask of the messages that some state needs next, or SETTLED, at the cells in
+    ``tree.cells``."""
     mask, settled = np.int64(0), True
     for s in range(len(tree.cells)):
         own = model.wanted[step, tree.cells[s]]
@@ -446,10 +461,13 @@ def _wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
 
 @part
 def _qmdp(model, tree, missed, step, messages, belief, patience):  # type: ignore[no-untyped-def]
-    """max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages, the action (n is *explain*),
-    and Σ_s b(s) V(k, v, s), at the cells found. A message changes the value only for the states
-    that it matters to; ``tree.gain`` holds the sum over these. ``patience`` is as
-    :class:`~xplain.solvers.parts.SearchModel` has it, or 0."""
+    """Evaluates QMDP at a belief: max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages.
+
+    Returns the maximum, its action (n is *explain*), and Σ_s b(s) V(k, v, s). ``tree.cells`` has
+    the cells of v. A message changes the value only in the states that it has an effect on;
+    ``tree.gain`` sums over these. ``patience`` is that of
+    :class:`~xplain.solvers.parts.SearchModel`, or 0.
+    """
     best, base, action, likeliest = 0.0, 0.0, len(model.price), 0.0
     for s in range(len(belief)):
         if belief[s] <= 0.0:
@@ -483,13 +501,14 @@ def _qmdp(model, tree, missed, step, messages, belief, patience):  # type: ignor
 
 @kernel
 def roll(model, tree, missed, step, said, belief, states, weights, seeds):  # type: ignore[no-untyped-def]
-    """What QMDP's decisions earn from a belief at (k, v), by simulation.
+    """Estimates by simulation the return of following QMDP from a belief at (k, v).
 
     Args:
-        model, tree, missed: as of :func:`simulate`; the tree is room to work in.
-        step, said, belief: k, v, and [S].
-        states, weights, seeds: [R] the state that each simulation begins in, its weight, and the
-            seed of its random stream.
+        model, missed: as in :func:`simulate`.
+        tree: scratch memory.
+        step, said, belief: k, v, and the belief [S].
+        states, weights, seeds: [R] the first state of each simulation, its weight, and the seed of
+            its random stream.
     """
     model, tree = borrow((model, tree))
     total = 0.0
@@ -501,11 +520,13 @@ def roll(model, tree, missed, step, said, belief, states, weights, seeds):  # ty
 
 @part
 def _roll_qmdp(model, tree, missed, step, said, state, belief):  # type: ignore[no-untyped-def]
-    """The return of following QMDP with exact beliefs, for a user in this state: what known states
-    are worth, less what each decision is expected to lose against being told the state (a control
-    variate: the same mean with less noise). Once the state is certain QMDP acts as if it were
-    known, and where nothing is worth saying to anybody any more it says nothing: nothing is lost
-    from then on, unless messages may be missed."""
+    """Simulates QMDP with exact beliefs for a user in this state; returns the estimated return.
+
+    The estimate is the value of the known state, less what each decision is expected to lose
+    because the state is not known. This control variate has the mean of the simulated return and
+    less noise. Where messages land, the simulation ends as soon as nothing can be lost any more:
+    the state is certain, or no state needs a message.
+    """
     n, steps, value, scale = len(model.price), len(model.explain_cost), 0.0, 1.0
     _find_cells(model.value_stride, tree, said)
     for s in range(len(belief)):
@@ -548,10 +569,12 @@ def _roll_qmdp(model, tree, missed, step, said, state, belief):  # type: ignore[
 
 @part
 def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped-def]
-    """Draws the informative labels of a user in state s after *explain* at (k, v): their code.
+    """Draws the informative labels of a user in state s after *explain* at (k, v); returns their
+    code.
 
-    A number u decides how many labels in a row are the likelier of the two. Mostly all are, which
-    is one look into a table; else ``tree.zero`` is filled, with a new u after each unlikely label.
+    A random number u decides how many labels in a row are the likelier answer. Usually all are, and
+    the code is read from a table. Otherwise ``tree.zero`` is filled, and a new u is drawn after
+    each unlikely answer.
     """
     at = _place(model, tree, missed, said)
     code, count = uint64(0), tree.labels[at, step].informative
@@ -576,8 +599,8 @@ def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped
 
 @part
 def _update_belief(model, tree, missed, step, said, state, code, belief):  # type: ignore[no-untyped-def]
-    """belief [S] ∝ itself × likelihood of the labels just drawn, for this state. The likelihoods of
-    labels met before are remembered."""
+    """Updates a belief [S] by the labels that were just drawn for a user in this state. The
+    likelihoods of an observation are kept for the next time that it occurs."""
     at = _place(model, tree, missed, said)
     count = tree.labels[at, step].informative
     if count > 0:
@@ -605,8 +628,8 @@ def _update_belief(model, tree, missed, step, said, state, code, belief):  # typ
 
 @part
 def _place(model, tree, missed, said):  # type: ignore[no-untyped-def]
-    """Where the labels at v are coded. There is one place for each hash of v: what is coded there
-    for another set is coded anew when that is met again, and is the same."""
+    """Returns the place where the labels at v are coded. Message sets with the same hash share a
+    place; the set that is needed now replaces the other one."""
     shown = said if missed is None else np.int64(0)
     slot = shown
     if slot >= len(tree.coded):
@@ -620,7 +643,7 @@ def _place(model, tree, missed, said):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
-    """Codes the labels at v in this place."""
+    """Writes the codes of the labels at v to this place."""
     steps, states = len(model.answered), len(model.relevant)
     labels, columns, found = tree.labels[slot], tree.columns[slot], 0
     cells = np.arange(states)
@@ -649,7 +672,7 @@ def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
 
 @part
 def _told(model, tree, state, message):  # type: ignore[no-untyped-def]
-    """The state of a user who was told a message once."""
+    """Draws the state of a user after a message was given once."""
     jump = model.jump[message, state]
     if jump > 0 and next_uniform(tree.counter) < model.accept[state]:
         state += jump
@@ -658,7 +681,7 @@ def _told(model, tree, state, message):  # type: ignore[no-untyped-def]
 
 @part
 def _forgetful(model, tree, state):  # type: ignore[no-untyped-def]
-    """The state of a user after what is forgotten at the end of a step."""
+    """Draws the state of a user after a step, at whose end known facts may be forgotten."""
     types = len(model.forget)
     lost, bit = model.forget[state % types], types
     while lost > 0.0 and bit < len(model.relevant):
@@ -670,7 +693,7 @@ def _forgetful(model, tree, state):  # type: ignore[no-untyped-def]
 
 @part
 def _hear_answer(model, question, said, answer, belief):  # type: ignore[no-untyped-def]
-    """belief ∝ itself × likelihood of an answer."""
+    """Updates a belief by the answer to a question."""
     total = 0.0
     for s in range(len(belief)):
         yes = model.asked_answered[question, find_cell(model.question_stride, said, s)]
@@ -682,8 +705,8 @@ def _hear_answer(model, question, said, answer, belief):  # type: ignore[no-unty
 
 @njit(nogil=True)
 def _find_questions(model, tree, node, step, said, belief):  # type: ignore[no-untyped-def]
-    """Looks up the questions to try at a node where a step begins, which tell the most. Returns
-    how many."""
+    """Lists in ``tree.tried`` the most informative questions at a node that begins a step; returns
+    their number."""
     count, slots, asked = 0, tree.tried.shape[1] - 2, tree.asked.copy()
     if tree.tried[ROOT, slots] < 0 and node == ROOT:  # between a step's messages
         return 0

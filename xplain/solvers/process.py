@@ -192,7 +192,7 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
     price = problem.trade_off * problem.message_cost
     limits, asked = problem.questions.limits, problem.questions.table
     if problem.messages_land:
-        table = _by_price(problem.table.over(row_messages(problem, dense)), price)
+        table = _by_price(problem.table.select_messages(row_messages(problem, dense)), price)
         effective = problem.table.effective()
         cells, question_cells = (_cells_by_row(t, len(price)) for t in (table, asked))
         relevant = np.array([sum(1 << j for j in row) for row in effective], np.int64)
@@ -260,7 +260,7 @@ def weighable(problem: Problem, what: str) -> tuple[int, ...]:
 def _by_price(table: LabelTable, price: FloatArray) -> LabelTable:
     """The table with the bits of each type ascending in price."""
     rows = [sorted(row, key=lambda j: float(price[j])) for row in table.rows]
-    return table.over(rows)
+    return table.select_messages(rows)
 
 
 def _cells_by_row(table: LabelTable, messages: int) -> Cells:

@@ -15,7 +15,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.solvers.base import Knowledge, Solver, messages_of
+from xplain.solvers.base import CachedPolicy, Knowledge, Solver, messages_of
 from xplain.testing.problems import random_problem
 from xplain.testing.suite import Conformance
 
@@ -123,7 +123,9 @@ class SolverConformance(Conformance):
                 labels = (problem.p_explicable[0] > 0.5).astype(np.uint8)
             for one in (problem, dear):
                 policy = component.plan(one, 0)
-                episode = explain(one, policy, SimulatedUser.of(labels), Independent())
+                episode = explain(
+                    one, CachedPolicy(policy), SimulatedUser.of(labels), Independent()
+                )
                 assert np.isfinite(episode.cost), "the episode has no cost"
                 if one is dear and self.weighs_costs:
                     assert episode.n_messages == 0, "it paid a million for at most some zeros"

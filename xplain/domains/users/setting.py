@@ -190,7 +190,7 @@ class Setting:
         first: dict[tuple[tuple[int, ...], bytes], int] = {}
         found = []
         for t, own in enumerate(labels.effective()):
-            key = own, labels.of_types([t]).over([own]).p.tobytes()
+            key = own, labels.of_types([t]).select_messages([own]).p.tobytes()
             found.append(first.setdefault(key, len(first)))
         return np.array(found)
 

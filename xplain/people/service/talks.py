@@ -73,9 +73,9 @@ class Explanation:
         if isinstance(move, Question):
             words = {"text": move.text, "about": move.about, "replies": move.replies}
             return {"kind": "ask", "question": move.number, **words}
-        said = session.messages()
-        told = {"messages": said, "sentences": self.task.say(said), "again": session.again}
-        return {"kind": "explain", **told, "step": session.shown}
+        said = self.task.say(move.messages)
+        told = {"messages": move.messages, "sentences": said, "again": session.again}
+        return {"kind": "explain", **told, "step": move.steps}
 
     def repeat(self, decided: Json) -> None:
         """Applies an earlier decision again."""

@@ -28,7 +28,7 @@ from xplain.interaction.dialogue import (
 from xplain.people import flow as core
 from xplain.people.flow import CANNOT_TELL, Flow, Form, OneLabel, Stage, choices, small
 from xplain.people.study.plan import StudyPlan, StudyRole
-from xplain.solvers.base import Policy, messages_of
+from xplain.solvers.base import CachedPolicy, messages_of
 
 ENDS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out")
 EVALUATING = ("evaluation", "asking")
@@ -133,7 +133,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
         belief: the labels that count as evidence.
     """
 
-    policies: Mapping[str, Policy]
+    policies: Mapping[str, CachedPolicy]
     belief: BeliefUpdate
 
     def role(self, state: StudyState) -> StudyRole:

@@ -194,12 +194,9 @@ class Study(Explaining):
 
         seed = derived_seed(plan.seed, "solver")
         policies = {
-            condition: instantiate(solver).plan(plan.problem_of(condition), seed)
+            condition: CachedPolicy(instantiate(solver).plan(plan.problem_of(condition), seed))
             for condition, solver in plan.conditions.items()
         }
-        if ASKING in policies:
-            # Which of two questions that are as good comes first must not depend on rounding.
-            policies[ASKING] = CachedPolicy(policies[ASKING])
         return cls(plan, policies, instantiate(plan.belief))
 
     def view(self, state: StudyState) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
 from xplain.people.flow import CANNOT_TELL
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study, StudyState
+from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
 
 ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
@@ -98,7 +99,7 @@ def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
         offline_person, person = (
             people.meet(labels, np.arange(problem.n_steps), seed) for _ in range(2)
         )
-        offline = explain(problem, policy, offline_person, update)
+        offline = explain(problem, CachedPolicy(policy), offline_person, update)
         state = at_evaluation(failing, user_type, "personalized")
         for k in range(problem.n_steps):
             assert (state.new, len(state.belief)) == (offline.messages[k], len(problem.start))
