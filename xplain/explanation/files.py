@@ -41,10 +41,10 @@ MAX_LINES = 20_000_000
 def save(problem: Problem, path: str | Path) -> None:
     """Writes a file that :func:`load` reads: all arrays of the problem, and ``problem``, a text in
     JSON with everything else."""
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Any] = {}
     kept = replace(problem, table=problem.table.compact(problem.n_messages))
-    text = json.dumps(encode(kept, arrays))
-    np.savez_compressed(path, **{WHOLE: np.array(text)}, **arrays)
+    arrays[WHOLE] = np.array(json.dumps(encode(kept, arrays)))
+    np.savez_compressed(path, **arrays)
 
 
 def load(path: str | Path) -> Problem:

@@ -155,6 +155,9 @@ class SimulatedUser(Person):
         """
         return thoughts
 
+    def hear(self, new: int) -> None:
+        """Does nothing: ``given`` says what is known."""
+
     def react(self, given: int, count: int) -> Reaction:
         """See :class:`Person`."""
         self.step = count

@@ -391,11 +391,10 @@ def _grown(store: Store) -> Store:
     for kind in short or set(GROWS):
         for name in GROWS[kind]:
             array = arrays[name]
-            used = store.used[kind]
             # Of what is published only the numbers must be 0 before the first.
             make = np.zeros if name == "published" else np.empty
             arrays[name] = make((2 * len(array), *array.shape[1:]), array.dtype)
-            arrays[name][:used] = array[:used]
+            arrays[name][: store.used[kind]] = array[: store.used[kind]]
     arrays["table"] = np.full(4 * len(arrays["nodes"]), kernel.NONE, np.int32)
     store.used[HASHED] = 0
     return Store(**arrays)
