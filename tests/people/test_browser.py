@@ -284,6 +284,19 @@ def out_of_sight(driver: Driver) -> list[float]:
     return found
 
 
+def cut_off(driver: Driver) -> float:
+    """How much of the new messages is not to be seen on a phone before one scrolls."""
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    below: float = driver.execute_script(
+        "const end = document.querySelector('.slots').getBoundingClientRect().bottom;"
+        "const news = [...document.querySelectorAll('.message.new')];"
+        "return Math.max(0, ...news.map(one => one.getBoundingClientRect().bottom - end))"
+    )
+    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    return below
+
+
 def test_the_new_step_and_its_button_are_in_sight(
     driver: Driver, rescue: Study, tmp_path: Path
 ) -> None:
@@ -294,6 +307,8 @@ def test_the_new_step_and_its_button_are_in_sight(
             def look(page: Page) -> None:
                 if page.stage in ("training", "ahead", "evaluation"):
                     assert max(out_of_sight(driver)) <= 0, page
+                if page.stage == "evaluation":
+                    assert cut_off(driver) <= 12, page  # the padding below the last one
 
             person = StudyBot(rescue.plan, FAULTLESS, np.random.default_rng(0))
             assert take_part(driver, person, look=look) == "done"

@@ -169,7 +169,12 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
         origins: origins of pages that may call it.
         key: required to begin a talk, and to read or erase answers; "" for none.
     """
-    app = FastAPI(title="xplain", version=__version__, summary="What to say and what to ask next.")
+    app = FastAPI(
+        title="xplain",
+        version=__version__,
+        summary="What to say and what to ask next.",
+        generate_unique_id_function=lambda route: route.name,  # names in generated clients
+    )
     app.add_middleware(
         CORSMiddleware,
         allow_origins=list(origins),
@@ -211,7 +216,7 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
         return {"id": which, "next": talks.receive("session", which, f"trace {body.after}", came)}
 
     @app.get("/{kind}s/{which}", tags=["explain", "ask"])
-    def state(kind: Kind, which: str) -> Any:
+    def state(kind: Kind, which: str) -> dict[str, Any]:
         rows, found = talks.read(kind, which)
         decided = [json.loads(str(event.state)) for event in rows]
         history = [
@@ -235,11 +240,11 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
         return csv_of(talks.labels(which))
 
     @app.get("/task", tags=["task"])
-    def task() -> Any:
+    def task() -> dict[str, Any]:
         return talks.task.description
 
     @app.get("/task/labels", tags=["task"])
-    def labels_of(wrong: str = "", given: str = "") -> Any:
+    def labels_of(wrong: str = "", given: str = "") -> list[int]:
         sets = ([name for name in names.split(",") if name] for names in (wrong, given))
         return talks.task.labels(*sets)
 
