@@ -102,6 +102,7 @@ def _main(folder: Path, arguments: tuple[str, ...], out: Path, error: Path) -> N
     os.chdir(folder)
     sys.path.insert(0, str(folder))  # as ``python -m`` does
     os.environ.pop("MLFLOW_TRACKING_URI", None)
+    os.environ["MLFLOW_HTTP_REQUEST_MAX_RETRIES"] = "0"  # a server that is away is asked once
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for path, there in ((out, 1), (error, 2)):
         os.dup2(os.open(path, _WRITTEN, 0o666), there)

@@ -13,8 +13,11 @@ import pytest
 
 from tests import forked
 from tests.runs import sweeps
+from xplain.experiment.results import load_results
 from xplain.runs.folder import Disk
 from xplain.runs.sweep import finish
+
+RESULT = "outputs/results/*/results.json"
 
 
 def test_a_job_that_raises_lets_the_others_go_on(folder):
@@ -53,7 +56,7 @@ def test_a_job_that_raises_lets_the_others_go_on(folder):
     assert {s for name, s in states.items() if name.startswith("multirun")} == {"FAILED"}
 
     # Only what failed runs again; jobs that were lost besides do not.
-    lost = next(folder.glob("outputs/results/*/results.json"))
+    lost = next(folder.glob(RESULT))
     lost.unlink()
     code, output = sweeps.run(folder, *arguments, "resume=failed")
     assert code == 1
@@ -99,7 +102,7 @@ def test_ctrl_c_leaves_no_run_open(folder):
     process = sweeps.start(folder, *sweeps.TINY[:-1], "lambda=range(0,15)", sweeps.SERIAL)
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline:
-        if [*folder.glob("outputs/results/*/results.json")]:
+        if [*folder.glob(RESULT)]:
             break
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
@@ -117,9 +120,10 @@ def test_ctrl_c_leaves_no_run_open(folder):
     )
 
 
-def test_four_at_once_on_an_empty_folder(tmp_path):
-    """Two of one sweep, one of another, and a single run."""
-    commands = [sweeps.QUICK, sweeps.QUICK, (*sweeps.QUICK, "seed=1"), (*sweeps.SINGLE, "seed=2")]
+def test_four_at_once_on_an_empty_folder(tmp_path, finished):
+    """Two of one sweep, one that shares a job with it, and a single run."""
+    other = (*sweeps.QUICK[:-3], "solver=qhr,silent", *sweeps.QUICK[-2:])
+    commands = [sweeps.QUICK, sweeps.QUICK, other, (*sweeps.SINGLE, "seed=2")]
     processes = []
     for index, arguments in enumerate(commands):
         own = tmp_path / str(index)
@@ -131,6 +135,13 @@ def test_four_at_once_on_an_empty_folder(tmp_path):
     found = sweeps.runs(tmp_path)
     assert {status for _, status, _ in found} == {"FINISHED"}
     assert len(found) == (1 + 2) + (1 + 2) + 1
+    made, alone = (
+        {path.parent.name: load_results(path.parent).episodes for path in folder.glob(RESULT)}
+        for folder in (tmp_path, finished.folder)
+    )
+    shared = made.keys() & alone.keys()
+    assert (len(made), len(shared)) == (4, 2)
+    assert {name: made[name] for name in shared} == {name: alone[name] for name in shared}
     with sweeps.database(tmp_path) as database:
         assert database.execute("pragma integrity_check").fetchone() == ("ok",)
 
