@@ -47,6 +47,16 @@ def result_at(folder: Path, fingerprint: str) -> None:
     save_results(folder, handmade.results(fingerprint, {}, ()))
 
 
+def test_a_sweep_on_another_disk_finds_its_results(tmp_path: Path) -> None:
+    outputs = tmp_path / "outputs"
+    outputs.mkdir()
+    (tmp_path / "disk" / "deep").mkdir(parents=True)
+    (outputs / "sweeps").symlink_to(tmp_path / "disk" / "deep")
+    folder = planned(outputs, 1)
+    result_at(outputs / "results" / "f0", "f0")
+    assert [folder.state(job) for job in folder.jobs] == ["finished"]
+
+
 def test_results_that_no_run_and_no_sweep_has_are_listed_and_deleted_when_told(
     tmp_path: Path,
 ) -> None:

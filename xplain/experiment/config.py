@@ -115,7 +115,7 @@ def require_names(overrides: Sequence[str]) -> None:
     """
     for override in overrides:
         key, _, value = override.partition("=")
-        if key in (*GROUPS, "tracking") and value in ("null", "true", "false"):
+        if key in (*GROUPS, "tracking") and re.match(r"(null|true|false)$|\[", value):
             names = sorted(path.stem for path in (CONF / key).glob("*.yaml"))
             raise InputError(key, value, f"the name of a choice: {', '.join(names)}")
 
@@ -203,8 +203,11 @@ def one_line(error: BaseException) -> str | None:
     return None
 
 
-_KINDS = {"Float": "a number", "Integer": "a whole number", "Boolean": "true or false"}
-_OTHER_KIND = re.compile(rf"Value '(.*)' .*could not be converted to ({'|'.join(_KINDS)})").match
+_KINDS = {"Float": "a number", "Integer": "a whole number", "bool": "true or false"}
+_OTHER_KIND = re.compile(
+    r"Value '(.*?)'(?: of .*)? (?:could not be converted to|is not a valid) "
+    rf"({'|'.join(_KINDS)})"
+).match
 
 
 def _causes(error: BaseException) -> list[BaseException]:

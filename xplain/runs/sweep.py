@@ -64,7 +64,7 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
         log.info("%s: %s", folder.path.name, ", ".join(words))
         batches, files = plan.batches(), list[Path]()
         for number, batch in enumerate(batches):
-            files.append(folder.path / BATCHES / str(number) / "batch.json")
+            files.append(folder.path / BATCHES / f"{number}.json")
             files[-1].parent.mkdir(parents=True, exist_ok=True)
             save_batch(files[-1], batch)
         returned: Any = []
@@ -100,8 +100,8 @@ def save_sweep(path: Path, jobs: Sequence[Listed], outputs: Path, about: Mapping
     with suppress(OSError, InputError):
         _ = SweepFolder(path).about
         return
-    # A relative path, because a project may be moved.
-    results = os.path.relpath(outputs / "results", path)
+    # A relative path, because a project may be moved; ".." follows no symbolic link back.
+    results = os.path.relpath(outputs.resolve() / "results", path.resolve())
     made = {"code": code_version(), "git": git_state(), "started": time.time(), "results": results}
     text = json.dumps({**about, **made, "jobs": [asdict(job) for job in jobs]}, indent=1)
     write_text(path / SWEEP, without_passwords(text) + "\n")
