@@ -4,8 +4,8 @@
     python benchmarks/job.py --quick     of 2 jobs
 
 The jobs differ in λ, so data, types and labelers come from the cache. Planning is done once for the
-sweep. A worker begins a batch by composing Hydra's configuration; in a sweep of 32 jobs or more a
-batch has several, so a job's share is smaller.
+sweep. A worker begins a batch by composing Hydra's configuration. In a sweep of many jobs a batch
+has several (on two cores from 8 jobs on), so a job's share is smaller.
 """
 
 from __future__ import annotations
@@ -56,12 +56,13 @@ def main() -> None:
             config = load([f"outputs='{outputs}'"])
             plan = Plan.of(config, words, {}, lambda own: load([f"outputs='{outputs}'", *own]))
             batches = plan.batches()
+        (outputs / "batches").mkdir(exist_ok=True)
         for number, batch in enumerate(batches):
-            save_batch(path := outputs / f"{number}.json", batch)
+            save_batch(path := outputs / "batches" / f"{number}.json", batch)
             with stage("a batch begun"):
                 load([])
             with stage("all of it"):
-                run_batch(path, outputs / "jobs")
+                run_batch(path)
             assert all((job.address / "results.json").exists() for job in batch)
 
     def load(words: list[str]) -> DictConfig:

@@ -56,15 +56,15 @@ class XplainSweeper(Sweeper):
         assert self.config is not None  # Hydra has called setup
         end_on_signals()
         plan = Plan.of(self.config, arguments, {}, self._compose)
-        folder = plan.folder.path
-        escaped = self.config.hydra.sweep.dir = str(folder).replace("${", r"\${")
+        escaped = self.config.hydra.sweep.dir = str(plan.folder.path).replace("${", r"\${")
 
         def launch(batches: Sequence[Path]) -> Any:
             own = [
                 f"hydra.sweep.dir={quoted(escaped)}",
+                "hydra.sweep.subdir=batches",
                 "hydra/job_logging=none",  # a job in this process would take the sweep's words
             ]
-            words = [f"hydra.sweep.subdir={path.parent.relative_to(folder)}" for path in batches]
-            return self._launcher().launch([[*own, one] for one in words], initial_job_idx=0)
+            words = [quoted(str(path).replace("${", r"\${")) for path in batches]
+            return self._launcher().launch([[*own, f"+batch={one}"] for one in words], 0)
 
         return run_missing(plan, launch)

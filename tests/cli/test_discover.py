@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,15 @@ from tests.conftest import Command
 from xplain.cli.main import main
 from xplain.errors import InputError, XplainError
 from xplain.learning.saved import LearnedTypes
+from xplain.learning.user_types import Single
 from xplain.runs.discovery import sentences_of
+
+
+@dataclass(frozen=True)
+class Everybody(Single):
+    """A component of one's own, whose labeler has an object of scikit-learn."""
+
+    weight: float = 1.0
 
 
 @pytest.fixture
@@ -262,5 +271,7 @@ def test_python_is_given_what_the_command_writes(run, tmp_path: Path, monkeypatc
     frame = pd.read_csv("labels.csv", dtype=str, keep_default_na=False)
     same = xplain.discover(frame, seed=3, held_out=False, clusterer="kmeans")
     assert same.types.clustering.method == "kmeans"
+    one = xplain.discover(frame, held_out=False, clusterer=Everybody(weight=2.0))
+    assert one.types.clustering.n_types == 1
     with pytest.raises(XplainError, match=r"data='absent\.csv': no such file"):
         xplain.discover("absent.csv")

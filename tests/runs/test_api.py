@@ -153,18 +153,20 @@ class Named(QHR):
 
     text: str = ""
     cells: tuple[tuple[int, ...], ...] = ()
-    fees: Mapping[str, float] = field(default_factory=dict)
+    fees: Mapping[str, Any] = field(default_factory=dict)
 
 
 TEXTS = ["null", "true", "1e3", "ä λ\n", "a\\'b", "${x}".replace("$", "§"), "x,y", "[1]", ""]
 
 
 def test_values_arrive_as_they_are_given(here: Path) -> None:
-    solvers = [Named(text=text, cells=((6, 2),)) for text in TEXTS]
+    every = dict.fromkeys(TEXTS, 1.0) | {"of": TEXTS}
+    solvers = [Named(text=text, cells=((6, 2),), fees=every) for text in ("null", "1e3")]
     for seed in (range(2), np.arange(2), [np.int64(0), np.int64(1)]):
         sweep = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=seed, outputs=here / "a b'c")
         configs = [run.results.config for run in sweep.runs]
-        assert {config["solver"]["text"] for config in configs} == {*TEXTS}
+        assert {config["solver"]["text"] for config in configs} == {"null", "1e3"}
+        assert all(config["solver"]["fees"] == every for config in configs)
         assert {config["seed"] for config in configs} == {0, 1}
         assert all(config["solver"]["cells"] == [[6, 2]] for config in configs)
     assert sweep.folder.is_relative_to(here / "a b'c")

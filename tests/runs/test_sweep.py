@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import shutil
@@ -19,7 +20,7 @@ from tests.runs import sweeps
 from xplain.experiment.config import CONF, GROUPS, register
 from xplain.report.folder import SweepFolder
 from xplain.runs.job import Job, run_in_sweep
-from xplain.runs.plan import MANY, Plan
+from xplain.runs.plan import EACH, MANY, Plan
 
 
 def addresses(folder):
@@ -110,22 +111,25 @@ def test_only_what_is_missing_or_damaged_runs(finished):
 def test_many_jobs_are_batches_each_of_one_data_set(tmp_path):
     """Each job is in one of them; those that make data sets begin."""
 
-    def planned(data_sets, trade_offs):
+    def planned(data_sets, trade_offs, launcher):
         jobs = {
             f"{seed} {number}": cast("Job", SimpleNamespace(source=str(seed)))
             for seed in range(data_sets)
             for number in range(trade_offs)
         }
-        plan = Plan(SweepFolder(tmp_path), (), jobs, frozenset(), OmegaConf.create(), {})
+        config = OmegaConf.create({"hydra": {"launcher": launcher}})
+        plan = Plan(SweepFolder(tmp_path), (), jobs, frozenset(), config, {})
         return [*jobs.values()], plan.batches()
 
-    for data_sets, trade_offs in ((2, 3), (7, 50), (MANY, 30)):
-        jobs, batches = planned(data_sets, trade_offs)
+    cases = itertools.product(((2, 3), (7, 50), (MANY, 30)), ({}, {"n_jobs": 2}))
+    for (data_sets, trade_offs), launcher in cases:
+        jobs, batches = planned(data_sets, trade_offs, launcher)
+        enough = EACH * 2 if launcher else MANY
         assert sorted(map(id, jobs)) == sorted(id(job) for batch in batches for job in batch)
         assert all(len({job.source for job in batch}) == 1 for batch in batches)
         assert len({batch[0].source for batch in batches[:data_sets]}) == data_sets
-        assert len(batches) <= MANY + data_sets
-        assert len(jobs) >= MANY or len(batches) == len(jobs)
+        assert min(enough, len(jobs)) / 2 <= len(batches) <= enough + data_sets
+        assert len(jobs) >= enough or len(batches) == len(jobs)
 
 
 def test_all_anew_on_demand(finished, tmp_path):

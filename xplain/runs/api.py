@@ -222,9 +222,8 @@ def sweep(
                     raise InputError(key, value["_target_"], allowed)
 
         def launch(batches: Sequence[Path]) -> None:
-            jobs = plan.folder.path / "jobs"
             try:
-                Parallel(workers, batch_size=1)(delayed(run_batch)(path, jobs) for path in batches)
+                Parallel(workers, batch_size=1)(delayed(run_batch)(path) for path in batches)
             finally:
                 get_reusable_executor().shutdown()  # a worker keeps the code of its first job
 
@@ -394,10 +393,16 @@ def _plain(key: str, value: Any) -> Any:
         return {str(name): _plain(key, own) for name, own in value.items()}
     if isinstance(value, Sequence):
         return [_plain(key, own) for own in value]
+    from sklearn.base import BaseEstimator
+
     kind = type(value)
     path = f"{kind.__module__}.{kind.__qualname__}"
-    if not is_dataclass(value) or locate(path) is not kind:
+    known: Mapping[str, Any] | None = None
+    if isinstance(value, BaseEstimator):
+        known = value.get_params(deep=False)
+    elif is_dataclass(value):
+        known = {one.name: getattr(value, one.name) for one in fields(value) if one.init}
+    if known is None or locate(path) is not kind:
         allowed = "a name, or an object of a dataclass that stands in a module or script by itself"
         raise InputError(key, value, allowed)
-    own = {one.name: _plain(key, getattr(value, one.name)) for one in fields(value) if one.init}
-    return {"_target_": path, **own}
+    return {"_target_": path, **{name: _plain(key, own) for name, own in known.items()}}

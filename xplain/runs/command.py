@@ -29,6 +29,11 @@ register()
 def job(cfg: DictConfig) -> float | None:
     """Runs one job or a batch of a sweep; launchers send this function to workers. Returns the mean
     regret."""
+    if "batch" in cfg:
+        from xplain.runs.job import run_batch
+
+        run_batch(Path(cfg.batch))
+        return None
     own = HydraConfig.get()
     if own.mode != RunMode.RUN:
         return _in_sweep(cfg, own)
@@ -60,19 +65,15 @@ def _alone(cfg: DictConfig, own: Any) -> float | None:
 
 
 def _in_sweep(cfg: DictConfig, own: Any) -> float | None:
-    from xplain.runs.job import Job, run_batch, run_in_sweep
+    """Runs a job of another sweeper than ours."""
+    from xplain.runs.job import Job, run_in_sweep
     from xplain.runs.sweep import list_job
 
-    sweep = Path(own.sweep.dir).absolute()
-    batch = sweep / str(own.sweep.subdir) / "batch.json"
-    if batch.exists():
-        run_batch(batch, sweep / "jobs")
-        return None
-    made = Job.of(cfg, own.runtime.choices)  # from another sweeper
+    made = Job.of(cfg, own.runtime.choices)
     if cfg.dry_run:
         _check(made)
         return None
-    folder = sweep / "jobs" / made.fingerprint
+    folder = Path(own.sweep.dir).absolute() / "jobs" / made.fingerprint
     list_job(made, own.overrides.task, folder)
     return run_in_sweep(made, folder, made.fingerprint)
 

@@ -217,11 +217,11 @@ def save_batch(path: Path, jobs: Iterable[Job]) -> None:
     write_text(path, json.dumps({job.fingerprint: asdict(job) for job in jobs}))
 
 
-def run_batch(path: Path, folder: Path) -> None:
-    """Runs the jobs of a batch. A failed job writes its error into its folder below ``folder``."""
+def run_batch(path: Path) -> None:
+    """Runs the jobs of a batch. A failed job writes its error into its folder in the sweep's."""
     end_with_parent()
     for listed, content in json.loads(path.read_text(encoding="utf-8")).items():
-        run_in_sweep(Job(**content), folder / listed, listed)
+        run_in_sweep(Job(**content), path.parents[1] / "jobs" / listed, listed)
 
 
 def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:

@@ -19,6 +19,7 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, Override
 from hydra.errors import ConfigCompositionException
+from joblib import effective_n_jobs
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
@@ -30,9 +31,10 @@ from xplain.runs.job import Job
 
 log = logging.getLogger(__name__)
 
-MANY = 32
-"""From this number of jobs, one batch has several, because a worker needs 0.2 s to start a batch.
-There are at least this number of batches, which keeps all cores busy."""
+MANY, EACH = 32, 4
+"""A worker takes 0.2 s to begin a batch. So a sweep of more jobs than these runs several in one
+batch: EACH batches a worker keep all workers busy to the end, or MANY where the launcher does not
+tell how many workers it has."""
 
 LAST = ("solver", "lambda", "seed")
 """Keys at the end of a job's label, so that labels sort by setting."""
@@ -81,6 +83,11 @@ class Plan:
             XplainError, HydraException, OmegaConfBaseException: the configuration of a job is
                 wrong, or a sweep has no finite list of values.
         """
+        for word in config.hydra.overrides.hydra:
+            key, _, value = word.lstrip("+").partition("=")
+            if key.startswith("hydra.sweep."):
+                allowed = "outputs=FOLDER instead: the jobs of a sweep name its folder"
+                raise InputError(key, value, allowed)
         keys: Any = OmegaConf.to_container(config.hydra.sweeper)
         file = _File(**{key: value for key, value in keys.items() if not key.startswith("_")})
         settings = [{**file.params, **setting} for setting in file.settings or [{}]]
@@ -117,7 +124,9 @@ class Plan:
         by_data: dict[str, list[Job]] = {}
         for job in self.todo.values():
             by_data.setdefault(job.source, []).append(job)
-        size = 1 + len(self.todo) // MANY
+        workers = OmegaConf.select(self.config, "hydra.launcher.n_jobs")
+        enough = MANY if workers is None else EACH * effective_n_jobs(workers)
+        size = 1 + len(self.todo) // enough
         cut = [[own[i : i + size] for i in range(0, len(own), size)] for own in by_data.values()]
         return [batch for turn in itertools.zip_longest(*cut) for batch in turn if batch]
 
