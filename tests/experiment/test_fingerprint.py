@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from importlib import metadata
+from types import SimpleNamespace
 
 import numba
 import numpy as np
@@ -125,6 +126,16 @@ def test_an_installed_plugin_counts_by_the_hashes_of_its_files(plugin):
         (installed / "RECORD").write_text(f"their_solver/__init__.py,sha256={content},23\n")
         found.add(fresh(CONFIG))
         assert component_code(CONFIG).keys() == {"their_solver"}
+    assert len(found) == 2
+
+
+def test_the_script_that_runs_counts_by_its_source(tmp_path, monkeypatch):
+    script, config = tmp_path / "script.py", {"solver": {"_target_": "__main__.Mine"}}
+    monkeypatch.setitem(sys.modules, "__main__", SimpleNamespace(__file__=str(script)))
+    found = set()
+    for source in ("class Mine: ...\n", "class Mine: ...\n# edited\n"):
+        script.write_text(source)
+        found.add(fresh(config))
     assert len(found) == 2
 
 
