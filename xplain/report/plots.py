@@ -139,9 +139,9 @@ def draw(
             axes.xaxis.set_major_locator(MaxNLocator(6, integer=all(t == int(t) for t in ticks)))
         if is_negative:
             axes.axhline(0, color="#222222", lw=0.8)
-    if not is_negative:  # after all are drawn: setting a limit ends the scaling of a row
-        for axes in every:
-            axes.set_ylim(bottom=0)
+    if not is_negative:  # once all are drawn: a limit ends the scaling of a row
+        for axes in every[::columns]:
+            axes.set_ylim(0, 1.04 * axes.get_ylim()[1])
     for row in range(rows):
         figure.axes[row * columns].set_ylabel(y_label)
     for axes in figure.axes[len(panels) :]:
