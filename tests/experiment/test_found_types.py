@@ -18,10 +18,10 @@ from xplain.solvers.base import Solver
 from xplain.solvers.greedy import QMDP, KnownType
 from xplain.solvers.pomcp import POMCP
 
-SMALL = ("domain=rescue", "observers.label_noise=0.02", "points=100", "traces=3", "seed=2")
+SMALL = ("domain=rescue", "observers.label_noise=0.02", "points=150", "traces=5", "seed=2")
 SOLVERS: dict[str, Solver] = {
     "qmdp": QMDP(),
-    "pomcp": POMCP(simulations=30),
+    "pomcp": POMCP(simulations=100),
     "oracle": KnownType("type"),
 }
 
@@ -85,7 +85,7 @@ def test_types_that_behave_alike_are_one_for_the_oracle_too() -> None:
 def test_a_solver_that_knows_the_labels_costs_what_it_costs_without_a_labeler() -> None:
     """The reference that a run logs is the run with ``labeler=truth``."""
     learned, costs = prepared()
-    solvers = {"qmdp": QMDP(), "pomcp": POMCP(simulations=30)}
+    solvers = {"qmdp": QMDP(), "pomcp": POMCP(simulations=100)}
     reference = evaluate(with_true_labels(learned), costs, solvers, Independent(), Exact(), 0)
     true = evaluate(*prepared("labeler=truth"), solvers, Independent(), Exact(), 0)
     assert all(same(one, other) for one, other in zip(reference, true, strict=True))
