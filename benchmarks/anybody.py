@@ -189,7 +189,7 @@ def table(
                 found, error = ratio(own["open"], own[reference])
                 if kind != "backlash" and 0 < found < np.inf:
                     logs[trade_off].append(np.log(found))
-                cells.append(f"{found:.2f} ± {error:.2f}")
+                cells.append(f"{found:.2f}±{error:.2f}")
                 best.append(f"{reference} {own[reference].mean():.2f}")
             print(f"| {kind} | " + " | ".join([*cells, ", ".join(best)]) + " |")
         means = [f"{np.exp(np.mean(logs[one])):.2f}" for one in trade_offs]
