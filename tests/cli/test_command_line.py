@@ -241,7 +241,7 @@ TABLES = {
     "not a table": ("\x00\x01", ["labels.csv"]),
     "other features": (
         f"{HEAD}\na,,1,0,0\na,,1,0,1\nb,fire,0,0,0\nb,fire,0,0,1\n",
-        ["action=up", "missing"],
+        ["action", "missing"],
     ),
 }
 

@@ -235,7 +235,7 @@ def test_told_answers_are_predicted_by_types_and_ones_own_labels(run, tmp_path: 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"row": ["a"] * 4}, "a number"),
+        ({"row": ["a"] * 4}, "no number"),
         ({"messages": ["unheard"] * 4}, "unknown message"),
         ({"observer": None}, "lacks the column observer"),
     ],

@@ -28,6 +28,7 @@ import shlex
 import unicodedata
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -174,20 +175,27 @@ def _float(word: str) -> float:
 def features_of(
     columns: Iterable[Column], like: Sequence[str] = ()
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Returns the features [P, F] of some columns, and their names: those of ``like`` if there are
-    any."""
+    """Returns the features [P, F] of some columns, and their names; ``like`` decides between number
+    and text."""
     made = [(column, *column.features(like)) for column in columns]
     found = np.hstack([values[column.code] for column, values, _ in made]).astype(np.float64)
-    names = tuple(name for *_, own in made for name in own)
-    if not like:
-        return found, names
-    key = made[0][0].key
+    return found, tuple(name for *_, own in made for name in own)
+
+
+def put_in_order(
+    features: NDArray[np.float64], names: Sequence[str], like: Sequence[str], key: str
+) -> NDArray[np.float64]:
+    """Returns the features [..., F] with these names in the order of ``like``.
+
+    Raises:
+        InputError: a feature is missing, or is not one of ``like``; ``key`` is the user's key.
+    """
     for name in names:
         one_of(key, name, like, "feature")
     for name in like:
         if name not in names:
             raise InputError(key, name.partition("=")[0], "this column is missing")
-    return found[:, [names.index(name) for name in like]], tuple(like)
+    return features[..., [names.index(name) for name in like]]
 
 
 def encoded(
@@ -209,7 +217,8 @@ def encoded(
     ]
     if not columns:
         raise InputError("trace", dict(transition), "a value for each column")
-    return tuple(features_of(columns, feature_names)[0][0].tolist())
+    found = put_in_order(*features_of(columns, feature_names), feature_names, "trace")
+    return tuple(found[0].tolist())
 
 
 def read_table(
@@ -259,6 +268,9 @@ def read_table(
     dataset = _dataset(columns, described, numbers.astype(np.uint8)[label.code], messages)
     if not under_way:
         _check(dataset, key)
+    if like:
+        ordered = put_in_order(dataset.features, dataset.feature_names, like, key)
+        dataset = replace(dataset, features=ordered, feature_names=tuple(like))
     rows, steps = len(dataset), len(dataset.features)
     log.info("%s: %d steps by the features %s", key, steps, ", ".join(features))
     if steps > NEARLY_ALL * rows and len(features) > 1:
@@ -291,7 +303,8 @@ def read_questions(path: str | Path, like: Dataset) -> tuple[pd.DataFrame, Datas
     asked = table if "messages" in table.columns else table.assign(messages="")
     wanted = ("observer", "messages", *features)
     columns = {name: Column.of("predict", name, asked[name]) for name in wanted}
-    described = features_of([columns[name] for name in features], names)
+    found = features_of([columns[name] for name in features], names)
+    described = put_in_order(*found, names, "predict"), names
     label = np.zeros(len(table), dtype=np.uint8)
     return table, _dataset(columns, described, label, like.messages)
 
@@ -306,22 +319,29 @@ def write_table(dataset: Dataset, path: str | Path) -> None:
         "observer": np.array(dataset.observers)[dataset.observer],
         "messages": sets[mask],
     }
-    groups: dict[str, list[int]] = {}
-    for j, name in enumerate(dataset.feature_names):
-        groups.setdefault(name.partition("=")[0], []).append(j)
-    for name, own in groups.items():
-        values = dataset.features[:, own]
-        if (texts := np.array([dataset.feature_names[j] for j in own]))[0] == name:
-            columns[name] = values[dataset.transition, 0]
-        else:
-            said = np.array([text.partition("=")[2] for text in texts])
-            columns[name] = said[values.argmax(axis=1)][dataset.transition]
+    for name, values in columns_of(dataset.features, dataset.feature_names).items():
+        columns[name] = values[dataset.transition]
     columns["label"] = dataset.label
     table = pd.DataFrame(columns)
     if is_parquet(Path(path), "data"):
         table.to_parquet(path, index=False)
     else:
         table.to_csv(path, index=False)
+
+
+def columns_of(features: NDArray[np.float64], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Returns the columns [T] of transitions with these features [T, F]. One-hot features become
+    one column of text."""
+    columns: dict[str, NDArray[Any]] = {}
+    groups: dict[str, list[int]] = {}
+    for j, name in enumerate(names):
+        groups.setdefault(name.partition("=")[0], []).append(j)
+    for column, own in groups.items():
+        columns[column] = features[:, own[0]]
+        if names[own[0]] != column:
+            texts = np.array([names[j].partition("=")[2] for j in own])
+            columns[column] = texts[features[:, own].argmax(axis=1)]
+    return columns
 
 
 def is_parquet(path: Path, key: str) -> bool:

@@ -17,6 +17,7 @@ from typing import Any
 
 from xplain.explanation.asking import Question
 from xplain.explanation.message_sets import names_of
+from xplain.learning.data.label_file import columns_of
 from xplain.people.flow import Event, State
 from xplain.people.log import Log
 from xplain.people.service.served import Served
@@ -242,19 +243,14 @@ class Talks(Log[State]):
     def _labels(self, events: list[Event]) -> list[Json]:
         known = self.task.questionnaire.hypotheses
         assert known.features is not None, "transitions that people are asked about have features"
+        columns = columns_of(known.features, known.feature_names)
         decided = [json.loads(str(event.state)) for event in events]
         return [
             {
                 "observer": events[0].payload["person"],
                 "messages": ";".join(asked["messages"]),
                 "label": int(event.payload["answer"]),
-                **dict(
-                    zip(
-                        known.feature_names,
-                        known.features[asked["transition"]].tolist(),
-                        strict=True,
-                    )
-                ),
+                **{name: own[asked["transition"]].item() for name, own in columns.items()},
                 "finished": int(decided[-1]["kind"] == "end"),
             }
             for (asked, _), event in zip(pairwise(decided), events[1:], strict=True)
