@@ -193,6 +193,16 @@ def test_features_are_put_in_the_order_of_a_domain(tmp_path: Path) -> None:
         read_table(path, like=("action=down", "action=left", "row"))
 
 
+def test_a_domains_features_may_be_columns_of_their_own(tmp_path: Path) -> None:
+    path, names = table(tmp_path), ("action=left", "action=up", "row")
+    expected, written = read_table(path, like=names), pd.read_csv(path, dtype=str)
+    one_hot = pd.get_dummies(written, columns=["action"], prefix_sep="=", dtype=int)
+    one_hot.to_csv(path, index=False)
+    found = read_table(path, like=names)
+    assert found.feature_names == names
+    assert (found.features[found.transition] == expected.features[expected.transition]).all()
+
+
 WORDS = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs", "Zl", "Zp")))
 TEXTS = st.lists(st.tuples(WORDS, WORDS, WORDS), min_size=1, max_size=6)
 

@@ -249,12 +249,13 @@ def read_table(
             and its row (1 is the first row of data).
     """
     table = read_cells(Path(path), key)
-    _require(table, path, key, ("observer", "label", *(features or ()), *ignore))
+    _require(table, path, key, ("observer", "label", *(features or ()), *ignore), like)
     table = table if "messages" in table.columns else table.assign(messages="")
     columns = {name: Column.of(key, name, table[name]) for name in table.columns}
     if features is None:
         others = [name for name in columns if name not in {*COLUMNS, *ignore}]
-        features = _choose_features(columns, others, {name.partition("=")[0] for name in like})
+        sure = {*like, *(name.partition("=")[0] for name in like)}
+        features = _choose_features(columns, others, sure)
     if len({*COLUMNS, *features}) < len(COLUMNS) + len(features):
         raise InputError(key, [*COLUMNS, *features], "each column once")
     if not features:
@@ -446,12 +447,14 @@ def _quote(value: str) -> str:
     return value if word else quoted(value, '"')
 
 
-def _require(table: pd.DataFrame, path: str | Path, key: str, names: Iterable[str]) -> None:
-    """Raises InputError if a column is missing, or if the name of a column is nearly one of
-    :data:`COLUMNS`."""
+def _require(
+    table: pd.DataFrame, path: str | Path, key: str, names: Iterable[str], like: Sequence[str] = ()
+) -> None:
+    """Raises InputError if a column is missing, if the name of a column is nearly one of
+    :data:`COLUMNS`, or if it has a "=" and is not one of ``like``."""
     columns = [*table.columns]
     for name in columns:
-        if "=" in name:
+        if "=" in name and name not in like:
             raise InputError(key, name, "rename this column: a name has no =")
         for near in {*COLUMNS} - {*columns}:
             if name.casefold().rstrip("s") == near.rstrip("s"):
