@@ -337,11 +337,11 @@ def test_a_number_of_the_row_is_no_feature_however_it_counts(
     """As of an experiment's log: trials of each person from 0, and seconds since the start. Where
     all are asked alike and nothing is told, the number of a trial is one of its step as well."""
     rows: dict[str, list[Any]] = {x: [] for x in ("observer", "messages", "step", "trial", "date")}
-    asked = [(h, s) for h in (("", "m0", "m1") if told else ("",)) for s in "abcdef"]
+    queries = [(h, s) for h in (("", "m0", "m1") if told else ("",)) for s in "abcdef"]
     for observer in "pqrstuvw":
-        order = rng_of_the_day.permutation(len(asked)) if shuffled else range(len(asked))
+        order = rng_of_the_day.permutation(len(queries)) if shuffled else range(len(queries))
         for trial, i in enumerate(order):
-            own = observer, *asked[i], trial, f"2026-11-{1 + trial % 2:02d} 10:{trial:02d}"
+            own = observer, *queries[i], trial, f"2026-11-{1 + trial % 2:02d} 10:{trial:02d}"
             for column, value in zip(rows.values(), own, strict=True):
                 column.append(value)
     label = rng_of_the_day.integers(2, size=len(rows["step"])).tolist()

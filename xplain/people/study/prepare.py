@@ -386,8 +386,8 @@ def drafted(
     # Roles and types have the same names; without a briefing any found types are possible.
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.prior
-    labels, asked_about = material.labels(trace), asks[0] if asks else trace[:0]
-    shown = [material.clips[row] for row in (*trace, *asked_about)]
+    labels, question_rows = material.labels(trace), asks[0] if asks else trace[:0]
+    shown = [material.clips[row] for row in (*trace, *question_rows)]
     facts, known = own["facts"], tuple(Known(**one) for one in wording["known"])
     before, asked = lab_questions(config["before"], config["questions"])
     roles = roles_of(facts, types, labels, wording)
@@ -396,10 +396,10 @@ def drafted(
     if asks:
         ask = config["ask"]
         limits = Limits(ask["cost"], ask["most"], ask["when"])
-        shows = asked_about[:, None] == trace
+        shows = question_rows[:, None] == trace
         problem = replace(problem, questions=Questions(asks[1], limits, shows))
-        clip_labels = LabelTable.dense(material.labels(asked_about)).compact(len(facts))
-    wrong = facts_of_types(material, learned, trace, asked_about)
+        clip_labels = LabelTable.dense(material.labels(question_rows)).compact(len(facts))
+    wrong = facts_of_types(material, learned, trace, question_rows)
     people = instantiate(config["belief"]).people
     return StudyPlan(
         **own,
