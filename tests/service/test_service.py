@@ -22,6 +22,7 @@ import requests
 from tests.conftest import ROOT
 from tests.service.conftest import Running, free_port
 from xplain import discover
+from xplain.learning.data.label_file import read_table
 from xplain.people.service.served import Served
 from xplain.people.service.talks import Talks
 
@@ -127,7 +128,9 @@ def test_labels_are_what_discover_reads(running: Running, tmp_path: Path, talks:
         go_through(talks, "questionnaire", f"p{person}", {"fire"} if person % 2 else {"fence"})
     table = tmp_path / "labels.csv"
     table.write_text(requests.get(f"{running.url}/labels.csv", timeout=9).text, encoding="utf-8")
-    talks.task.questionnaire.hypotheses.save(tmp_path / "hypotheses.npz")
+    hypotheses = talks.task.questionnaire.hypotheses
+    hypotheses.save(tmp_path / "hypotheses.npz")
+    assert {*read_table(table).feature_names} <= {*hypotheses.feature_names}  # alone as well
     found = discover(
         table,
         labeler="hypotheses",
