@@ -1,8 +1,9 @@
-"""Tools for compiled kernels, from numba's public API: decorators, bits of masks, random words.
+"""Tools for compiled kernels, made with numba's public API: decorators, bits of masks, random
+words.
 
-numba caches machine code beside the source, or below ``NUMBA_CACHE_DIR``, and takes it from there
-while the kernel's own file is as it was. Parts may be in other files: a digest of these is in the
-name by which a kernel is cached.
+numba caches machine code beside the source, or below ``NUMBA_CACHE_DIR``, and uses it until the
+kernel's own file changes. Parts may be in other files, so the name of the cache entry contains a
+digest of these files.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from numba.extending import intrinsic
 log = logging.getLogger(__name__)
 
 part = numba.njit(inline="always")
-"""Decorates what a kernel is made of: it is compiled with each kernel that calls it."""
+"""Decorates a part of kernels: it is compiled into each kernel that calls it."""
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Decorates a kernel: compiled at its first call, cached where a folder can be written, and run
-    without the GIL."""
+    """Decorates a kernel: it is compiled at its first call, cached if a folder can be written, and
+    runs without the GIL."""
     files = {__file__}
     for used in function.__globals__.values():
         if code := getattr(getattr(used, "py_func", None), "__code__", None):
@@ -43,7 +44,7 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 class _Compilation(event.Listener):  # type: ignore[misc]
-    """Tells which kernel of ours is compiled, and "" when it is done."""
+    """Reports the kernel of ours that is being compiled, and "" when this is done."""
 
     say: Callable[[str], None] | None = None
     told = False
@@ -69,19 +70,19 @@ def _tell_once(kernel: str) -> None:
 
 
 def tell_when_compiling(say: Callable[[str], None] | None = None) -> None:
-    """From now on this process tells when kernels have to be compiled.
+    """From now on this process reports when kernels are compiled.
 
     Args:
-        say: receives the name of a kernel, and "" when it is done; None leaves it to whoever was
-            given before, or else to one line in the log.
+        say: receives the name of a kernel, and "" when it is done. None keeps an earlier receiver;
+            without one, a line is logged.
     """
     _compilation.say = say or _compilation.say or _tell_once
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def borrow(typing: Any, value: Any) -> Any:
-    """The same arrays, in tuples of any depth, without counting references to them: numba would
-    count at every call and for every row. Whoever called the kernel holds them meanwhile."""
+    """Returns the same arrays, in tuples of any depth, without counting references to them: numba
+    would count at every call and for every row. The kernel's caller keeps them alive."""
 
     def uncounted(context: Any, builder: Any, kind: Any, own: Any) -> Any:
         if isinstance(kind, types.Array):
@@ -129,12 +130,13 @@ def nth_bit(mask, r):  # type: ignore[no-untyped-def]
 
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-"""What the counter of a random stream advances by."""
+"""The step of a random stream's counter."""
 
 
 @part
 def splitmix64(x):  # type: ignore[no-untyped-def]
-    """The word of a counter (Steele, Lea & Flood 2014). Also a hash."""
+    """Computes the random word of a counter (Steele, Lea & Flood 2014). It is also used as a
+    hash."""
     x = (x ^ (x >> uint64(30))) * uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> uint64(27))) * uint64(0x94D049BB133111EB)
     return x ^ (x >> uint64(31))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 @contextmanager
 def written_whole(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """A file for writing, which replaces ``path`` once all of it is on the disk.
+    """A context with a file for writing; the file replaces ``path`` after all of it is on the disk.
 
     If the process is killed, the disk is full or the block raises, ``path`` stays unchanged.
 

@@ -50,7 +50,7 @@ def command(name: str, meaning: str, config: str = "", of: str = "", **settings:
         name: name on the command line.
         meaning: its description in one line.
         config: name of its file in conf/, if any.
-        of: study or collect, for a function that both have. The function receives it as its first
+        of: study or collect, for a function that both share. The function receives it as its first
             argument, and it replaces NAME in the help.
         settings: settings of click's parser.
     """
@@ -87,7 +87,7 @@ def keys(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def lines_of(group: str) -> list[str]:
-    """A line for each command of the group ("" is the top level), with its subcommands."""
+    """Returns a line for each command of the group ("" is the top level), with its subcommands."""
     lines = []
     for name, made in COMMANDS.items():
         if name.rpartition(" ")[0] == group:

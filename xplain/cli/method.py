@@ -32,15 +32,15 @@ def discover(words: list[str]) -> dict[str, Any]:
       the answer 1 of that observer;
     - ``summary.json``: what is known of each type, and how it was found;
     - ``curve.png`` (disagreements by number of types) or ``posterior.png`` (probability of each
-      number of types), as the method has them, ``messages.png``: what each message does for each
-      type, and ``calibration.png``: how likely held-out labels were said to be 1, against how many
-      are.
+      number of types), depending on the method; ``messages.png``: the effect of each message on
+      each type; ``calibration.png``: the predicted probability of label 1 against the share of
+      labels 1, for held-out labels.
 
     The last line on standard output is one JSON object: ``n_types``, ``assignment`` {observer:
-    type}, ``method``, ``rule``, ``held_out`` (how well held-out labels are predicted, in nats a
-    label, with and without types; null where ``held_out=false``), ``held_out_log_likelihood``
-    (that with types), ``seconds``; where answers tell it, ``accept`` {message: [probability that it
-    lands, lower and upper end of its 95 % interval]}.
+    type}, ``method``, ``rule``, ``held_out`` (how well held-out labels are predicted with and
+    without types, in nats per label; null if ``held_out=false``), ``held_out_log_likelihood`` (the
+    same with types alone), ``seconds``; if the answers show it, also ``accept`` {message:
+    [probability that it is accepted, lower and upper end of its 95 % interval]}.
     """
     from xplain.experiment.config import composed
     from xplain.runs.discovery import discovery, require_writable
@@ -59,10 +59,10 @@ def discover(words: list[str]) -> dict[str, Any]:
 def observe(words: list[str]) -> dict[str, Any]:
     """Writes labels of simulated observers: ``xplain observe domain=rescue output=FILE``.
 
-    The table is what ``xplain discover`` reads. The observers' true types go to a file of their own
-    (columns ``observer``, ``type``, ``behaves_like``: the first type that labels everything alike).
-    The last line on standard output is one JSON object: ``output``, ``truth``, ``observers``,
-    ``labels``, ``types``.
+    ``xplain discover`` reads this table. A second file has the observers' true types (columns
+    ``observer``, ``type``, and ``behaves_like``, the first type with the same labels). The last
+    line on standard output is one JSON object: ``output``, ``truth``, ``observers``, ``labels``,
+    ``types``.
     """
     from xplain.experiment.config import composed
     from xplain.runs.observing import observed
@@ -73,13 +73,13 @@ def observe(words: list[str]) -> dict[str, Any]:
 @command("questions", "what to ask people, as a list", "questions")
 @keys
 def questions(words: list[str]) -> dict[str, Any]:
-    """Says what to ask people: ``xplain questions domain=rescue output=questions.csv``.
+    """Lists questions to ask people: ``xplain questions domain=rescue output=questions.csv``.
 
-    Prints one list of questions that tells apart all that people might believe incorrectly, and
-    writes it: ``question``, ``transition`` (its row in the hypotheses), ``text`` (what the robot
-    does), ``image``, ``messages`` (names joined by ``;``), ``told`` (the same in words), and the
-    features, if any. The last line on standard output is one JSON object: ``output``,
-    ``questions``, ``transitions``, ``candidates`` (that behave differently).
+    Prints one list of questions that separates all sets of facts that people might believe
+    incorrectly, and writes it as a table: ``question``, ``transition`` (its row in the hypotheses),
+    ``text`` (what the robot does), ``image``, ``messages`` (names joined by ``;``), ``told`` (the
+    same in words), and the features, if any. The last line on standard output is one JSON object:
+    ``output``, ``questions``, ``transitions``, ``candidates`` (that behave differently).
     """
     from rich.console import Console
     from rich.table import Table
@@ -103,17 +103,17 @@ def plan(words: list[str]) -> dict[str, Any] | list[dict[str, Any]]:
     The last line on standard output is one JSON object:
 
     - ``solver``;
-    - ``first_messages``: indices of the messages given before the first *explain*; null where they
+    - ``first_messages``: indices of the messages given before the first *explain*; null if they
       depend on a type that only the solver knows (oracle, clairvoyant);
-    - where the problem has questions: ``first_question``, what is asked before that (``number`` and
-      words), null for nothing; ``question_values``, what the policy expects of asking each question
-      that it considered, the best first. With a question first, ``first_messages`` depend on its
-      answer and are null;
+    - if the problem has questions: ``first_question``, the question before these messages
+      (``number`` and words), or null; ``question_values``, the policy's value of each question that
+      it evaluated, best first. If a question comes first, ``first_messages`` depends on its answer
+      and is null;
     - ``value``: expected discounted return of the executed policy under the model; for a solver
       that knows the type, Σ_t prior(t) V*_t;
     - ``value_is``: "exact", or "simulated" with its standard error ``value_se`` and half of its
       95 % interval, ``value_half_width``;
-    - ``optimal_lower``, ``optimal_upper``: bounds of the optimal value; null where not computed;
+    - ``optimal_lower``, ``optimal_upper``: bounds of the optimal value; null if not computed;
     - ``seconds``: time to plan and to take the first decision.
 
     ``solver=all`` prints a comparison first, and the line is a list of such objects.
@@ -148,7 +148,7 @@ def export(words: list[str]) -> None:
 @command("report", "make the tables, plots and page of a sweep")
 @click.argument("words", nargs=-1)
 def report(words: tuple[str, ...]) -> None:
-    """Tables, plots and a page of a sweep: ``xplain report [SWEEP FOLDER] [measure=NAME]``.
+    """Writes tables, plots and a page of a sweep: ``xplain report [SWEEP FOLDER] [measure=NAME]``.
 
     The default is the newest sweep below ``outputs/``. Jobs are compared by their ``regret`` if all
     of them share an oracle, otherwise by ``above_floor``, the cost above the clairvoyant's;
@@ -249,7 +249,7 @@ def serve(words: list[str]) -> None:
 @keys
 def demo(words: list[str], user: str | None, trace: int | None, html: Path) -> None:
     """Plays one explanation, and writes it as a page to step through, on phones too: at each step
-    the robot gives messages to this user, and the user says which transitions make no sense.
+    the robot gives messages to the user, and the user says which transitions make no sense.
 
         xplain demo                              writes demo.html: an instructive user and trace
         xplain demo --user B lambda=2            a simulated user of type B
@@ -257,8 +257,8 @@ def demo(words: list[str], user: str | None, trace: int | None, html: Path) -> N
         xplain demo --html mine.html             another file
         xplain demo domain=four_rooms solver=qhr seed=3
 
-    The default trace is the one of the first five in which the user's type is found with fewest
-    messages. Keys are those of the experiment (domain, users, solver, lambda, seed, ...).
+    By default the trace is that of the first five in which the fewest messages are needed to find
+    the user's type. Keys are those of the experiment (domain, users, solver, lambda, seed, ...).
     """
     if not html.absolute().parent.is_dir():
         raise InputError("--html", str(html), "a file in a folder that exists")

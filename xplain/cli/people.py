@@ -90,7 +90,7 @@ def configured(name: str, arguments: list[str]) -> DictConfig:
 
 
 def database_of(cfg: DictConfig) -> Path:
-    """The database's path; its folder exists.
+    """Returns the database's path, and creates its folder.
 
     Raises:
         InputError: it cannot be written to.
@@ -243,8 +243,9 @@ def bots(
 @click.argument("folder", type=FILE)
 @click.option("--identifiers", type=FILE)
 def export(name: str, database: Path, folder: Path, identifiers: Path | None) -> None:
-    """The data as tables, and their codebook, from a database that no server has open (or from a
-    snapshot): CSV and Parquet; of a collection also the labels that ``xplain discover`` reads.
+    """Exports the data as tables (CSV and Parquet) with their codebook, from a snapshot or a
+    database that no server has open. A collection also gets the table of labels that ``xplain
+    discover`` reads.
 
         xplain NAME export DATABASE FOLDER [--identifiers FILE]
 
@@ -285,8 +286,8 @@ def erase(name: str, database: Path, reference: str) -> None:
 
         xplain NAME erase DATABASE REFERENCE
 
-    The database is one that no server has open; a running server's page can do the same. The
-    erasure is an event. Earlier exports and backups keep the data.
+    No server may have the database open; a running server's page can do the same. The erasure
+    is an event. Earlier exports and backups keep the data.
 
     In a collection, the priors of later participants depend on earlier answers. These priors stay
     in the log, without answers or reference.
@@ -308,7 +309,7 @@ def replay(name: str, database: Path) -> None:
 
         xplain NAME replay DATABASE
 
-    The database is one that no server has open. Exit code 1 if anything differs.
+    No server may have the database open. The exit code is 1 if anything differs.
     """
     from xplain.people.export import replayed
     from xplain.people.log import read
@@ -328,14 +329,15 @@ def replay(name: str, database: Path) -> None:
 @click.argument("database", type=FILE)
 @click.option("--stream", default="person")
 def habits(name: str, database: Path, stream: str) -> None:
-    """Learns from the log how often people err, accept a message and forget it, as keys for a study
-    or an experiment.
+    """Learns from the log how often people err, accept messages and forget them. Prints the rates
+    as keys for a study or an experiment.
 
         xplain NAME habits DATABASE [--stream person]
 
-    The database is one that no server has open (or a snapshot); ``--stream`` is person, pilot or
-    bot. In a study, repeated messages (belief.accept and belief.forget) give most information. A
-    collection must be started with ``rules.listening``; its unit of forgetting is a page.
+    No server may have the database open (a snapshot also works); ``--stream`` is person, pilot or
+    bot. A study gives more information if messages are repeated (belief.accept and belief.forget).
+    A collection must be started with ``rules.listening``; people then forget per page, not per
+    step.
     """
     from xplain.explanation.listening import learned_habits
 
@@ -353,12 +355,13 @@ def habits(name: str, database: Path, stream: str) -> None:
 @click.argument("database", type=FILE)
 @click.option("--out", type=FILE)
 def preregister(database: Path, out: Path | None) -> None:
-    """A document to register before the first participant, from the plan: hypotheses, design,
-    measures, exclusions, analysis and sample size.
+    """Writes a document to register before the first participant, from the plan: hypotheses,
+    design, measures, exclusions, analysis and sample size.
 
         xplain study preregister DATABASE [--out FILE]
 
-    DATABASE is that of a study that was started once, so the registered study is the one that runs.
+    DATABASE belongs to a study that was started at least once, so the registered study is the one
+    that runs.
     """
     from xplain.people.log import read_plan
     from xplain.people.study.analysis import document
@@ -382,13 +385,14 @@ def preregister(database: Path, out: Path | None) -> None:
 @click.option("--seed", default=0)
 @click.option("--out", type=FILE)
 def analyse(folder: Path, stream: str, exclude: Path | None, seed: int, out: Path | None) -> None:
-    """The paper's Table 2 from an export of the study, with plots; if a condition asks, also its
-    comparison with the personalized one.
+    """Computes the paper's Table 2 from an export of the study, with plots. If a condition asks, it
+    is also compared with the personalized one.
 
         xplain study analyse FOLDER [--stream person] [--exclude FILE] [--seed 0] [--out FOLDER]
 
-    FOLDER holds participants.csv, as exported; ``--stream`` is person, pilot or bot; ``--exclude``
-    a CSV file with the columns participant and reason; ``--seed`` that of the permutation tests.
+    FOLDER contains participants.csv, as exported. ``--stream`` is person, pilot or bot;
+    ``--exclude`` is a CSV file with the columns participant and reason; ``--seed`` is the seed of
+    the permutation tests.
     """
     from rich.console import Console
 

@@ -63,7 +63,7 @@ class DemoSetup:
         return explainer.session(range(steps), clips=clips)
 
     def user_type(self, name: str | None) -> str:
-        """A true type by name; None: the suggested one.
+        """Checks the name of a true type; None chooses the suggested one.
 
         Raises:
             InputError: there is no such type.
@@ -71,7 +71,7 @@ class DemoSetup:
         return self.suggested if name is None else one_of("--user", name, self.beliefs)
 
     def right(self, user: str) -> list[str]:
-        """The learned types that match a true one; none if there is one type."""
+        """The learned types that match a true type; none if there is only one learned type."""
         prepared, found = self.prepared, self.explainer.types.names
         if len(found) < 2:
             return []
@@ -185,8 +185,8 @@ def _rule(prepared: Prepared, best: DemoSetup) -> str:
 
 
 def _tells(scene: DemoSetup) -> tuple[bool, bool, int, float]:
-    """A key that orders sessions by how instructive they are: the type is found, with at least one
-    message, and with few."""
+    """Returns a key that sorts sessions, the most instructive first: those that find the type, then
+    those with at least one message, then those with fewer."""
     played = play(scene, scene.suggested)
     belief = sum(played.steps[-1].belief[name] for name in scene.right(scene.suggested))
     messages = sum(len(step.said) for step in played.steps)
@@ -199,7 +199,7 @@ def _explainer(
     """The explainer of one trace to users of the learned types.
 
     Raises:
-        InputError: the solver plans for all types at once, and the pooled labeler is too large.
+        InputError: the solver plans with one labeler for all types, and that labeler is too large.
     """
     alone = solver.knows == "everyone"
     table = case.everyone if alone else case.learned

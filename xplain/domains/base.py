@@ -70,7 +70,7 @@ class Domain(Protocol):
     """A task model as a function of its parameters' values.
 
     Attributes:
-        name: as chosen in config.
+        name: name of the domain.
         parameters: in the order of the messages.
         actions: names of the model's actions.
         state_features: [S, F] float64, the features of a state that a labeler may use.

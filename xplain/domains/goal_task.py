@@ -82,7 +82,7 @@ class GoalTask:
         dead_end_cost: cost of a state without a plan. Plans with this cost or more do not count.
         start: start state; it must have a plan.
         imagined: [S] for a user who believes in another start: the state that they see instead of
-            each state; −1 if it is not in ``space``. None: they see the true states.
+            each state; −1 if it is not in ``space``. None if they see the true states.
     """
 
     space: StateSpace
@@ -117,10 +117,10 @@ class GoalTask:
         return np.where(found < self.dead_end_cost, found, np.inf)
 
     def _gap(self) -> NDArray[np.float64]:
-        """[E] the additional cost of each edge and a best plan after it, compared with a best plan
-        from its source, relative to the most expensive best plan. ∞ if this belief does not have
-        the edge, if it leads to a dead end, or if it costs nothing and brings the goal no
-        nearer."""
+        """[E] the additional cost of a plan that begins with this edge, compared with a best plan
+        from the same state, relative to the most expensive best plan. ∞ if this belief does not
+        have the edge, if the edge leads to a dead end, or if it costs nothing and does not bring
+        the goal nearer."""
         cost, source, after = self._edge_cost, self.space.source, self.space.successor
         behind = cost + self.to_go[after]
         behind[~np.isfinite(self.to_go[source])] = np.inf
@@ -140,8 +140,8 @@ class GoalTask:
         return np.flatnonzero(self._gap() <= TIE)
 
     def on_policy(self, starts: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-        """[T, 3] every transition on a cheapest plan from one of these states; None: from any
-        state."""
+        """[T, 3] every transition on a cheapest plan from one of these states, or from any state if
+        None."""
         space, best = self.space, self._best
         if starts is not None:
             length = np.full(len(space.source), np.inf)

@@ -1,4 +1,4 @@
-"""Grids from ASCII maps: cells, walls, moves with slip. The grid domains share them."""
+"""Grids from ASCII maps, for the grid domains: cells, walls, and moves with slip."""
 
 from __future__ import annotations
 

@@ -106,8 +106,8 @@ class Gymnasium:
             next state (with ``add`` only). One further field is the change: ``add``, a number added
             to the reward; ``like``, the action whose outcomes it has instead; ``to``, new features
             of the next state, while the others keep their values (``{}``: nothing happens). A
-            change may also consist of ``arguments`` alone: rewards and transitions are then those
-            of the environment made with these arguments, and apply before all other changes. A
+            change may also consist of ``arguments`` alone: rewards and transitions then come from
+            the environment made with these arguments. It applies before all other changes. A
             condition is ``{feature: value, or a list of values}``.
         starts: condition on start states of traces, which are equally likely; terminal states are
             excluded. None: those of the environment's initial distribution.

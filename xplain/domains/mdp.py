@@ -43,12 +43,12 @@ class TaskModel(Protocol):
 
     @property
     def successor(self) -> NDArray[Any]:
-        """[S, A, K] integers."""
+        """[S, A, K] the next state of each outcome."""
         ...
 
     @property
     def probability(self) -> NDArray[Any]:
-        """[S, A, K] floats."""
+        """[S, A, K] the probability of each outcome."""
         ...
 
     @property
@@ -214,7 +214,7 @@ def _solved(models: Sequence[MDP]) -> NDArray[np.float64]:
     slots = max(model.successor.shape[2] for model in models)
 
     def stacked(name: str) -> NDArray[Any]:
-        """[B, S, A, K] of arrays that may have fewer slots."""
+        """Stacks arrays [S, A, K] into one [B, S, A, K], although some have fewer slots."""
         arrays = [getattr(model, name) for model in models]
         return np.stack([np.pad(a, [(0, 0), (0, 0), (0, slots - a.shape[2])]) for a in arrays])
 

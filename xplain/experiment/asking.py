@@ -36,11 +36,11 @@ class CaseQuestions:
     Attributes:
         transitions: [Q, 3] transitions of clips; −1 for questions about a belief.
         facts: [Q] the fact of a question about a belief; −1 for clips.
-        learned: P(label is 1) by the N types that were found.
+        learned: P(label is 1) for each of the N learned types.
         labels: true labels of each of M true types.
         shows: [Q, m] True if a clip shows this transition of the trace.
         texts, right: see :class:`~xplain.explanation.asking.Questions`.
-        everything: P(label is 1) of one type that believes every fact incorrectly, if known.
+        everything: P(label is 1) for a type that believes every fact incorrectly, if known.
     """
 
     transitions: NDArray[np.int64]
@@ -122,7 +122,8 @@ class Clips:
 def belief_questions(
     setting: Setting, wrong: NDArray[np.float64] | None, seed: int
 ) -> CaseQuestions:
-    """Questions about each fact that has two sentences: which of the two does the user believe?
+    """Makes a question about each fact that has two sentences: which of the two does the user
+    believe?
 
     Answer 1 is the true sentence. The questions are independent of traces: ``shows`` is [Q, 0].
 

@@ -1,5 +1,5 @@
-"""Caches on disk for the results of :func:`xplain.experiment.pipeline.prepare` and for episodes, by
-fingerprint.
+"""Caches on disk, by fingerprint: results of :func:`xplain.experiment.pipeline.prepare`, and
+episodes.
 
 Data, types, labelers and traces are the same for every λ and solver. The references' episodes are
 the same for every solver, and a solver's episodes with true labels are the same for every learner.

@@ -56,21 +56,20 @@ class Certify:
         seed: int,
         progress: Progress = SILENT,
     ) -> dict[str, float]:
-        """Means over the traces of expected discounted returns, under the learned model of users
-        who listen and answer as the belief update assumes.
+        """Computes means over the traces of expected discounted returns, under the learned model.
+        Its users listen and answer as the belief update assumes.
 
         ``optimal_lower`` and ``optimal_upper`` enclose the optimum. ``policy_value`` is the
-        policy's value, with standard error ``policy_value_se``, and ``policy_value_exact`` the
-        share of traces with an exact value. ``policy_cost`` is its expected undiscounted cost.
+        policy's value, ``policy_value_se`` its standard error, and ``policy_value_exact`` the share
+        of traces with an exact value. ``policy_cost`` is its expected undiscounted cost.
         ``value_of_perfect_information`` is the value of knowing the type (and what users know, if
         they may miss or forget messages). ``price_of_approximation`` is the policy's suboptimality.
         The last two and ``policy_value`` have ends ``_low`` and ``_high``: 95 % limits if the value
         is simulated. A solver that is given the user's type has no such value. docs/method.md,
         section 7.
 
-        If the belief update does not assume independent labels, the bounds are those of the POMDP
-        that does. The policy then decides by another belief, so its value is not reported, and
-        ``fresh_labels`` is 0.
+        If the belief update does not assume independent labels, the bounds still do. The policy
+        then decides by another belief, so its value is not reported, and ``fresh_labels`` is 0.
 
         Traces with the same problem are simulated once: their errors are one error. A trace whose
         certificate would need more memory than allowed has none, and does not count in ``traces``.
@@ -133,7 +132,7 @@ class Certify:
         seed: int,
         progress: Progress,
     ) -> dict[str, float]:
-        # A policy for a one-type problem uses no belief. With several types its value is the one
+        # A policy for a one-type problem uses no belief. With several types its value is its value
         # against their mixture, if all of them accept all messages.
         world = problem
         if own.n_types == 1 and problem.messages_land:

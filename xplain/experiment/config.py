@@ -1,5 +1,5 @@
-"""Shared by all commands: the place of the configs, types of the top-level keys, one-line
-errors."""
+"""Configuration that all commands share: the place of the configs, the types of the top-level keys,
+one-line errors."""
 
 from __future__ import annotations
 
@@ -258,8 +258,8 @@ _UNTOLD = ("hydra", "_target_", "_convert_", "_partial_")
 
 
 def _unknown_key(error: Any) -> str:
-    """Suggests a key in place of an unknown one: a key of the same level, or of another choice in
-    its group."""
+    """Suggests a similar key for an unknown one: a key of the same level, or of another choice in
+    the same group."""
     above, _, name = str(error.full_key).rpartition(".")
     known = [str(key) for key in error.parent_node or () if key not in _UNTOLD]
     said, there = f"{error.full_key}: no such key;", ", ".join(known) or "no keys"

@@ -34,8 +34,8 @@ class Experiment:
     """The parts of a run.
 
     Attributes:
-        components: makes what decides data, types and traces. It is called only if needed: with a
-            full cache, the imports of its classifiers take longer than everything else.
+        components: makes the components that decide data, types and traces. It is called only if
+            the cache lacks the result, because importing their classifiers takes long.
         costs: λ and the other costs.
         solver, belief, explainee, certify: chosen in the configuration.
         seed: seed of every stream.
@@ -66,7 +66,7 @@ class Experiment:
 
         Args:
             prepared: result of the first half.
-            cache: episodes that other solvers' and learners' runs share with this one.
+            cache: shared episodes of other solvers' and learners' runs.
             progress: receives the progress.
         """
         references: dict[str, Solver] = {"clairvoyant": KnownType("labels")}

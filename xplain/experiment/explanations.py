@@ -57,7 +57,7 @@ class Costs:
         one_of("prior", self.prior, ("uniform", "observers"))
 
     def message_costs(self, names: tuple[str, ...]) -> NDArray[np.float64]:
-        """[n] C_e of each message.
+        """[n] the cost C_e of each message.
 
         Raises:
             InputError: a number is negative; or, by name, a message has no number or does not
@@ -132,7 +132,7 @@ def problem_for(
 ) -> Problem:
     """The problem that a solver plans for when the user has the true type ``user`` and listens and
     answers as the belief update assumes. The clairvoyant knows ``thoughts``, the labels of this
-    user; without them, those of the type.
+    user, or by default the labels of the type.
 
     Raises:
         InputError: the solver needs the observers' true types, and they are unknown.
@@ -221,9 +221,9 @@ def evaluate(
 
 
 def with_true_labels(prepared: Prepared) -> Prepared:
-    """The same traces and users, for a solver that knows the true types and their labels. The
-    results show how much better labelers and clusters could gain. Types are equally likely, like
-    the users."""
+    """Returns the same traces and users, for a solver that knows the true types and their labels.
+    The results show how much could be gained with better labelers and clusters. Types are equally
+    likely, like the users."""
     count, wrong = len(prepared.types), np.zeros((len(prepared.types), len(prepared.messages)))
     for case in prepared.cases:
         for own, facts in zip(wrong, case.labels.effective(), strict=True):
@@ -244,7 +244,7 @@ def _known(case: Case) -> Case:
 
 
 def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepared:
-    """Removes everything that explainers with true labels never use, so that the result is the same
+    """Removes everything that explainers with true labels never use. The result is then the same
     for all learners.
 
     Args:
@@ -279,8 +279,8 @@ def same_problems(one: Prepared, other: Prepared) -> bool:
 
 
 def what_is_thought(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
-    """The true labels of a trace's transitions and of its questions. Also returns for each the
-    first one that it is a copy of: people make the same errors about copies."""
+    """Returns the true labels of a trace's transitions and of its questions; and for each the first
+    one that it equals, because people make the same errors about equal ones."""
     if case.questions is None:
         return case.labels, copies(case.transitions)
     asked = case.questions

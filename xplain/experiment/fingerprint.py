@@ -51,8 +51,8 @@ _KNOWN = {"xplain", *LIBRARIES.values()}
 
 @runtime_checkable
 class Dependent(Protocol):
-    """A component whose results depend on more than its configuration, its code and the files that
-    its configuration names."""
+    """A component whose results also depend on something beyond its configuration, its code and the
+    files that its configuration names."""
 
     def depends_on(self) -> Mapping[str, object]:
         """The further dependencies by name: numbers, texts, or files, whose content counts."""
@@ -91,7 +91,7 @@ def code_version() -> str:
 
 @cache
 def git_state() -> dict[str, str]:
-    """The commit, and whether the checkout has changes; empty if the package is no checkout."""
+    """The commit, and if the checkout has changes; empty if the package is not a checkout."""
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return {}
@@ -235,7 +235,7 @@ _IGNORED = re.compile(r"__pycache__$|\.").match
 
 
 def _sources(root: Path, kind: str = "*.py") -> list[tuple[str, bytes]]:
-    """(path below the folder, content) of Python files, or of files of another kind."""
+    """The Python files in a folder, or those of another kind: (path below the folder, content)."""
     files = [
         path
         for path in sorted(root.rglob(kind))

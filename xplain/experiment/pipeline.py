@@ -66,13 +66,13 @@ class Case:
         transitions: [m, 3].
         phrases: m short descriptions.
         positions: m + 1 cells (row, column) of the robot; empty without a map.
-        learned: P(label is 1) by the labelers of the N types that were found.
-        everyone: of one labeler of all data (the baseline's); None if it tests too many messages on
-            this trace.
-        perfect: of M labelers under perfect clustering; None if the true types of the observers are
-            unknown, or a type has no observer.
+        learned: P(label is 1) for each of the N learned types, by their labelers.
+        everyone: P(label is 1) by one labeler for all data (the baseline's); None if it tests too
+            many messages on this trace.
+        perfect: P(label is 1) by the M labelers of perfect clustering; None if the true types of
+            the observers are unknown, or a type has no observer.
         labels: true labels of each of M true types.
-        everything: of one type that believes every fact incorrectly; None if unknown.
+        everything: P(label is 1) for a type that believes every fact incorrectly; None if unknown.
         changes: effects of each transition, as short phrases; empty if the domain describes none.
         questions: possible questions, if any.
     """
@@ -178,7 +178,7 @@ def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
 def observe(
     domain: Domain, users: TypeSource, observers: Observers, queries: Queries, seed: int
 ) -> Observed:
-    """Returns the true types, and the labels of observers of these types.
+    """Draws the true types, and collects the labels of observers of these types. Returns both.
 
     Raises:
         XplainError: the types do not fit the domain, or the labels cannot be used.

@@ -1,4 +1,4 @@
-"""The files of a run, which MLflow and reports are made from.
+"""The files of a run. MLflow and reports are made from them.
 
 A run's folder contains ``results.json`` (:class:`Results`: figures, configuration, code version),
 ``episodes.jsonl`` (one line for each episode, step by step), ``config.yaml`` (resolved) and
@@ -31,7 +31,7 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class Figure:
-    """A mean over episodes, with the ends of its 95 % interval; None where there is none."""
+    """A mean over episodes, with the ends of its 95 % interval; None if there is none."""
 
     mean: float
     low: float | None
@@ -94,7 +94,7 @@ class Provenance:
         fingerprint: fingerprint of everything that its numbers depend on; its folder below
             ``outputs/results``.
         xplain, code: version, and digest of the sources.
-        git: commit, and whether the checkout has changes; empty without a checkout.
+        git: the commit, and if the checkout has changes; empty without a checkout.
         worker: host and process id of the process that computed it.
         started: seconds since 1970.
         seconds: by stage.
@@ -260,7 +260,7 @@ def _asked(episode: Episode, case: Case, step: int) -> dict[str, Any]:
 
 
 def told(question: Question, answer: int) -> dict[str, Any]:
-    """An answered question in plain JSON."""
+    """Converts an answered question to plain JSON."""
     reply = next(words for words, value in question.replies if value == answer)
     return {"text": question.text, "about": question.about, "answer": answer, "reply": reply}
 

@@ -16,8 +16,8 @@ from xplain.randomness import stream
 
 
 def with_others(prepared: Prepared, components: Components, explainee: Explainee) -> Prepared:
-    """The same learned types and traces, with users of the explainee's own types. There are as many
-    users as true types, if enough types differ from every true type and from each other.
+    """Returns the same learned types and traces, with users of the explainee's own types. There are
+    as many users as true types, if enough types differ from every true type and from each other.
 
     Fields that need observers of a true type are empty: the oracle's labels, and the matching
     learned type.

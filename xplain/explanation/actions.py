@@ -1,8 +1,7 @@
 """The state that a decision depends on, and the possible actions.
 
-Visible to the explainer are the number of shown transitions, the given messages, and the asked
-questions. The user is hidden, and described by a belief (mixed observability: Ong, Png, Hsu & Lee
-2010).
+The explainer sees the number of shown transitions, the given messages, and the asked questions. The
+user is hidden, and a belief describes them (mixed observability: Ong, Png, Hsu & Lee 2010).
 """
 
 from __future__ import annotations

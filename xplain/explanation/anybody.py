@@ -84,11 +84,11 @@ class Open(Independent):
 def with_anybody(
     problem: Problem, facts: Facts | None, erring: float, error: float, messages_land: bool
 ) -> Problem:
-    """The problem with people nobody assumed; one further user type represents all who have none of
-    the found types.
+    """Adds people nobody assumed to a problem. One further user type represents all who have none
+    of the found types.
 
     Args:
-        problem: of M user types, with at most DENSE messages.
+        problem: a problem of M user types, with at most DENSE messages.
         facts: the facts that people may believe incorrectly; None if unknown.
         erring: share of people who err in both directions among all who answer what they think.
         error: P(the opposite answer) of these people.
@@ -145,8 +145,8 @@ def with_anybody(
 
 
 def _other_sets(found: tuple[int, ...], n: int) -> list[int]:
-    """The empty set, the full set, each single fact, and each union of two types, without the found
-    sets."""
+    """Lists the empty set, the full set, each single fact, and each union of two types, without the
+    found sets."""
     unions = [one | other for one, other in combinations(found, 2)]
     return sorted({0, (1 << n) - 1, *(1 << j for j in range(n)), *unions} - {*found})
 
@@ -171,8 +171,8 @@ def _never(people: _People) -> _People:
 def _stuck(
     people: _People, share: NDArray[np.float64], wrong: tuple[int, ...], every: int
 ) -> _People:
-    """For each of these hidden types and each of its incorrect facts: people who believe this fact
-    incorrectly until all messages are given."""
+    """Makes people who believe one fact incorrectly until all messages are given, for each of these
+    hidden types and each of its facts."""
     which = [
         (k, j) for k, own in enumerate(wrong) for j in range(every.bit_length()) if own >> j & 1
     ]

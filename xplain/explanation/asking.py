@@ -9,9 +9,9 @@ messages of a step, at most once. There are two kinds:
 - a *belief*: "which do you think?", about the two sentences of a fact. The answer is 1 if the user
   believes the fact correctly.
 
-Clips are alike if their columns, thresholded, are equal. Among them only the one nearest to the
-trace may be asked, and then the next nearest: a second opinion for users who err. A question that
-all hidden types answer alike is left out.
+Clips are alike if the more likely labels in their columns are equal. Of clips that are alike only
+the one nearest to the trace may be asked, and after it the next nearest: a second opinion for users
+who err. A question that all hidden types answer alike is left out.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ WHICH = "Which do you think?"
 @checks("ask")
 @dataclass(frozen=True)
 class Limits:
-    """Cost, number and time of questions.
+    """Limits of questions: their cost, number and time.
 
     Args:
         cost: κ ≥ 0 of a question, in units of cost.
@@ -57,7 +57,7 @@ class Pool:
 
     Args:
         kinds: ``clips``, ``beliefs``, or both.
-        clips: maximum number for a trace, the nearest of each kind first.
+        clips: maximum number of clips for a trace; the nearest of each kind come first.
     """
 
     kinds: tuple[Kind, ...] = ("clips",)
@@ -100,8 +100,8 @@ class Questions:
             place of transitions.
         limits: cost, number and time.
         shows: [Q, m] True if a question is a clip of this transition of the trace.
-        texts: Q texts, or none: the step of a clip; the two sentences of a belief, one on each
-            line, in the order of display.
+        texts: Q texts, or none. The text of a clip is its step; that of a belief has its two
+            sentences on two lines, in the order of display.
         right: [Q] index of the true line of a belief, 0 or 1; −1 for clips. None for clips alone.
     """
 
@@ -164,9 +164,9 @@ def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
 def nearest_first(
     features: NDArray[np.float64], of_trace: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """[Q] the order of transitions with features [Q, F] by their distance to a trace's [m, F]: the
-    number of features that differ from the nearest transition's, then the sum of the
-    differences."""
+    """[Q] the order of transitions with features [Q, F] by their distance to a trace [m, F]. The
+    distance is the number of features that differ from the nearest transition of the trace, then
+    the sum of the differences."""
     if not len(features):
         return np.empty(0, np.int64)
     scale = np.ptp(np.concatenate([features, of_trace]), axis=0)

@@ -1,10 +1,10 @@
 """Beliefs over user types (docs/method.md §5, paper's belief update).
 
 A belief is an array [N] that sums to 1. If messages may be missed or forgotten, a given message is
-not always a known fact. Hidden are then the type t, with its habits, and K, the facts that the user
-currently believes correctly. Only the facts relevant to t matter, and a row of a label table is
-such a K. So a belief is an array [rows · N] with linear updates: a message moves a share α of the
-rows without the fact to those with it, and forgetting moves a share φ back.
+not always a known fact. Then the type t, with its habits, and the set K of facts that the user
+currently believes correctly are hidden. Only facts relevant to t matter, so each K is a row of a
+label table. So a belief is an array [rows · N] with linear updates: a message moves a share α of
+the rows without the fact to those with it, and forgetting moves a share φ back.
 
 A *belief update* is a function of what the user saw and answered. It chooses which labels count as
 evidence.
@@ -35,8 +35,8 @@ class Facts(NamedTuple):
     """Sets of facts that people may believe incorrectly.
 
     Attributes:
-        everything: P(label is 1) of a trace's transitions, of one type that believes every fact
-            incorrectly. Given all messages except those of W, this type behaves like people who
+        everything: P(label is 1) of a trace's transitions for a type that believes every fact
+            incorrectly. Given all messages except those about W, this type behaves like people who
             believe W incorrectly.
         asked: the same for the questions; None without questions.
         wrong: bitmasks of the facts that each user type believes incorrectly.
@@ -50,7 +50,7 @@ class Facts(NamedTuple):
 
 
 NO_FIT = 0.5
-"""No found type fits a person with a smaller fit (:meth:`Problem.fit`)."""
+"""If a person's fit (:meth:`Problem.fit`) is smaller, no found type fits them."""
 
 
 def fact_sets(wrong: NDArray[np.float64]) -> tuple[int, ...]:
@@ -80,10 +80,10 @@ class BeliefUpdate(Protocol):
         """
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
-        """The problem of user types with these habits.
+        """Extends the problem of the found user types by these habits.
 
         Args:
-            problem: of the user types that were found.
+            problem: the problem of the found user types.
             learned: see :meth:`habits`.
             facts: facts that people may believe incorrectly, if known.
         """
@@ -131,7 +131,7 @@ class Independent(Assuming):
 @dataclass(frozen=True)
 class Persistent(Assuming):
     """Only new labels are evidence. A repeated label of (transition, message set), or of a copy of
-    the transition, is none: without new information people repeat themselves. Messages only
+    the transition, is not evidence: without new information people repeat themselves. Messages only
     accumulate, so only the newest transition's label is new unless a message was given. After a
     message people err independently of their earlier labels."""
 
@@ -149,7 +149,7 @@ def update(
     Then known facts may be forgotten.
 
     Args:
-        problem: of N hidden types.
+        problem: a problem of N hidden types.
         belief: [N], or [rows · N] if users may miss or forget messages.
         message_set: H, all messages given so far.
         labels: [k + 1] the user's labels of the prefix, 0 or 1; 2 is "cannot tell", which is no
@@ -167,8 +167,8 @@ def update(
 def answered(
     problem: Problem, belief: NDArray[np.float64], message_set: int, question: int, answer: int
 ) -> NDArray[np.float64]:
-    """The belief, as in :func:`update`, after the answer 0 or 1 to one of the problem's questions.
-    Nothing is forgotten at a question."""
+    """Updates the belief, as :func:`update` does, by the answer 0 or 1 to one of the problem's
+    questions. Nothing is forgotten at a question."""
     table = problem.questions.table.of_steps([question])
     labels = np.array([answer], np.uint8)
     return _after(problem, table, belief, message_set, labels, slice(None))
@@ -200,7 +200,7 @@ def _after(
 
 
 def told(problem: Problem, belief: NDArray[np.float64], new: int) -> NDArray[np.float64]:
-    """The belief after these messages; unchanged unless users may miss some."""
+    """Updates the belief by these messages; it changes only if users may miss messages."""
     if problem.messages_land:
         return belief
     for message in indices(new):
@@ -214,8 +214,8 @@ def after_message(
     message: int,
     accept: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The belief [rows · N] after a message was given once. Its bits in a row are ``relevant`` [N,
-    r], and ``accept`` [N] is the probability α that it is accepted."""
+    """Updates a belief [rows · N] by a message that was given once. ``relevant`` [N, r] marks its
+    bits in a row, and ``accept`` [N] is the probability α that it is accepted."""
     after, landing = belief.copy(), np.where(relevant == message, accept[:, None], 0.0)
     for bit in np.flatnonzero(landing.any(axis=0)).tolist():
         pairs = after.reshape(-1, 2, 1 << bit, len(accept))
@@ -226,8 +226,8 @@ def after_message(
 
 
 def after_forgetting(belief: NDArray[np.float64], lose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[..., rows · N] the beliefs after a step, at whose end each known fact is forgotten with
-    probability φ, ``lose`` [N]."""
+    """[..., rows · N] the beliefs after the end of a step, when each known fact is forgotten with
+    probability φ (``lose`` [N])."""
     after, width = np.array(belief, order="C"), len(lose)
     while width < after.shape[-1]:
         pairs = after.reshape(-1, 2, width // len(lose), len(lose))
@@ -239,6 +239,6 @@ def after_forgetting(belief: NDArray[np.float64], lose: NDArray[np.float64]) -> 
 
 
 def rounded(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The belief to 12 decimals, without negative zeros: the same evidence in another order gives
-    the same bytes."""
+    """Rounds a belief to 12 decimals, without negative zeros. The same evidence in another order
+    then gives the same bytes."""
     return np.round(belief, 12) + 0.0

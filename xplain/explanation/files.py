@@ -1,13 +1,13 @@
 """Explanation problems in files.
 
 - ``.npz``: arrays of numbers and text only, never unpickled; can be read and written.
-- ``.pomdp``: Cassandra's text format of other POMDP programs; can be written. It is the reduced
-  problem without structure: states are (k, H, type) and one absorbing end; actions are *explain*
-  and the n messages; observations are "nothing" and the distinguishable answers at each (k, H),
-  numbered. All entries are explicit numbers without names, because parsers read these fast. Only
-  rewards have wildcards, one line for each (state, action): SARSOP refuses rewards with an end
-  state and an observation. The format cannot exclude actions. So a message that was already given,
-  or that has no effect, leads to the end at a price above any cost, and no optimal policy gives it.
+- ``.pomdp``: Cassandra's text format, for other POMDP programs; can be written. States are (k, H,
+  type) and one absorbing end; actions are *explain* and the n messages; observations are "nothing"
+  and the distinguishable answers at each (k, H), numbered. All entries are explicit numbers without
+  names, because parsers read these fast. Only rewards have wildcards, one line for each (state,
+  action): SARSOP refuses rewards with an end state and an observation. The format cannot exclude
+  actions. So a message that was already given, or that has no effect, leads to the end at a price
+  above any cost, and no optimal policy gives it.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from xplain.explanation.problem import Problem
 from xplain.storage import decode, encode
 
 WHOLE = "problem"
-"""The name of the text, in a file of :func:`save`, that says which field each array is."""
+"""In a file of :func:`save`: the name of the text that assigns the arrays to fields."""
 DENSE, BY_TYPE = {"p_explicable"}, {"relevant", "p_relevant"}
-"""The arrays of a table, of both forms, in other files."""
+"""The arrays of a label table in other files, in its two forms."""
 EXPLAIN, NOTHING = 0, 0
 """Numbers of an action and an observation in the text."""
 MAX_LINES = 20_000_000
@@ -48,11 +48,11 @@ def save(problem: Problem, path: str | Path) -> None:
 
 
 def load(path: str | Path) -> Problem:
-    """Reads a file of :func:`save`, or of anyone.
+    """Reads a file of :func:`save` or of another program.
 
-    A file of anyone has the arrays ``message_cost`` and either ``p_explicable`` [N, m, 2^n] or
-    ``relevant`` [N, r] and ``p_relevant`` [N, m, 2^r] (:meth:`LabelTable.by_type`), and may have
-    the numbers, texts and arrays of :class:`~xplain.explanation.problem.Problem`.
+    A file of another program has the arrays ``message_cost`` and either ``p_explicable`` [N, m,
+    2^n] or ``relevant`` [N, r] and ``p_relevant`` [N, m, 2^r] (:meth:`LabelTable.by_type`), and may
+    have the numbers, texts and arrays of :class:`~xplain.explanation.problem.Problem`.
 
     Raises:
         InputError: no such file, not an ``.npz``, a missing or unknown array, or values out of

@@ -82,8 +82,8 @@ class Habits:
         return {rate: float(self.prior[rates == rate].sum()) for rate in np.unique(rates).tolist()}
 
     def answered(self, meant: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[..., N F] P(answer is 1), from P(answer is 1) without errors ``meant`` [..., N]; the
-        habits of one type are neighbours."""
+        """[..., N F] P(answer is 1), from the same without errors, ``meant`` [..., N]. The habits
+        of one type are neighbours."""
         e = np.tile(self.error, meant.shape[-1])
         a = meant.repeat(len(self), axis=-1)
         return (1 - e) * a + e * (1 - a)
@@ -110,8 +110,8 @@ def habits_of(
     Args:
         error, accept, forget: the settings ``belief.error``, ``belief.accept``, ``belief.forget``.
         learned: habits learned from people's answers. UNKNOWN is used without them, or if all
-            people have the paper's rate: answers to questions alone do not show messages that do
-            not land.
+            people have the paper's rate, because answers to questions cannot show which messages
+            were missed.
 
     Raises:
         InputError: neither ``learned`` nor a rate in its range.

@@ -1,10 +1,10 @@
 """P(label is 1 | transition, type, message set): everything that a solver knows about users.
 
-A label is what a user thinks; costs depend on it. The user's answer may differ from it by slips,
-guesses and errors (:mod:`xplain.explanation.habits`); beliefs depend on it. If the two differ, a
-table has both.
+A label is what a user thinks; costs depend on labels. The user's answer may differ from the label
+by slips, guesses and errors (:mod:`xplain.explanation.habits`); beliefs depend on answers. If they
+differ, a table has both.
 
-Relevant to a user are only messages that change this user's labels on the trace: messages about
+Only messages that change a user's labels on the trace are relevant to this user: messages about
 facts believed incorrectly, or messages that the type's labeler tests. So a table stores each type's
 probabilities by its relevant messages. N types with r relevant messages need m · 2^r · N numbers,
 for any number of messages. In a dense table every message is relevant to every type.
@@ -62,7 +62,8 @@ class LabelTable:
         return self.answers if self.answers.size else self.p
 
     def _changed(self, relevant: NDArray[np.int64], change: Change) -> LabelTable:
-        """A table with another ``relevant``, and the same change of both arrays."""
+        """Returns a table with another ``relevant``, and both arrays changed by the same
+        function."""
         answers = change(self.answers) if self.answers.size else self.answers
         return LabelTable(relevant, change(self.p), answers)
 
@@ -133,7 +134,7 @@ class LabelTable:
                 raise InputError("relevant", row, "each message once a type")
         table = given.select_messages(
             [sorted(row) for row in given.rows]
-        )  # of any order, with pads anywhere
+        )  # relevant messages may be in any order, with pads anywhere
         for name, own in ((key, table.p), ("p_answered", table.answers)):
             if own.size and not (own.min() >= 0 and own.max() <= 1):  # NaN fails both
                 wrong = own[~((own >= 0) & (own <= 1))]
@@ -154,16 +155,16 @@ class LabelTable:
 
     @property
     def n_types(self) -> int:
-        """N."""
+        """N, the number of types."""
         return len(self.relevant)
 
     @property
     def rows(self) -> list[list[int]]:
-        """For each type its relevant messages, ascending."""
+        """The relevant messages of each type, ascending."""
         return [[j for j in row if j != NONE] for row in self.relevant.tolist()]
 
     def effective(self) -> list[tuple[int, ...]]:
-        """For each type, the messages that change some label, ascending."""
+        """The messages of each type that change some label, ascending."""
         return self._effective
 
     @cached_property
@@ -209,7 +210,8 @@ class LabelTable:
         return np.ascontiguousarray(own.T)
 
     def select_messages(self, rows: Rows) -> LabelTable:
-        """The table over these messages of each type, ascending; the others are never given.
+        """Restricts the table to these messages of each type, ascending; all others are never
+        given.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages of a type.
@@ -248,7 +250,8 @@ class LabelTable:
         return self.select_messages([range(n)] * self.n_types).p.transpose(2, 0, 1)
 
     def compact(self, n: int) -> LabelTable:
-        """As tables are kept: dense where messages are few, else over what changes some label."""
+        """Converts the table to the form in which tables are kept: dense if messages are few,
+        otherwise with only the messages that change some label."""
         return self.select_messages([range(n)] * self.n_types if n <= DENSE else self.effective())
 
     def of_types(self, types: Sequence[int]) -> LabelTable:
@@ -266,14 +269,15 @@ class LabelTable:
         )
 
     def mixed(self, weights: NDArray[np.float64]) -> LabelTable:
-        """Replaces all types by one, which is drawn by ``weights`` [N] again for every label. It
-        answers what it thinks, because answers of a single type give no information.
+        """Replaces all types by one that behaves like a type drawn by ``weights`` [N], anew for
+        every label. It answers what it thinks, because answers of a single type give no
+        information.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
         """
         together = self.select_messages([self.effective_of_any()] * self.n_types)
-        # Weights may sum to a hair more than 1.
+        # Weights may sum to slightly more than 1.
         p = (together.p * weights).sum(axis=-1, keepdims=True).clip(0, 1)
         return LabelTable(together.relevant[:1], p)
 

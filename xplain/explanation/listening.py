@@ -1,5 +1,5 @@
-"""How people listen and answer, learned from explanations, or from any other messages with
-questions before and after them.
+"""Learns how people listen and answer, from explanations, or from other messages with questions
+before and after them.
 
 An exact filter over (type, habits, knowledge) computes the posterior of a person's habits from an
 explanation: a person whose labels do not change after a message missed it; one whose labels change

@@ -14,7 +14,7 @@ from xplain.errors import one_of
 
 
 def names_of(mask: int, messages: Sequence[str]) -> tuple[str, ...]:
-    """The names in a mask, sorted."""
+    """Returns the names in a mask, sorted."""
     return tuple(sorted(name for j, name in enumerate(messages) if mask >> j & 1))
 
 
@@ -54,5 +54,5 @@ def expand(mask: int, kept: Sequence[int]) -> int:
 
 
 def compress(mask: int, kept: Sequence[int]) -> int:
-    """A mask over all messages as one over the kept."""
+    """Converts a mask over all messages to a mask over the kept messages."""
     return sum(1 << i for i, j in enumerate(kept) if mask >> j & 1)

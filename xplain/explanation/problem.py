@@ -188,8 +188,8 @@ class Problem:
     @property
     def message_discount(self) -> float:
         """γ', the discount of a message: γ if every action discounts (the paper), 1 if only
-        *explain* does. It is also 1 if messages may be missed or forgotten: a message can then be
-        repeated, and delay would always gain."""
+        *explain* does. It is also 1 if messages may be missed or forgotten: then a message can be
+        repeated, and each repetition would delay later costs and so reduce them."""
         return self.discount if self.discount_per == "action" and self.messages_land else 1.0
 
     @property
@@ -202,7 +202,7 @@ class Problem:
         return (1 << self.n_messages) - 1 & ~(given if self.messages_land else 0)
 
     def communication(self, said: Iterable[int]) -> float:
-        """Σ C_e of all given messages, from bitmasks in order."""
+        """Σ C_e of all given messages, from a list of bitmasks."""
         return float(sum(self.message_cost[indices(new)].sum() for new in said))
 
     @property
@@ -302,7 +302,7 @@ def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
-    """[N] a prior; uniform if it is empty."""
+    """Checks a prior [N]; an empty one becomes uniform."""
     prior = np.asarray(given)
     prior = np.full(types, 1 / types) if prior.size == 0 else numbers("prior", prior)
     if prior.shape != (types,) or (prior < 0).any() or abs(prior.sum() - 1) > 1e-6:
@@ -313,8 +313,8 @@ def distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
 
 
 def each_cost(given: ArrayLike, count: int | None) -> NDArray[np.float64]:
-    """[n] read-only costs of messages, from one for all or one for each; with an unknown ``count``,
-    n is the number of given costs."""
+    """[n] read-only costs of messages, from one cost for all messages or a cost for each. If
+    ``count`` is unknown, n is the number of given costs."""
     cost = numbers("message_cost", given)
     if cost.ndim == 0 and count is not None:
         cost = np.full(count, float(cost))

@@ -23,7 +23,7 @@ from xplain.solvers.base import Policy
 
 
 class Asked(NamedTuple):
-    """A question was asked: its number."""
+    """A question with this number was asked."""
 
     question: int
 
@@ -35,7 +35,7 @@ class Answered(NamedTuple):
 
 
 class Given(NamedTuple):
-    """The messages of a step were given: a bitmask, 0 for none."""
+    """The messages of a step were given (a bitmask; 0 is none)."""
 
     messages: int
 
@@ -57,9 +57,9 @@ class DialogueState(NamedTuple):
         belief: [S] over the hidden states.
         open: the question that the user has not answered yet; None for none.
         new: bitmask of the messages given at the current step; None before they are decided.
-        repeats: whether the user has received no message and forgotten nothing since the last
+        repeats: True if the user has received no message and forgotten nothing since the last
             labels. Users who repeat themselves then give the same labels again.
-        clips: bitmask of the questions asked since then, whose answers are labels.
+        clips: bitmask of the clips asked about since the last labels.
     """
 
     visible: VisibleState
@@ -108,7 +108,7 @@ def advance(
         case Labelled(labels):
             heard = np.array(labels, np.uint8)
             evidence = slice(None) if belief_update.fresh_labels else _news(problem, state, heard)
-            # So it is after something may have been forgotten.
+            # It is also a new one after something may have been forgotten.
             forgets = bool(problem.habits.forget.any())
             return DialogueState(
                 visible._replace(step=len(labels)),
@@ -119,8 +119,8 @@ def advance(
 
 
 def _news(problem: Problem, state: DialogueState, labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """[k + 1] which of the labels just given are evidence if people repeat themselves: labels that
-    were not given since the last message, and of equal transitions only the first one's."""
+    """[k + 1] True for labels that are evidence if people repeat themselves: those that were not
+    given since the last message; only the first transition of several equal ones counts."""
     count = len(labels)
     news: NDArray[np.bool_] = problem.copies[:count] == np.arange(count)
     if state.repeats:
@@ -178,7 +178,7 @@ class Dialogue:
         return state.visible._replace(asked=state.visible.asked | bitmask(heard.tolist()))
 
     def decide(self, asking: bool = True) -> Action:
-        """Returns the policy's action. If ``asking`` is false, it is no question."""
+        """Returns the policy's action; without ``asking``, the action is not a question."""
         visible = self.visible
         if not asking:
             visible = visible._replace(asked=(1 << len(self.problem.questions)) - 1)
@@ -190,7 +190,7 @@ class Dialogue:
 
     @property
     def said(self) -> tuple[int, ...]:
-        """The messages of each step, bitmasks."""
+        """The messages of each step, as bitmasks."""
         return tuple(event.messages for event in self.events if isinstance(event, Given))
 
     @property
@@ -199,7 +199,8 @@ class Dialogue:
         return tuple(event.labels for event in self.events if isinstance(event, Labelled))
 
     def cost(self, zeros: int) -> float:
-        """Definition 2, undiscounted, with so many labels 0; and κ for each question answered."""
+        """The undiscounted cost of Definition 2 with this number of labels 0, and κ for each
+        question answered."""
         problem = self.problem
         answers = sum(isinstance(event, Answered) for event in self.events)
         return (

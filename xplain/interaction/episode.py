@@ -23,18 +23,19 @@ class Episode:
     """The record of one explanation of a trace with m transitions.
 
     Attributes:
-        messages: [m] int64, the messages (bitmask) said before each *explain*.
+        messages: [m] int64, the messages (bitmask) given before each *explain*.
         labels: [m, m] int8; row k has the labels given at step k, and −1 right of the diagonal.
-        thoughts: [m, m] int8; row k has the labels that the user truly holds. Costs count these.
+        thoughts: [m, m] int8; row k has the labels that the user truly thinks. Costs count these.
         beliefs: [m + 1, M] over user types, before the first step and after each.
         seconds: [m] the time that the policy took for each step's decisions. A cached decision
             counts with its first time.
         communication: Σ C_e of all messages given (not multiplied by λ).
-        inexplicability: Σ C_inexp over every transition found inexplicable at every step.
+        inexplicability: Σ C_inexp over all steps and all transitions that are inexplicable at the
+            step.
         cost: Definition 2, λ · communication + inexplicability, undiscounted; plus ``asking``.
         asking: κ for each question.
-        fit: P(the user is of a found type, as assumed) in the end.
-        questions: [J, 3] the step at which each was asked, its number, and the answer.
+        fit: P(the user has a found type and the assumed habits) at the end.
+        questions: [J, 3] the step, the number and the answer of each question.
     """
 
     messages: NDArray[np.int64]
@@ -80,11 +81,12 @@ def explain(
     """Explains the whole trace of ``problem`` to ``user``.
 
     Args:
-        problem: what the agent believes of users; its costs are those that count.
+        problem: the agent's model of users; its costs are counted.
         policy: planned for that problem; it shares its decisions between users.
-        user: who reacts; new to the trace.
-        belief_update: which labels change the belief.
-        sees_knowledge: whether the agent sees what a user of known type has right now.
+        user: a new user, who reacts to the trace.
+        belief_update: decides which labels change the belief.
+        sees_knowledge: True if the agent sees which facts a user of known type believes correctly
+            now.
 
     Raises:
         InputError: the policy asks a question, and the user does not answer questions.

@@ -50,8 +50,8 @@ class Person(Protocol):
         """Receives messages (a bitmask), new or repeated."""
 
     def react(self, given: int, count: int) -> Reaction:
-        """Reacts to the first ``count`` transitions, given the messages ``given`` so far. Called
-        once for each step, in order."""
+        """Reacts to the first ``count`` transitions, given the messages ``given`` so far. It is
+        called once for each step, in order."""
 
     def answer(self, row: int, given: int) -> int:
         """Answers a question with 0 or 1, given the messages ``given`` so far.
@@ -77,13 +77,14 @@ class Explainee(Protocol):
 
     @property
     def habits(self) -> Habits:
-        """How they listen and answer, as the clairvoyant may know it."""
+        """The habits of these users, which the clairvoyant may know."""
         return PAPER
 
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """Types of these users. The experiment takes those that behave unlike the observers' types.
+        """Returns types of these users. The experiment uses those that behave unlike the observers'
+        types.
 
         Args:
             domain: the task.
@@ -93,8 +94,8 @@ class Explainee(Protocol):
         return ()
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """What a new person thinks of the transitions, by default the labels of their type. The
-        clairvoyant knows it.
+        """Returns the labels that a new person thinks, by default those of their type. The
+        clairvoyant knows them.
 
         Args:
             labels, same, seed: see :meth:`meet`.
@@ -105,10 +106,10 @@ class Explainee(Protocol):
         """Makes a new person, by default one who says what they think.
 
         Args:
-            labels: labels 0 and 1 of one type: what the person thinks of m transitions, followed by
-                the possible questions.
-            same: for each of these, the index of the first one that it is a copy of. A person gives
-                equal labels and errors to copies.
+            labels: labels 0 and 1 of one type, for m transitions and then for the possible
+                questions.
+            same: for each of them, the index of the first one that equals it. A person gives equal
+                labels and errors to equal ones.
             seed: the person's seed.
         """
         return SimulatedUser(self.thoughts(labels, same, seed))
@@ -118,11 +119,12 @@ class Explainee(Protocol):
 class SimulatedUser(Person):
     """Accepts each message at once and for ever, and answers by the true labels of one user type.
 
-    People who are otherwise change what they know (:meth:`known`) or what they say (:meth:`say`).
+    Subclasses for other people override what they know (:meth:`known`) or what they say
+    (:meth:`say`).
 
     Attributes:
-        table: of this type alone.
-        step: how many transitions were shown.
+        table: label table of this type alone.
+        step: number of transitions shown so far.
     """
 
     table: LabelTable
@@ -134,7 +136,7 @@ class SimulatedUser(Person):
         return cls(LabelTable.dense(np.asarray(labels)[None]))
 
     def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
-        """The type's true labels [count] of the prefix, all of ``message_set`` known."""
+        """[count] the type's true labels of the prefix if all of ``message_set`` is known."""
         labels = self.table.label_probabilities(count, message_set)[0]
         return labels.astype(np.uint8)
 
@@ -145,18 +147,19 @@ class SimulatedUser(Person):
     def say(
         self, thoughts: NDArray[np.uint8], rows: NDArray[np.int64], given: int, *when: int | str
     ) -> NDArray[np.uint8]:
-        """What the user answers, who thinks ``thoughts`` of these rows of the table.
+        """Returns the user's answers about some rows of the table, given their thoughts about
+        these.
 
         Args:
-            thoughts: the labels that the user truly holds.
-            rows: what was asked about.
+            thoughts: the labels that the user truly thinks.
+            rows: rows of the table: transitions, or questions.
             given: bitmask of the messages.
             when: the step, or the question.
         """
         return thoughts
 
     def hear(self, new: int) -> None:
-        """Does nothing: ``given`` says what is known."""
+        """Does nothing, because ``given`` says what the user knows."""
 
     def react(self, given: int, count: int) -> Reaction:
         """See :class:`Person`."""
@@ -220,7 +223,7 @@ class Sticky(Explainee):
     """Users who sometimes repeat their last answer without thinking.
 
     Args:
-        rate: probability that an answer is that of the previous transition.
+        rate: probability that an answer repeats the answer about the previous transition.
     """
 
     rate: Probability = 0.4
@@ -254,7 +257,7 @@ class Expert(Explainee):
 
 
 class Between(Explainee):
-    """Users who believe one fact of their type incorrectly at half of the transitions only."""
+    """Users who believe one fact of their type incorrectly, but only at half of the transitions."""
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
         """See :class:`Explainee`."""
@@ -270,7 +273,7 @@ class Between(Explainee):
 @checks("explainee")
 @dataclass(frozen=True)
 class Misreads(Explainee):
-    """Users who permanently confuse some messages: each of these has the effect of another.
+    """Users who always confuse some messages: each of these has the effect of another one.
 
     Args:
         messages: number of confused messages. One of them matters to the user, if any does.
@@ -312,7 +315,8 @@ class LearnsUntold(Explainee):
 
 @dataclass
 class _LearningUntold(SimulatedUser):
-    """``mattered`` has the first step at which each message would have changed a label."""
+    """A person of :class:`LearnsUntold`; ``mattered`` has the first step at which each message
+    would have changed a label."""
 
     after: int
     mattered: dict[int, int] = field(default_factory=dict)
@@ -354,7 +358,7 @@ class Heedless(Explainee):
 
 @dataclass
 class _Heedless(SimulatedUser):
-    """``told`` counts how often each message was said."""
+    """A person of :class:`Heedless`; ``told`` counts how often each message was given."""
 
     how: Heedless
     seed: int

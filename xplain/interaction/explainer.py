@@ -53,11 +53,11 @@ class Types(Protocol):
 
     @property
     def habits(self) -> Habits | None:
-        """How people listen and answer; None if not learned."""
+        """People's habits of listening and answering; None if they were not learned."""
 
     @property
     def wrong(self) -> tuple[int, ...] | None:
-        """N bitmasks of the facts that each type believes incorrectly; None where unknown."""
+        """N bitmasks of the facts that each type believes incorrectly; None if unknown."""
 
     @property
     def new(self) -> float:
@@ -67,7 +67,8 @@ class Types(Protocol):
         """P(label is 1 | type, message set) of T ≥ 1 transitions."""
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
-        """The same for one type that believes every fact incorrectly; None if unknown."""
+        """P(label is 1 | message set) for a type that believes every fact incorrectly; None if
+        unknown."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class GivenTypes:
         messages: n names.
         names: N names.
         prior: [N]; empty for a uniform prior.
-        habits: how they listen and answer, if learned.
+        habits: people's habits of listening and answering, if learned.
         wrong: N bitmasks of the facts that each type believes incorrectly, if known.
         about_everything: like ``table``, for one type that believes every fact incorrectly.
         new: P(a user has none of the types).
@@ -97,8 +98,8 @@ class GivenTypes:
     new: float = OPEN
 
     def __post_init__(self) -> None:
-        """Raises InputError for a table with other widths or only zeros, or for an incomplete
-        ``wrong``."""
+        """Raises InputError if the table has another shape or only zeros, or if ``wrong`` is
+        incomplete."""
         facts = self.wrong is None, self.about_everything is None
         if any(facts) != all(facts) or len(self.wrong or self.names) != len(self.names):
             wanted = f"of {len(self.names)} types, with about_everything"
@@ -160,11 +161,11 @@ class Explainer:
         inexplicability_cost: C_inexp of each label 0.
         discount: γ_E, for planning.
         discount_per: see :class:`~xplain.explanation.problem.Problem`.
-        belief_update: which labels are evidence, and how users err. None chooses the first that
-            applies: people may have no type (:class:`~xplain.explanation.anybody.Open`), if the
-            types' facts are known and at most DENSE; people repeat themselves and err as observers
-            did (``Persistent("learned")``), if the types include how these erred, with learned
-            rates of landing if some messages did not land; the paper's
+        belief_update: decides which labels are evidence, and how users err. None chooses the first
+            that applies: :class:`~xplain.explanation.anybody.Open` (people may have no type), if
+            the types' facts are known and at most DENSE; ``Persistent("learned")`` (people repeat
+            themselves and err as observers did), if the types include the observers' error rates,
+            with a learned rate of acceptance if some messages were missed; otherwise the paper's
             :class:`~xplain.explanation.belief.Independent`.
         seed: seed of randomised solvers.
         ask: cost and number of questions; None for none.
@@ -206,7 +207,7 @@ class Explainer:
 
     @property
     def beliefs(self) -> BeliefUpdate:
-        """How labels change the belief."""
+        """The belief update: how labels change the belief."""
         if self.belief_update is not None:
             return self.belief_update
         habits = self.types.habits
@@ -227,11 +228,11 @@ class Explainer:
         Args:
             trace: the transitions known so far, in the form of ``types`` (learned types: rows of
                 features). If the robot has a whole plan, give all of it.
-            expected_steps: expected length of the trace in the end. The solver assumes that the
-                remaining transitions are explicable to everybody; each of them shows the prefix
-                once more. At 0 the trace ends with the last known transition.
-            clips: transitions that the user may be asked about, on the trace or not, as a list or
-                by a readable name; nearest to the trace first.
+            expected_steps: expected length of the whole trace. The solver assumes that the
+                remaining transitions are explicable to everybody; at each of them the user labels
+                the known ones once more. If it is 0, the trace ends with the last known transition.
+            clips: transitions that the user may be asked about, on the trace or not, nearest to the
+                trace first: a list, or a mapping from readable names.
 
         Raises:
             InputError: a transition or number that is not allowed, or clips although ``ask`` is
@@ -316,8 +317,8 @@ class Explainer:
         return Dialogue(problem, policy, beliefs, list(events))
 
     def _questions(self, clips: Sequence[Candidate], trace: Sequence[Any], steps: int) -> Questions:
-        """Turns these candidates into questions about a trace with ``steps`` transitions in the
-        end."""
+        """Turns these candidates into questions about a trace that will have ``steps``
+        transitions."""
         if not clips or self.ask is None:
             return Questions()
         shows = np.zeros((len(clips), steps), np.bool_)

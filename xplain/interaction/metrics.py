@@ -23,7 +23,7 @@ RATIOS = (
     ("oracle_over_clairvoyant", "oracle", "clairvoyant"),
     ("cost_over_true_labels", "solver", "true_labels"),
 )
-"""Figures that compare the costs of two of the records' solvers."""
+"""Figures that compare the costs of two solvers of the records."""
 
 
 SIGNED = ("regret",)
@@ -33,8 +33,8 @@ SHARES = ("final_belief", "fit")
 
 
 def possible(measure: str) -> Range:
-    """The range of a measure of an episode. (No cost is below the clairvoyant's, except for the
-    difference between discounted plans and undiscounted costs.)"""
+    """The range of a measure of an episode. (No cost is below the clairvoyant's, except that plans
+    are discounted and costs are not.)"""
     if measure in SIGNED:
         return ANY
     return (0.0, 1.0) if measure in SHARES else (0.0, np.inf)
@@ -73,7 +73,7 @@ class Record:
 
 
 def summarise(records: list[Record]) -> dict[str, Estimate]:
-    """The figures of the "solver" records: costs, both regrets, diagnostics.
+    """Computes the figures of the "solver" records: costs, both regrets, diagnostics.
 
     Regret is paired: each episode's cost minus the oracle's (or the clairvoyant's) on the same
     trace and user. A regret is left out if its reference did not run.

@@ -22,16 +22,17 @@ from xplain.solvers.base import messages_of
 FORMAT = 5
 """Version of a session's JSON."""
 KINDS = {Asked: "ask", Answered: "answer", Given: "tell", Labelled: "observe"}
-"""What events are called there: by the methods that they are."""
+"""The names of events in this JSON: those of the methods that add them."""
 
 
 @dataclass(frozen=True)
 class Show:
-    """Say messages, then show the first transitions of the trace and ask for a label of each.
+    """The next action: say messages, then show the first transitions of the trace, and ask for a
+    label of each.
 
     Attributes:
-        messages: names; none where it is best to say nothing.
-        steps: how many transitions.
+        messages: names; none if it is best to say nothing.
+        steps: number of transitions.
     """
 
     messages: tuple[str, ...]
@@ -47,8 +48,7 @@ class Candidate:
 
     Attributes:
         transition: in the form of ``types``; the answer is its label.
-        text: readable text. For a belief its two sentences, one on each line, in the order of
-            display.
+        text: readable text. For a belief: its two sentences on two lines, in the order of display.
         right: for a belief, index of the true line; −1 for a step.
     """
 
@@ -75,7 +75,7 @@ class Why:
         chosen: the chosen messages; none means *explain* at once.
         values: estimated discounted return by the messages given next, best first; ``()`` is
             *explain* at once. Some solvers evaluate only single messages.
-        asked: the question, if it was one.
+        asked: the chosen question, if the decision was a question.
         questions: (question, estimated return if it is asked next), best first, for the questions
             that the solver evaluated.
     """
@@ -156,8 +156,8 @@ class Session:
 
     @property
     def again(self) -> tuple[str, ...]:
-        """Names of this step's messages that were given before, too: users may miss or forget
-        some."""
+        """Names of this step's messages that were also given at an earlier step, because users may
+        miss or forget some."""
         *earlier, now = self._talk.said or [0]
         return self._names(now & int(np.bitwise_or.reduce([0, *earlier])))
 
@@ -181,8 +181,8 @@ class Session:
 
     @property
     def cost(self) -> float:
-        """Definition 2 of the paper for what happened so far, undiscounted; and κ for each
-        question answered."""
+        """The undiscounted cost so far (Definition 2 of the paper), and κ for each question
+        answered."""
         return self._talk.cost(sum(labels.count(0) for labels in self._talk.labels))
 
     def extend(self, transitions: Sequence[Any] | NDArray[Any]) -> None:
@@ -198,8 +198,8 @@ class Session:
             self._trace = (*self._trace, *new)
 
     def next(self) -> Move:
-        """What to do now: ask a question, then :meth:`answer`; or say messages and show steps, then
-        :meth:`observe`. Called again before that, it answers the same.
+        """Returns the next action: ask a question, then call :meth:`answer`; or say messages and
+        show steps, then call :meth:`observe`. Repeated calls before that return the same action.
 
         Raises:
             InputError: all known transitions are labelled.
@@ -348,7 +348,7 @@ class Session:
             raise InputError("trace", first, f"transitions for JSON ({error})") from None
 
     def _decide(self, asking: bool) -> None:
-        """Lets the policy decide; without asking, no question."""
+        """Lets the policy decide; without ``asking``, it chooses no question."""
         match self._talk.decide(asking):
             case AskQuestion(question):
                 self._talk.hear(Asked(question))

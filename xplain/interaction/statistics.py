@@ -41,8 +41,8 @@ def clustered_ratio(
 ) -> Estimate:
     """Ratio of two means of numbers ≥ 0, measured on the same episodes.
 
-    The interval is the linearised one: R + (a − R b) / mean(b) has the mean R and, in large
-    samples, the ratio's variance. It is cut at 0.
+    The interval is the linearised one: the quantity R + (a − R b) / mean(b) has the mean R and, in
+        large samples, the variance of the ratio. The interval is cut at 0.
 
     Args:
         above, below: [E]; the mean of ``below`` is above 0.

@@ -8,11 +8,11 @@ Slips and guesses are those of the DINA model (Junker & Sijtsma 2001, "Cognitive
 with few assumptions"), where f says whether a person has all skills that an item needs; the error
 rate is added. Empirical Bayes learns all three from the answers of all people.
 
-Errors of all people and slips at all questions have the same effect. They are counted as slips: the
-most likely error rate in the population is 0. The majority answer of a type is its label: slips and
-guesses are below ½ and never explain a majority. Slips and guesses of questions are shrunk to one
-common mean. If slips seem more frequent than guesses over all questions, then f probably differs
-from its prior.
+If all people err alike, the answers are the same as if all questions had slips. Such errors are
+counted as slips: the most likely error rate in the population is 0. The majority answer of a type
+is its label: slips and guesses are below ½ and never explain a majority. Slips and guesses of
+questions are shrunk to one common mean. If slips seem more frequent than guesses over all
+questions, then f probably differs from its prior.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ class AnswerModel:
     def log_given(
         self, question: NDArray[np.int64], person: NDArray[np.int64], label: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P, 2] log P(y | f = 0 and 1) of P answers. Index −1 is an unknown question or person; it
-        has the mean of all."""
+        """[P, 2] log P(y | f) of P answers for f = 0 and 1. Index −1 is an unknown question or
+        person, with the mean of all."""
         each = self.likelihood(question, label)
         return np.asarray(np.log((each * self.person[person][:, None, :]).sum(axis=2)))
 
@@ -114,8 +114,8 @@ def answered(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[n
 def truth(
     one: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """P(f = 1) of cases with P(y = 1) ``one``, where P(y = 1) is ``low`` for f = 0 and ``high`` for
-    f = 1. It converts an accuracy measured on answers into an accuracy about f."""
+    """Computes P(f = 1) from P(y = 1) ``one``, if P(y = 1) is ``low`` for f = 0 and ``high`` for f
+    = 1. So an accuracy measured on answers becomes an accuracy about f."""
     return np.asarray(((one - low) / (high - low)).clip(0.0, 1.0))
 
 

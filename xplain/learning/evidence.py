@@ -1,5 +1,5 @@
-"""Evidence of hypotheses against labels alone: how well each predicts answers before it learns from
-them (prequential: Dawid 1984, "Statistical theory: the prequential approach").
+"""Compares hypotheses with labels alone: how well does each predict answers before it learns from
+them (prequential: Dawid 1984, "Statistical theory: the prequential approach")?
 
 Answers are in the order in which each observer gave them, and are split into quarters. Each quarter
 is predicted from the earlier quarters of observers of the same type.
@@ -23,9 +23,9 @@ BEFORE = 10.0
 LEAST = 0.01
 """Minimum weight of hypotheses."""
 WORSE, BEATEN = float(np.log(20)), 20.0
-"""Log evidence against hypotheses from which a warning is logged, and from which labels alone
-replace them. The second is larger, because a wrong replacement costs more than a wrong
-hypothesis."""
+"""Two limits of the log evidence against hypotheses: above the first a warning is logged, above the
+second labels alone replace them. The second is larger, because a wrong replacement costs more than
+a wrong hypothesis."""
 DOUBTED = 0.5
 """Hypotheses of a type are doubted if P(they are often wrong) exceeds this value."""
 COIN = float(np.log(2))

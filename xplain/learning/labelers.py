@@ -360,8 +360,8 @@ def by_sets(
     features: NDArray[np.float64],
     message_sets: NDArray[np.int64],
 ) -> NDArray[Any]:
-    """[T, K] results of ``asked`` for each transition [T, F] under each message set [K]. ``asked``
-    takes transitions [P, F] and message sets [P]."""
+    """[T, K] results of the function ``asked`` for each transition [T, F] and each message set [K].
+    ``asked`` takes transitions [P, F] and message sets [P]."""
     count = len(message_sets)
     size = max(ROWS // count, 1)
     found = [
@@ -407,8 +407,8 @@ def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> floa
     over message sets; each distinct (transition, message set) counts once. NaN if there is only one
     message set.
 
-    With few labels, :attr:`Labeler.accuracy` is higher: the other transitions of a held-out
-    question's trace, under the same messages, are in the training part. New questions have other
+    With few labels, :attr:`Labeler.accuracy` is higher, because the training part contains other
+    transitions of a held-out question's trace with the same messages. New questions have other
     message sets.
     """
     told, group = np.unique(dataset.message_set, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Messages that may not land, learned from answers before and after messages.
+"""Learns from answers before and after messages how often messages are accepted.
 
 A message corrects its fact with probability α; otherwise the person keeps the incorrect belief. The
 facts that a person still believes incorrectly decide f, as in :mod:`xplain.learning.answers`.
@@ -36,17 +36,17 @@ SMOOTHING = 4.0
 STEPS, STILL = 60, 1e-3
 """Maximum number of steps. They end earlier if no slip, guess or α changes by more than STILL."""
 LANDS = 0.95
-"""All messages land unless the interval of one α ends below this value."""
+"""All messages are accepted unless the interval of one α ends below this value."""
 GRID = np.linspace(0.005, 0.995, 199)
 
 
 @dataclass(frozen=True)
 class Landing:
-    """How often messages land, and the answers before and after them: S hidden states, O people, Q
-    queries.
+    """How often messages are accepted, and a model of the answers before and after them: S hidden
+    states, O people, Q queries.
 
     Attributes:
-        accept: [n, 3] α of each message, and the ends of its 95 % interval; [0, 3] without
+        accept: [n, 3] α of each message and the ends of its 95 % interval; [0, 3] without
             hypotheses.
         mean: mean α; each message is weighted by the number of people whom it could correct.
         table: [2^n, T] P(f = 1) by the facts believed incorrectly.
@@ -74,7 +74,7 @@ class Landing:
 
     @property
     def missed(self) -> bool:
-        """True if some messages do not land."""
+        """True if some messages are not accepted."""
         return bool((self.accept[:, 2] < LANDS).any())
 
     def predicted(
@@ -93,7 +93,7 @@ class Landing:
 
 
 def learned_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landing | None:
-    """Learns how often messages land.
+    """Learns how often messages are accepted.
 
     Args:
         dataset: the answers.
@@ -102,8 +102,8 @@ def learned_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Land
 
     Returns:
         None if fewer than PEOPLE observers received lasting messages between their answers, or if
-        there are too many hidden states. Without a table also if observers received different
-        messages, since types may then explain more than abilities.
+        there are too many hidden states. Also None without a table if observers received different
+        messages, because types may then explain more than abilities.
     """
     given = [
         np.unique(dataset.message_set[dataset.observer == o]) for o in range(len(dataset.observers))
@@ -197,8 +197,8 @@ def _surprises(
 
 
 def _is_chain(sets: NDArray[np.int64]) -> bool:
-    """True if each of these message sets is a subset of the next larger one: no message is taken
-    back."""
+    """True if each of these message sets is a subset of the next larger one, so that no message is
+    taken back."""
     ordered = sets[np.argsort(np.bitwise_count(sets))]
     return bool((ordered[:-1] & ~ordered[1:] == 0).all())
 
@@ -210,7 +210,7 @@ def _thought(
     transition: NDArray[np.int64],
     told: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """[S, Q] P(f = 1) of queries by hidden state; 1 for unknown transitions."""
+    """[S, Q] P(f = 1) of each query, by hidden state; 1 for unknown transitions."""
     held = (wrong[:, None] & ~told | kept[:, None] & told) & len(table) - 1
     return np.where(transition >= 0, table[held, transition], 1.0)
 
@@ -232,7 +232,7 @@ def _drawn(times: NDArray[np.float64], of: NDArray[np.float64]) -> NDArray[np.fl
 def _interval(
     people: NDArray[np.float64], had: NDArray[np.bool_], stays: NDArray[np.bool_], accept: float
 ) -> tuple[float, float]:
-    """The 95 % interval of α of a message with all other parameters fixed; each person's likelihood
+    """The 95 % interval of a message's α with all other parameters fixed. Each person's likelihood
     is linear in α. ``people`` [O, S] is the posterior at ``accept``."""
     landed = people[:, had & ~stays].sum(axis=1) / accept
     missed = people[:, stays].sum(axis=1) / (1 - accept)

@@ -8,9 +8,9 @@ Two labels disagree if they have the same cluster, transition and message set, a
 Definition 1). Within a *cell* (transition, message set) a cluster with z zeros and o ones has z · o
 such pairs.
 
-The smallest set is exact: fewest inexplicable transitions first (0 if possible), then fewest
-messages, then the order of the messages (of {0, 5} and {1, 2} the first, because it has the first
-message).
+The smallest set is exact. It has the fewest inexplicable transitions (0 if possible), then the
+fewest messages. Ties follow the order of the messages: {0, 5} comes before {1, 2}, because it has
+the first message.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def smallest(inexplicable: NDArray[np.int64], messages: Sequence[int]) -> int:
 
 
 class Partitioner(Protocol):
-    """The component of :class:`Elbow` that clusters points into a given number of groups."""
+    """Clusters points into a given number of groups, for :class:`Elbow`."""
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
         """[O] groups of the vectors [O, n]: at most k groups, with equal vectors in one group."""

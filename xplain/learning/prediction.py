@@ -30,9 +30,9 @@ def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray
 
     1. Answers after messages are predicted from answers before them
        (:mod:`xplain.learning.landing`), if the dataset has such answers.
-    2. The clustering's own predictions, if it makes any; their mean with the labelers' predictions
-       if labelers tell what people think.
-    3. The types' labelers, weighted for each observer by the shares of the types and the observer's
+    2. The clustering's own predictions, if it makes any. If labelers tell what people think, the
+    mean of these and the labelers' predictions. 3. The types' labelers, weighted for each observer
+    by the shares of the types and the observer's
        own labels. An observer without labels has the shares of the types.
 
     Args:
@@ -92,7 +92,7 @@ def _answered(
 
 
 def _of_types(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[np.float64]:
-    """[P, N] P(answer 1) by type."""
+    """[P, N] P(answer 1) of P questions by type."""
     features = asked.features[asked.transition]
     return np.stack([one.probability(features, asked.message_set) for one in labelers], axis=1)
 
@@ -109,8 +109,8 @@ class Tenth(NamedTuple):
 
 
 def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Tenth, ...]:
-    """Compares predictions ``one`` [P] of P(label = 1) with the labels [P], in tenths of equal size
-    by ascending prediction; fewer than ten if there are fewer labels."""
+    """Compares predicted P(label = 1) ``one`` [P] with the labels [P], in tenths of equal size by
+    ascending prediction; with few labels there are fewer than ten parts."""
     from scipy.stats import binomtest
 
     found = []
@@ -126,9 +126,9 @@ class HeldOut:
     """Mean log P of held-out labels, in nats per label. Higher is better.
 
     Attributes:
-        types: by the types that were found in the other labels.
-        one_type: by one labeler for all observers.
-        question_mean: by the mean of all observers' answers to the same question.
+        types: prediction by the types that were found in the other labels.
+        one_type: prediction by one labeler for all observers.
+        question_mean: prediction by the mean of all observers' answers to the same question.
         gain: [2] 95 % interval of ``types`` minus the better of the other two, by resampling
             observers.
         calibration: calibration of ``types``.
@@ -183,9 +183,10 @@ def held_out(dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed
 
 
 def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[np.float64]:
-    """[P] log P of each label of ``test``, by the types that were found in ``train``. The
-    clustering's own predictions come first, then the labeler of the observer's type. If labelers
-    tell what people think, as in :func:`predicted`."""
+    """[P] log P of each label of ``test``, by the types that were found in ``train``. If labelers
+    tell what people think, or if answers after messages are predicted from earlier ones,
+    :func:`predicted` predicts. Otherwise the clustering's own predictions are used, if it makes
+    any, or the labeler of the observer's type."""
     found, rows = types.clustering, np.arange(len(test))
     if types.landing is not None or all(one.means_truth for one in types.labelers):
         one = predicted(train, types, test)
@@ -204,8 +205,8 @@ def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:
 
 
 def _of_means(dataset: Dataset, test: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """[P] log P of the labels ``test``, by the mean of the other answers to the same question and
-    one pseudo-answer of either kind."""
+    """[P] log P of the labels ``test``, by the mean of the other answers to the same question, with
+    one pseudo-answer 0 and one pseudo-answer 1."""
     query = query_index(dataset)
     count = int(query.max()) + 1
     ones = np.bincount(query[~test], dataset.label[~test], count)

@@ -26,7 +26,8 @@ from xplain.learning.labelers import FittedLabeler, Labeler, MeasuredLabeler
 from xplain.learning.user_types import UserTypes, label_table
 
 TREE = "sklearn.tree._tree.Tree"
-"""A class that skops does not trust, because its arrays may form no tree. They are checked here."""
+"""A class that skops does not trust, because its arrays may not form a tree. This module checks
+them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,8 +194,8 @@ class LearnedTypes:
         return label_table(self.labelers, rows)
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
-        """See :meth:`label_table`, for a person who believes every fact incorrectly; None if facts
-        are unknown."""
+        """P(label is 1 | message set) for a person who believes every fact incorrectly; None if
+        facts are unknown."""
         if self.about_everything is None:
             return None
         return self.about_everything.table(np.asarray(transitions, dtype=np.float64))

@@ -65,8 +65,8 @@ class Clustering:
 
     @property
     def new(self) -> float:
-        """P(the next person has a new type): the share of types' only members (Good 1953), at least
-        OPEN."""
+        """P(the next person has a new type): the share of observers who are the only ones of their
+        type (Good 1953), at least OPEN."""
         alone = int((np.bincount(self.assignment) == 1).sum())
         return max(OPEN, alone / (len(self.assignment) + 1))
 
@@ -76,13 +76,16 @@ class Clustering:
 
 
 class TraceTables(NamedTuple):
-    """P(label is 1) of a trace's m transitions under every message set.
+    """The label tables of a trace's m transitions.
 
     Attributes:
-        learned: of the N types that solvers plan with.
-        everyone: of one labeler for all observers; None if it tests too many messages.
-        perfect: of M true types: the oracle's knowledge of each; None if there is no oracle.
-        everything: of one type that believes every fact incorrectly; None if facts are unknown.
+        learned: P(label is 1) for the N types that solvers plan with.
+        everyone: P(label is 1) by one labeler for all observers; None if it tests too many
+            messages.
+        perfect: P(label is 1) for the M true types, as the oracle knows them; None if there is no
+            oracle.
+        everything: P(label is 1) for a type that believes every fact incorrectly; None if facts are
+            unknown.
     """
 
     learned: LabelTable
@@ -92,8 +95,8 @@ class TraceTables(NamedTuple):
 
 
 def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:
-    """The table, or None if it is too large. A labeler for all observers tests the messages of
-    every type, and few runs need its table."""
+    """Returns the table, or None if it is too large. (A labeler for all observers tests the
+    messages of every type, and few runs need its table.)"""
     try:
         return make()
     except TooLargeError:

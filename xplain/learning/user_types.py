@@ -1,5 +1,5 @@
-"""User types: the type of each observer, one labeler for each type, and what agents know of users
-(docs/method.md, section 4).
+"""Finds user types: the type of each observer, one labeler for each type, and the agents' knowledge
+of users (docs/method.md, section 4).
 
     Observed ── find_types ── KnownTypes (label tables of any trace)
 
@@ -105,8 +105,8 @@ class Clusterer(ABC):
 
 
 class Perfect(Clusterer):
-    """The true types: perfect clustering, the source of the oracle's labelers (docs/method.md,
-    section 6)."""
+    """Perfect clustering: the true types, from which the oracle's labelers are learned
+    (docs/method.md, section 6)."""
 
     def cluster(self, observed: Observed, seed: int) -> Clustering:
         """The true types.
@@ -142,7 +142,7 @@ class UserTypes:
         evidence: how well hypotheses predicted the answers; None without hypotheses.
         everything: the labeler of a person who believes every fact incorrectly; None if facts are
             unknown.
-        landing: how often messages land; None if the answers do not show it.
+        landing: how often messages are accepted; None if the answers do not show it.
     """
 
     labelers: tuple[Labeler, ...]
@@ -156,7 +156,7 @@ class UserTypes:
 
     @property
     def habits(self) -> Habits | None:
-        """How people err and accept messages, learned from their answers."""
+        """People's habits of answering and accepting messages, learned from their answers."""
         own = None if self.answers is None else self.answers.habits
         if self.landing is None or not self.landing.missed:
             return own
@@ -175,7 +175,7 @@ def label_table(
     features: NDArray[np.float64],
     transitions: NDArray[np.int64] | None = None,
 ) -> LabelTable:
-    """P(label = 1) of m transitions; each labeler is one type.
+    """Makes the table of P(label = 1) of m transitions; each labeler is one type.
 
     Args:
         labelers: N ≥ 1 labelers.
@@ -259,8 +259,8 @@ def learn_types(
 def find_types(
     observed: Observed, trainer: LabelerTrainer, finder: TypeFinder, seed: int
 ) -> KnownTypes:
-    """Finds the user types that agents know, with one labeler each: the types that the trainer
-    knows, or those that the finder finds in the labels.
+    """Finds the user types that agents know, with a labeler for each: the types that the trainer
+    knows, or otherwise the types that the finder finds in the labels.
 
     Args:
         observed: labels with their setting.
@@ -269,7 +269,8 @@ def find_types(
         seed: seed of the run.
 
     Raises:
-        InputError: too few labels, or the trainer should know the types and does not.
+        InputError: there are too few labels, or the trainer does not know the types that it should
+            know.
     """
     if (given := trainer.types_of(observed)) is not None:
         return given
@@ -313,8 +314,8 @@ def learn_perfect(
     seed: int,
     known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes | None:
-    """Learns types under perfect clustering, whose labelers are the paper's L_pc; None if the true
-    types of the observers are unknown. ``known`` is that of :func:`learn_types`.
+    """Learns types under perfect clustering; their labelers are the paper's L_pc. None if the true
+    types of the observers are unknown. For ``known`` see :func:`learn_types`.
 
     Raises:
         XplainError: too few labels to hold some out.
@@ -399,7 +400,7 @@ def _require_tested(labelers: Iterable[Any]) -> None:
 
 def _everything(setting: Setting) -> Setting | None:
     """The setting of one type that believes every fact incorrectly; None if its task has no way to
-    the goal, or if facts are too many."""
+    the goal, or if there are too many facts."""
     if setting.n_messages > DENSE:
         return None
     names = setting.message_names

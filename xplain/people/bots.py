@@ -1,7 +1,7 @@
-"""Simulated people, against a running server (``study bots``).
+"""Simulated people, who use a running server (``study bots``).
 
-They use HTTP and invitations of the stream "bot", so their data is always marked. Their plan is
-read from the server's export, so the server may run anywhere.
+They use HTTP and invitations of the stream "bot", so their data is always marked. They read the
+plan from the server's export, so the server may run anywhere.
 """
 
 from __future__ import annotations
@@ -280,8 +280,8 @@ class Bot(Generic[P, H]):
         return [("label", str(right ^ errs))]
 
     def asked(self, questions: tuple[LabQuestion, ...]) -> Fields:
-        """Answers each required question: with the right answer, or with the first allowed one if
-        none is right."""
+        """Answers each required question: with the right answer if there is one, otherwise with the
+        first allowed answer."""
         return [
             (q.field, q.right or (q.options or (str(q.low) if q.kind == "number" else "–",))[0])
             for q in questions

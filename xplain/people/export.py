@@ -90,9 +90,9 @@ def defused(cell: Any) -> Any:
 
 
 def seconds(first: Event, last: Event) -> tuple[float | None, str]:
-    """Time from an event to a later one, and the server's clock that measured it: the monotonic
-    one, or the wall clock if the machine restarted in between. The time is None if the wall clock
-    was set back."""
+    """Measures the time from an event to a later one. Returns it with the name of the server's
+    clock: the monotonic clock, or the wall clock if the machine restarted in between. The time is
+    None if the wall clock was set back."""
     clock = "monotonic" if first.boot == last.boot else "wall"
     took = getattr(last, clock) - getattr(first, clock)
     return (took, clock) if took >= 0 else (None, "impossible")

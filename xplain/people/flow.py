@@ -1,13 +1,13 @@
 """A flow: the stages that lead a participant from the consent to the end, as a pure state machine.
 
 ``flow.advance(state, kind, payload)`` is the only transition. It uses no clock, no storage and no
-HTTP; values from elsewhere (a slot, a number, the orders of questions) are in the consent event.
-The same events give the same states, and the replay checks this. A stage has one page:
+HTTP; values from outside (a slot, a number, the orders of questions) are in the consent event. The
+same events give the same states, and the replay checks this. A stage has one page:
 :meth:`Stage.view` makes its content, :meth:`Stage.read` reads its form, and :meth:`Stage.advance`
 gives the next state.
 
-From every stage a participant may come to an end: declined, withdrawn, timed_out, and ends of a
-flow's own. After timed_out they may return to their stage.
+From every stage a participant may come to an end: declined, withdrawn, timed_out, and the flow's
+    own ends. After timed_out they may return to their stage.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ class Participant(Generic[S]):
         return [e for e in self.events if e.source == "protocol" and e.kind == kind]
 
     def first(self, kind: str) -> Mapping[str, Any]:
-        """The payload of the first answer of a kind; empty if there is none."""
+        """The payload of the first answer of this kind; empty if there is none."""
         return next((event.payload for event in self.answers(kind)), {})
 
 
@@ -193,7 +193,7 @@ P = TypeVar("P")
 
 @dataclass(frozen=True)
 class Stage(Generic[F, S]):
-    """A page and the transition that its answer makes.
+    """A page, and the change of state that its answer makes.
 
     Attributes:
         WITHIN: the stage that contains this one; "" for a stage of the main order.
@@ -262,7 +262,8 @@ class Flow(ABC, Generic[P, S]):
 
     @abstractmethod
     def admit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """Values from outside the state that the consent event must contain, such as a place.
+        """Returns values that the consent event must contain and the state does not, such as a
+        place.
 
         Args:
             person: the participant who consents.
@@ -273,12 +274,12 @@ class Flow(ABC, Generic[P, S]):
         """
 
     def readmit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """Values that the return event of a timed-out participant must contain."""
+        """Returns values that the event must contain by which a timed-out participant returns."""
         return {}
 
     @abstractmethod
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Changes of the state when a participant agrees to take part.
+        """Returns the changes of the state when a participant agrees to take part.
 
         Raises:
             Refused: this participant cannot take part.
@@ -292,13 +293,14 @@ class Flow(ABC, Generic[P, S]):
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Parts of the plan that a researcher can preview as a participant."""
+        """The parts of the plan that a researcher can preview."""
         return ("a participant",)
 
     @abstractmethod
     def drawn(self, what: Any) -> tuple[Way | None, int, Sequence[str]]:
-        """The arguments of :func:`xplain.people.map_svg.picture` for a template's argument
-        (hashable): the way, the number of steps, and names of the items that are off the map."""
+        """Converts a template's (hashable) argument to the arguments of
+        :func:`xplain.people.map_svg.picture`: the way, the number of steps, and the names of items
+        that are off the map."""
 
     @property
     def titles(self) -> dict[str, str]:
@@ -306,7 +308,7 @@ class Flow(ABC, Generic[P, S]):
         return {stage: self.words[stage] for stage in self.stages[:-1]}
 
     def about(self, state: S, blinded: bool) -> dict[str, str]:
-        """Columns of the researcher's page about a participant.
+        """Returns the columns of the researcher's page about a participant.
 
         Args:
             state: the participant's state.
@@ -345,8 +347,8 @@ class Flow(ABC, Generic[P, S]):
         return here.WITHIN or name if here else name
 
     def asking(self, state: S) -> S:
-        """The state that an answer refers to: the previous state if the participant was timed
-        out."""
+        """Returns the state that an answer refers to: the earlier state if the participant was
+        timed out."""
         return replace(state, stage=str(state.left), left=None) if state.paused else state
 
     def waits_for(self, state: S) -> str:
@@ -420,11 +422,11 @@ class Briefing(Stage[F, S]):
     """Screens to read: the task, a few facts on each screen, and the participants' job."""
 
     def facts(self, flow: F, state: S) -> Mapping[str, Sequence[str]]:
-        """Sentences by the key of their heading."""
+        """The sentences of the briefing, by the key of their heading."""
         return {}
 
     def screens(self, flow: F, state: S) -> list[tuple[str, tuple[str, ...]]]:
-        """Key of the heading and the sentences of each screen."""
+        """The screens: the key of the heading, and the sentences, of each."""
         facts = [
             (heading, tuple(sentences[first : first + FACTS_AT_ONCE]))
             for heading, sentences in self.facts(flow, state).items()
@@ -502,7 +504,7 @@ class QuestionStage(Stage[F, S]):
 
     Attributes:
         of: name of the plan's field with the questions.
-        missed: the end after a wrong answer; "" continues.
+        missed: the end that follows a wrong answer; "" lets the participant continue.
     """
 
     of: str = "asked"

@@ -66,7 +66,8 @@ PRAGMAS = (
 
 
 def letters(count: int) -> str:
-    """A random text that does not read as a word or a number and that no mail program cuts."""
+    """Draws a random text that does not look like a word or a number, and that no mail program
+    splits."""
     return "".join(secrets.choice(LETTERS) for _ in range(count))
 
 

@@ -61,14 +61,14 @@ class Material:
         name: name of the task.
         facts: [n] what people may believe incorrectly, with its sentences.
         types: M kinds of simulated people.
-        clips: [T] the transitions as pages show them; texts not yet in a lab's words.
+        clips: [T] the transitions as pages show them, before a lab's words replace the texts.
         features: [T, F] features of the transitions.
         feature_names: F names.
         scene: the map, or None.
         hypotheses: what people might believe incorrectly, for the T transitions.
-        whole: the same for all transitions of a domain; None if there are no others.
-        setting: the domain with its models, if traces are drawn from it.
-        transitions: [T, 3] of the domain; None for a table.
+        whole: hypotheses for all transitions of a domain; None if there are no other transitions.
+        setting: the domain with its models, if traces are drawn from the domain.
+        transitions: [T, 3] transitions of the domain; None for a table.
     """
 
     name: str
@@ -142,7 +142,7 @@ class Material:
         return np.array([row_of[tuple(step)] for step in steps.tolist()], np.int64)
 
     def taken(self, trace: Transitions) -> Told:
-        """[m + 1] names of the items that are off the map after each number of steps; or none."""
+        """[m + 1] names of the items that are off the map after 0 … m steps; or none."""
         if self.setting is None or self.transitions is None:
             return ()
         steps = self.transitions[trace]
@@ -220,7 +220,7 @@ def read_facts(path: str | None, names: Sequence[str]) -> tuple[Parameter, ...]:
 
 
 def drawn_roles(known: Hypotheses, seed: int) -> dict[str, int]:
-    """Draws non-empty fact sets with different behaviour, for simulated people."""
+    """Draws non-empty fact sets with different labels, for simulated people."""
     sets = np.unique(known.essential[known.essential > 0])
     chosen = stream(seed, "roles").permutation(sets)[:DRAWN_ROLES].tolist()
     return {"+".join(names_of(held, known.messages)): held for held in chosen}
@@ -273,7 +273,7 @@ def texts_of(kind: str, wording: Mapping[str, Any], in_words: InWords = str) -> 
     Args:
         kind: study or collect; its shipped texts define the possible keys.
         wording: texts of the configuration.
-        in_words: turns a domain's phrases into texts for people.
+        in_words: converts a domain's phrases to texts for people.
 
     Raises:
         InputError: the text of a page is missing.
@@ -357,7 +357,8 @@ def of_states(domain: Domain, method: str, states: Iterable[int]) -> Told:
 
 
 def ahead_of(step: Mapping[str, Any], scene: Scene | None, in_words: InWords) -> Ahead:
-    """The practice step whose reason comes later, from a lab's texts.
+    """Reads from a lab's texts the practice step that looks odd and is right because of later
+    steps.
 
     Raises:
         InputError: the step is not on this map.

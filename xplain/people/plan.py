@@ -23,7 +23,7 @@ from xplain.storage import decode, encode
 
 T = TypeVar("T")
 Told = tuple[tuple[str, ...], ...]
-"""Sentences of each transition or state; or none."""
+"""The sentences of each transition or state; or an empty tuple."""
 Way = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
 """The cells before and after each transition."""
 
@@ -101,8 +101,8 @@ class LabQuestion:
         max_length: maximum length of a text, in characters as browsers count them (UTF-16 units).
         ends: meanings of the two ends of a scale; or none.
         required: True if an answer is needed.
-        right: the right answer for people who read the question. Before the briefing, others end
-            here. "" means that there is no right answer.
+        right: the answer that shows that a person read the question. Before the briefing, any other
+            answer ends the study. "" means that there is no right answer.
     """
 
     name: str
@@ -142,7 +142,7 @@ class LabQuestion:
 
     @property
     def field(self) -> str:
-        """The name of its field, which is no name that a form or a page has for something else."""
+        """The name of its field, which differs from all other names in a form or page."""
         return f"answer_{self.name}"
 
     @property
@@ -252,7 +252,7 @@ class StoredPlan:
     """The fields of all plans. A plan is stored as JSON, with exact floats.
 
     Attributes:
-        OF: what it is the plan of.
+        OF: kind of the plan, in words.
         seed: seed of every draw.
         domain: name of the task.
         texts: texts of the pages.
@@ -280,7 +280,7 @@ class StoredPlan:
 
     @property
     def changes(self) -> Told:
-        """Effects of each of the shown transitions; none on a map."""
+        """The effects of each of the shown transitions; empty if there is a map."""
         changes = tuple(clip.changes for clip in self.shown)
         return changes if any(changes) else ()
 

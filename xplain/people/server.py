@@ -1,4 +1,4 @@
-"""The settings of a server of pages, its signatures, and its limits of requests."""
+"""The settings of a server of pages, its signatures, and its limits on requests."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Keys:
         return self._signer(_FORM).get_signature(who).decode()
 
     def owns_form(self, who: str, token: str) -> bool:
-        """True if this token belongs to that participant, visitor or researcher."""
+        """True if this token belongs to this participant, visitor or researcher."""
         return self._signer(_FORM).verify_signature(_bytes(who), _bytes(token))
 
     @property
@@ -133,8 +133,8 @@ class Server:
     """How the pages are served; not part of the study's plan.
 
     Attributes:
-        entry: who may come in: "invitation"; "platform", by ids in the link, which can be invented;
-            "signed", by ids that the platform or the lab has signed; "open", as pilots.
+        entry: ways to enter: "invitation"; "platform", with ids in the link, which anybody can
+            invent; "signed", with ids that the platform or the lab has signed; "open", as a pilot.
         id_names: names of the link's parameters with the person's id and, if present, the ids of
             study and session.
         studies: ids of the platform's studies whose people may come in; none allows any.
@@ -146,19 +146,19 @@ class Server:
         keep_ids: True stores a platform's ids in clear, False only as keyed hashes.
         completion_url: address for finished participants, "" for none. ``{code}`` in it is replaced
             by the completion code, ``{id}`` by the person's id.
-        completion_code: one code for all who finish (platforms need that); "" makes one for each
-            participant.
+        completion_code: one code for all participants who finish (platforms need that); "" makes a
+            code for each participant.
         codes: ``{end: code}``, as ``completion_code``, for the other ends.
         address: the public address with its path, such as ``https://lab.example.org/robots``; ""
             takes it from each request.
         frames: addresses of pages that may show this one in a frame, such as a survey's.
-        key: the researcher's key, of 12 characters or more; "" for one made by the server.
+        key: the researcher's key, of 12 characters or more; "" lets the server make a key.
         demo: True admits people as pilots although the consent text is not edited.
         blinded: True hides types and conditions on the researcher's page.
         https: True if the public address uses https.
         proxies: number of proxies in front that add X-Forwarded-For.
-        requests_per_second, burst: limit of a participant.
-        visitors_per_second, visitor_burst: limit of an address, for visitors without a cookie.
+        requests_per_second, burst: limits for one participant.
+        visitors_per_second, visitor_burst: limits for one address, for visitors without a cookie.
     """
 
     entry: tuple[Literal["invitation", "platform", "signed", "open"], ...] = ("invitation",)
@@ -191,7 +191,7 @@ class Server:
         _need(not studies or len(self.id_names) > 1, "studies", studies, "none: id_names has none")
         listed = "ids of the studies whose people may come in, or server.ids=FILE with theirs"
         _need("platform" not in entry or bool(studies or self.ids), "studies", [], listed)
-        # A paid person with an incomplete link would become a pilot, and their data would be lost.
+        # A paid person with an incomplete link would otherwise become a pilot without usable data.
         paid = "open" in entry and bool({"platform", "signed"} & entry)
         _need(not paid, "entry", list(self.entry), "open without platform and signed")
         signs = "with server.entry=[signed] a file with the key, else none"

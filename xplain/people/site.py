@@ -26,7 +26,7 @@ from xplain.people.server import GUESSES, SESSION, Keys, RateLimit, Server
 from xplain.people.store import Store
 
 MAX_BODY = 64 * 1024
-"""Maximum bytes of a request; the largest valid one has a few thousand."""
+"""Maximum bytes of a request; the largest valid request has a few thousand."""
 MAX_FIELDS = 200
 """Maximum number of fields in a form."""
 PARTICIPANT, VISITOR, RESEARCHER = "participant", "visitor", "researcher"
@@ -83,8 +83,8 @@ class Site:
         return self.words.get(key, key)
 
     def code(self, found: Participant[Any]) -> str:
-        """A participant's completion code. Each end has another code, so that only people who
-        finished have the code for it."""
+        """A participant's completion code. Each end has a separate code, so only people who
+        finished have the code for finishing."""
         stage, own = found.state.stage, found.identity["code"]
         configured = self.server.codes.get(stage, "")
         if stage == "done":
@@ -189,7 +189,7 @@ class Visit:
 
     @property
     def owner(self) -> str | None:
-        """The participant id in the cookie, if the cookie is genuine."""
+        """The id of the participant in the cookie, if the cookie is genuine."""
         return self.site.keys.owner(self.cookie(PARTICIPANT))
 
     @property
@@ -205,8 +205,8 @@ class Visit:
 
     @property
     def address(self) -> str:
-        """The browser's address, as the outermost trusted proxy saw it, without a port. For IPv6 it
-        is the network, because one person has all of its addresses."""
+        """The browser's address without a port, as the first trusted proxy saw it. For IPv6 it is
+        the network, because one person has all addresses of a network."""
         hops = ",".join(self.request.headers.getlist("x-forwarded-for")).split(",")
         count = min(self.site.server.proxies, len(hops))
         peer = self.request.client.host if self.request.client else ""
@@ -239,7 +239,7 @@ class Visit:
         return RedirectResponse(f"{self.site.server.path}{path}", 303)
 
     def let_in(self, who: str) -> Response:
-        """Sets the cookie that makes this browser a participant's."""
+        """Sets the cookie by which this browser belongs to a participant."""
         reply = self.lead("/study")
         self.set_cookie(reply, PARTICIPANT, self.site.keys.cookie(who))
         return reply

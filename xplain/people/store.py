@@ -1,4 +1,4 @@
-"""How participants enter and continue: the server logic of a study or a collection."""
+"""The server logic of a study or a collection: how participants enter and continue."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ class Store(Log[Any]):
         return self.keyed("reference", who)[:16]
 
     def keyed(self, *parts: str) -> str:
-        """A keyed hash of texts that are only compared (invitations, outside ids). Without the
-        server's secret it can be neither made nor reversed."""
+        """Computes a keyed hash of texts that are only compared (invitations, outside ids). Nobody
+        can make or reverse it without the server's secret."""
         message = "\x1f".join(parts).encode(errors="replace")
         return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
 
@@ -122,7 +122,7 @@ class Store(Log[Any]):
         return tokens
 
     def enter_invited(self, token: str) -> str:
-        """The participant of an invitation, created at its first use.
+        """Returns the participant of an invitation; its first use creates the participant.
 
         Raises:
             Unknown: no such token.
@@ -136,8 +136,8 @@ class Store(Log[Any]):
             return self._resume(who) if who else self._enter(self.invited[key], "invitation", key)
 
     def enter_from_platform(self, ids: Mapping[str, str], keep: bool) -> str:
-        """The participant with a recruiting platform's ids, created at their first use. A person is
-        one participant, also if links name different studies or sessions.
+        """Returns the participant with a recruiting platform's ids; their first use creates the
+        participant. A person is one participant, even if links name different studies or sessions.
 
         Args:
             ids: ids of the person, the study and the session, by name; the last two are optional.

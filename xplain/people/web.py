@@ -32,11 +32,11 @@ LEAST_FREE = 64 << 20
 """Free bytes on the disk below which the server reports itself as unhealthy."""
 MARKED = ("/study", "/events")
 """Paths whose replies count as an acknowledgement only with the server's mark, because a proxy may
-answer anything."""
+send any other reply."""
 FREE = ("/alive", "/researcher/login")
 """Paths that no limit of requests applies to; the login has a separate limit of wrong keys."""
 TEXTS = {404: "no_page", 405: "not_here", 413: "too_much"}
-"""Texts of errors that have none of their own."""
+"""Texts for errors without a text of their own."""
 TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
 log = logging.getLogger(__name__)
 pages = APIRouter()

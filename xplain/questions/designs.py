@@ -264,7 +264,7 @@ class Adaptive:
         return (1 - share) * known.prior + share * asked / max(len(others), 1)
 
     def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
-        """Adds the candidates that answers made likely."""
+        """Adds the candidates that the answers made likely."""
 
         def over(known: Hypotheses) -> Questionnaire:
             if known is questions.hypotheses:

@@ -43,7 +43,7 @@ class Nearest(NamedTuple):
     """P questions with P(label 1) near a value.
 
     Attributes:
-        off: [P] distance from the value.
+        off: [P] distance of P(label 1) from the value.
         function: [P] index of the label function.
         told: [P] message sets, restricted to the facts of the function.
     """
@@ -115,8 +115,8 @@ class QuestionMatrix:
         rng: np.random.Generator,
     ) -> Nearest:
         """Finds the ``count`` questions with P(label 1) nearest to ``middle`` under the weights [1
-        + V, C], all ties with the last of them, and possibly others. The search is complete if
-        ``sets`` has all sets of facts."""
+        + V, C]. The result also has all questions that tie with the last of these, and possibly
+        others. The search is complete if ``sets`` has all sets of facts."""
         # The most probable candidate is on one side of every question.
         enough = max(float(weight.max()) - middle, 0.0) + CLOSE
         n, best = self.hypotheses.n_messages, np.inf
@@ -159,7 +159,8 @@ class QuestionMatrix:
         middle: float,
         count: int,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-        """The questions nearest to the middle: their distance, their functions, the sets K."""
+        """Finds the questions nearest to the middle: their distances, their functions, and the sets
+        K."""
         off = np.abs(self.probability(functions, kept, weight) - middle)
         # Facts without influence on a function make no other question.
         other = self.sets is None or (kept & ~self.facts[functions, None]) == 0
@@ -300,7 +301,7 @@ class Posterior:
         return best
 
     def _beside(self, clip: list[int]) -> NDArray[np.int64]:
-        """The transitions that can extend a clip: those that follow its last one."""
+        """The transitions that can extend a clip, because they follow its last transition."""
         states = self.hypotheses.states
         others = np.setdiff1d(np.arange(self.hypotheses.n_transitions), clip)
         return others if states is None else others[states[others, 0] == states[clip[-1], 1]]

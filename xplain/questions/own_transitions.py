@@ -71,7 +71,8 @@ class OwnTransitions:
 
 
 def with_features(known: Hypotheses) -> Hypotheses:
-    """Hypotheses with features for transitions; without any, the text becomes a feature."""
+    """Adds features of the transitions to hypotheses; without features, the text becomes a
+    feature."""
     if known.features is not None:
         return known
     features, names = features_of([Column.of("transitions", TEXT, known.phrases)])
@@ -119,8 +120,9 @@ def read_transitions(path: str | Path) -> OwnTransitions:
 def known_facts(
     transitions: str | Path | None, hypotheses: str | None, domain: Domain | None
 ) -> tuple[Hypotheses | None, tuple[str, ...], dict[str, str]]:
-    """The hypotheses of a table of transitions, of a file, or of a domain; None without any. Also
-    returns the images of the transitions and the sentences of messages, if known.
+    """Reads the hypotheses of a table of transitions, of a file, or of a domain; None if none of
+    these is given. Also returns the images of the transitions and the sentences of messages, if
+    known.
 
     Raises:
         InputError: both a table and a file, or one that cannot be used.

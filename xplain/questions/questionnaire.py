@@ -1,11 +1,12 @@
-"""The next question for a person, and what the answers show about them.
+"""Chooses questions for one person, and computes what the answers show about them.
 
     Hypotheses ── Questionnaire ── next() / answer(label) ── … ── done, posterior
 
-Each question has the largest expected information about what the person believes incorrectly, at
-which values (the variant of the hypotheses), and whether any hypothesis fits: the largest mutual
-information under the current posterior (Lindley 1956; adaptive design optimisation; computerised
-adaptive tests). The variant is included, because labels depend on it and explanations depend on the
+Each question has the largest expected information about three unknowns: the facts that the person
+    believes incorrectly, their values (the variant of the hypotheses), and whether any hypothesis
+    fits. That is the largest mutual information under the current posterior (Lindley 1956; adaptive
+    design optimisation; computerised adaptive tests). The variant is included, because labels
+    depend on it and explanations depend on the
 labels: docs/what-to-ask.md.
 """
 
@@ -65,7 +66,8 @@ class Questionnaire:
         clip: transitions in a question. If the hypotheses have start and end states of transitions,
             a clip is a walk; otherwise its transitions are arbitrary.
         seed: breaks ties between questions.
-        stop: done if one class of candidates that behave alike has a larger posterior.
+        stop: the questionnaire is done if one class of candidates that behave alike has a larger
+            posterior.
         none: prior probability that no hypothesis fits.
         misread: probability that a clip is misread.
         slip, guess: [T] or one number, known P(0 | label 1) and P(1 | label 0) of each transition;
@@ -227,7 +229,7 @@ class Questionnaire:
 
     @property
     def answers(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
-        """[P] each: transitions, message sets and labels so far."""
+        """The transitions, message sets and labels so far, [P] each."""
         told = [one.message_set for one in self.asked for _ in one.transitions]
         labels = [label for one in self.asked for label in one.labels]
         return np.array(self._seen, np.int64), np.array(told, np.int64), np.array(labels, np.uint8)
@@ -240,7 +242,7 @@ class Questionnaire:
 
     @property
     def best(self) -> int:
-        """The facts (bitmask) of the most likely class, as far as some question reveals them."""
+        """The facts (bitmask) of the most likely class, without facts that no question reveals."""
         return int(self.hypotheses.essential[self.hypotheses.classes == self.classes.argmax()][0])
 
     @property

@@ -1,4 +1,5 @@
-"""The answer of a sweep: who costs least, or for Table 1 the verdicts on the paper's claims.
+"""The answer of a sweep: the solver with the lowest cost, or for Table 1 the verdicts on the
+paper's claims.
 
 A claim is about a *figure* with a 95 % interval, and a *range* that contains the figure if the
 claim is true. It *holds* if the whole interval lies in the range, *does not hold* if all of it lies
@@ -62,7 +63,7 @@ class Claim:
     Attributes:
         group: how types and labels were learned.
         domain: the domain of the test.
-        text: the claim, with its λ if it is about one.
+        text: the claim, with its λ if it is about one λ.
         figure: name of the figure.
         estimate: mean and interval over seeds.
         true_in: the open range of the figure if the claim is true.
@@ -177,9 +178,9 @@ def _parts(both: pd.DataFrame, trade_off: float) -> str:
 
 
 def _linear(episodes: pd.DataFrame) -> Iterator[Tested]:
-    """The claim that the oracle's cost is linear in λ. Its optimum is the lower envelope of one
-    line for each plan. If other plans become better, it falls below the line through its values at
-    the two smallest λ."""
+    """The claim that the oracle's cost is linear in λ. Each plan's cost is a line in λ, and the
+    optimum is the lowest of these lines. If other plans become better, the optimum falls below the
+    line through its values at the two smallest λ."""
     one = episodes[episodes["solver"] == episodes["solver"].iloc[0]]
     below = {name: _below_the_line(one, name) for name in ("oracle", "clairvoyant")}
     if len(below["oracle"]):
@@ -276,8 +277,8 @@ def answer(summary: Summary) -> str:
 
 
 def undecided(summary: Summary) -> Table:
-    """The undecided differences to the best, or Table 1's undecided claims, with the number of
-    seeds that would decide each and the minutes that these need."""
+    """Lists the undecided differences to the best, or Table 1's undecided claims, with the number
+    of seeds that would decide each, and the minutes for these seeds."""
     found = _undecided_claims(summary) if summary.is_table1 else compare.undecided(summary)
     rows = []
     for heads, gap, shown in found:

@@ -40,7 +40,7 @@ WIDEST = 8
 """Maximum number of columns in a table and of lines in a plot that can be read."""
 
 FEW = 5
-"""With fewer replicates than this the report warns that intervals are wide."""
+"""If there are fewer replicates than this, the report warns that intervals are wide."""
 
 MOST_SEEDS = 1000
 """A difference that needs more seeds is too small to be decided."""
@@ -63,7 +63,7 @@ def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate:
 
 
 def grouped(summary: Summary, keys: Sequence[str]) -> list[tuple[dict[str, Value], pd.DataFrame]]:
-    """(values, episodes) of every combination of these keys, in the order of the values."""
+    """Yields (values, episodes) for every combination of these keys, in the order of the values."""
     if not keys:
         return [({}, summary.episodes)]
     order = {key: {value: i for i, value in enumerate(summary.values(key))} for key in keys}
@@ -168,7 +168,7 @@ def ranked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ran
 
 @lru_cache(maxsize=1)
 def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
-    """(values, ranked ways) of each problem; none if nothing that was swept competes, or if the
+    """Returns (values, ranked ways) for each problem; empty if no swept key competes, or if the
     requested measure is not fair."""
     if not summary.results or not summary.ways or not summary.measure.fair:
         return []
@@ -262,7 +262,8 @@ def _list(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
 
 
 def is_beside_paper(summary: Summary) -> bool:
-    """True if the paper's values are shown: it only has regrets, of people without errors."""
+    """True if the paper's values are shown; the paper has only regrets, for people without
+    errors."""
     return summary.is_table1 and summary.measure.name == "regret"
 
 
@@ -406,8 +407,8 @@ def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
 
 
 def effort(summary: Summary, gap: Estimate) -> tuple[str, str]:
-    """(key with the seeds that would decide a difference, minutes of one worker for the new ones),
-    from the seconds of this sweep's own jobs."""
+    """Returns the override of ``seed`` that would decide a difference, and the minutes that one
+    worker needs for the new seeds, estimated from this sweep's jobs."""
     seconds = sum(sum(own.seconds.values()) for _, own in summary.results)
     seeds = seeds_to_decide(gap, summary.seeds) or (FEW if summary.seeds < FEW else 0)
     if not seeds:
@@ -433,8 +434,9 @@ def undecided(summary: Summary) -> Iterator[Undecided]:
 def regret_csv(summary: Summary) -> str:
     """One row for each combination of the swept values, never pooled; six decimals.
 
-    Columns: ``solver``, ``lambda``, every other swept key by its full name; then of each measure
-    mean, low and high end of the 95 % interval, and n, the number of seeds (with one seed: traces).
+    Columns: ``solver``, ``lambda``, every other swept key by its full name; then for each measure
+        the mean, the low and high end of the 95 % interval, and n, the number of seeds (with one
+        seed: traces).
     """
     keys = [*dict.fromkeys(["solver", "lambda", *summary.keys])]
     asks = summary.episodes["questions"].any()

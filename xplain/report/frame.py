@@ -79,8 +79,8 @@ NEGATIVE = (
 )
 
 RIGHT = 0.98
-"""Minimum share of new labels that labelers must get right. Below it the oracle's cost is no
-reference, because the paper's oracle has right labels."""
+"""Minimum share of new labels that labelers must predict correctly. Below it the oracle's cost is
+no reference, because the paper's oracle has right labels."""
 
 NO_REFERENCE = "†"
 """Mark of an oracle's cost that is no reference, and of regrets to it."""
@@ -105,8 +105,8 @@ def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> 
     """Warns about an oracle that is no reference, and about a regret below 0; "" without either.
 
     Args:
-        learning: figures of the learning stage; the smallest of those shown.
-        regret: the mean, or the smallest of those shown.
+        learning: figures of the learning stage, the smallest of the shown ones.
+        regret: the mean regret, or the smallest of the shown ones.
     """
     share = learning.get("fresh_accuracy", 1.0)
     no_reference = (
@@ -284,8 +284,8 @@ class Summary:
         ]
 
     def competes(self, key: str) -> bool:
-        """True if the values of a swept key are compared. Solvers are, values of λ are not. In
-        Table 1 only solvers are."""
+        """True if the values of a swept key are compared: solvers are compared, values of λ are
+        not. In Table 1 only solvers are compared."""
         return key == "solver" if self.is_table1 else not is_in(key, CONDITIONS)
 
     @property

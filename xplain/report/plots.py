@@ -95,10 +95,9 @@ def draw(
 
     Args:
         points: a row for each point, with panel, line, x (numbers, or texts of the axis) and mean;
-            if known low and high, and ``hollow``, the height of a hollow marker (or NaN).
-        x_label, y_label: labels of the axes.
-        per_row: panels in a row; they have one scale.
-        hollow: meaning of hollow markers.
+            optionally low and high, and ``hollow``, the height of a hollow marker (or NaN).
+        x_label, y_label: labels of the axes. per_row: panels in a row; they have one scale. hollow:
+        meaning of hollow markers.
     """
     points = points.reindex(columns=[*["panel", "line", "x", "mean", "low", "high", "hollow"]])
     panels, lines = (list(dict.fromkeys(points[key])) for key in ("panel", "line"))
@@ -156,8 +155,8 @@ def draw(
 
 
 def plot_keys(summary: Summary) -> tuple[str | None, list[str], list[str]]:
-    """Keys of a plot: the one on the horizontal axis (None if nothing was swept), those of the
-    lines, those of the panels."""
+    """Returns the keys of a plot: the key on the horizontal axis (None if nothing was swept), the
+    keys of the lines, and the keys of the panels."""
     down, grouping, across = layout(summary)
     keys = [*down, *grouping, *across]
     x = main_key(summary, keys) or next(iter([*down[-1:], *across, *grouping]), None)

@@ -1,5 +1,5 @@
-"""Ratios for each kind of people: the cost of an explainer over that of the best other one in the
-sweep."""
+"""Computes for each kind of people the cost of an explainer divided by the cost of the best other
+explainer in the sweep."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def stages() -> Stages:
 
 
 class Stages(Progress):
-    """Lines in the log for what takes long: an error that comes soon is the only line then."""
+    """Log lines for stages that take long. A run that fails early then prints only its error."""
 
     def __init__(self) -> None:
         self._open: list[str] = []

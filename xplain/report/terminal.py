@@ -90,8 +90,8 @@ def _console(width: int = WIDTH, **look: bool) -> Console:
 
 
 def _of_no_type(results: Results) -> str:
-    """Compares costs for the users whom no found type fits: the solver's explanations and simpler
-    ones. "" if the belief only has the found types."""
+    """Compares the costs of the solver's explanations and of simpler ones, for users whom no found
+    type fits. "" if the belief has only the found types."""
     cost: dict[str, dict[tuple[int, str], float]] = {}
     for one in results.episodes:
         cost.setdefault(one.solver, {})[one.trace, one.type] = one.cost

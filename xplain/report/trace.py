@@ -56,7 +56,7 @@ def typical(found: Sequence[Story]) -> Story:
 
 
 def describe_choice(story: Story, episodes: int) -> str:
-    """Says which of a run's episodes a :func:`typical` one is, and by which rule it was chosen."""
+    """Describes which of a run's episodes :func:`typical` chose, and by which rule."""
     return (
         f"trace {story['trace']}, user of type {story['type']}: cost {story['cost']:g}, the median "
         f"of {counted(episodes, 'episode')} (the first that costs this)"

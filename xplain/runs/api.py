@@ -337,7 +337,7 @@ def _require_runnable(jobs: Iterable[Job], cfg: DictConfig) -> None:
 
 
 def _single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
-    """The value of each key.
+    """Returns the value of each key.
 
     Raises:
         InputError: a key has several values.

@@ -83,7 +83,7 @@ class Discovery:
 
     @property
     def accept(self) -> dict[str, list[float]] | None:
-        """How often each message lands, with its 95 % interval; None if the answers do not show
+        """The acceptance of each message, with its 95 % interval; None if the answers do not show
         it."""
         landing = self.types.landing
         if landing is None or not len(landing.accept):
@@ -247,13 +247,13 @@ def _summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
         }
         labelled = dataset.features[sorted(set(own.transition.tolist()))]
         try:
-            if known is not None:  # from all observers' labels, not only this type's
+            if known is not None:  # uses all observers' labels, not only this type's
                 needed = int(known[t])
             else:
                 table = labeler.table(labelled)
                 needed = smallest((table.p[:, :, 0] < 0.5).sum(axis=0), table.relevant[0])
             row["needs"] = list(names_of(needed, dataset.messages))
-        except TooLargeError:  # no tree, and too many messages to try all
+        except TooLargeError:  # no tree, and too many messages to try all sets
             row["needs"] = None
         rows.append(row)
     return rows

@@ -22,14 +22,15 @@ log = logging.getLogger(__name__)
 
 @contextmanager
 def attempted(otherwise: str) -> Iterator[None]:
-    """A context for work after the results are saved: if it fails, a line says what is missing.
+    """A context for work after the results are saved. If the work fails, a line says what is
+    missing.
 
     Args:
         otherwise: what is then missing.
     """
     try:
         yield
-    except (BrokenPipeError, SystemExit) as error:  # rich turns the first into the second
+    except (BrokenPipeError, SystemExit) as error:  # rich turns the first error into the second
         if not isinstance(error.__context__ or error, BrokenPipeError):
             raise
         log.warning("%s: nobody reads the output any more (closed pipe)", otherwise)
@@ -77,7 +78,7 @@ class Disk:
 
 
 _NO_RESULTS = {"artifacts", "cache", "report", "results"}
-"""Folders below the outputs folder with copies, or without a run's own results."""
+"""Folders below the outputs folder that have only copies of results, or none."""
 
 
 def runs_and_sweeps(outputs: Path) -> Iterator[Path]:

@@ -112,8 +112,8 @@ class Job:
 
         Args:
             progress: receives the progress.
-            save: receives the results and the text of the episodes before the certificates, which
-                take as long again, are computed.
+            save: receives the results and the text of the episodes before the certificates are
+                computed, because these take as long again.
         """
         if (known := self.finished()) is not None:
             log.info("its result was there: %s", os.path.relpath(self.address))
@@ -265,12 +265,12 @@ def mark_failed(folder: Path, error: BaseException) -> None:
 
 
 def ended_by(error: SystemExit) -> str:
-    """Names what a component called to end the program."""
+    """Names the function by which a component ended the program."""
     return f"a component ended the program (sys.exit({error.code!r})) while the experiment ran"
 
 
 def _draw(folder: Path, results: Results) -> str:
-    """Draws the run's pictures. Returns which episode is drawn."""
+    """Draws the run's pictures. Returns a description of the drawn episode."""
     from xplain.report import plots, trace
 
     figure, _, drawn = trace.draw_typical(folder, results)

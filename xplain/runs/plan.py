@@ -32,9 +32,9 @@ from xplain.runs.job import Job
 log = logging.getLogger(__name__)
 
 MANY, EACH = 32, 4
-"""A worker takes 0.2 s to begin a batch. So a sweep of more jobs than these runs several in one
-batch: EACH batches a worker keep all workers busy to the end, or MANY where the launcher does not
-tell how many workers it has."""
+"""A worker takes 0.2 s to begin a batch, so large sweeps run several jobs in one batch. With EACH
+batches for each worker, all workers are busy to the end. If the launcher does not tell its number
+of workers, there are MANY batches."""
 
 LAST = ("solver", "lambda", "seed")
 """Keys at the end of a job's label, so that labels sort by setting."""
@@ -147,8 +147,8 @@ class _File:
 
 
 def listed(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
-    """The jobs with values and labels of the swept keys only: keys that differ between jobs or that
-    some jobs lack."""
+    """Reduces the values and labels of jobs to the swept keys: those that differ between jobs, or
+    that some jobs lack."""
     keys = dict.fromkeys(key for job in jobs for key in job.values)
     varying = [key for key in keys if len({job.values.get(key) for job in jobs}) > 1]
     varying = varying or [key for key in ("domain", "solver", "lambda") if key in keys]
@@ -164,8 +164,7 @@ def listed(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
 
 
 def values_of(keys: Sequence[str], job: Job) -> dict[str, str]:
-    """The values (as text) of these keys in a job's configuration, if they decide a number: ``{key:
-    value}``."""
+    """Returns ``{key: value as text}`` for those of these keys that affect the numbers of a job."""
     names = dict.fromkeys(key.lstrip("+~").partition("@")[0] for key in keys)
     return {
         key: job.choices[key] if key in job.choices else _text(_inside(job.config, key))

@@ -12,12 +12,12 @@ from multiprocessing import resource_tracker
 from typing import NoReturn
 
 CAME = threading.Event()
-"""Set by a signal that ends the process, because a library may replace the interruption by another
-error."""
+"""An event that a signal sets when it ends the process, because a library may replace the
+interruption by another error."""
 
 
 def end_on_signals() -> None:
-    """From here on SIGTERM and a closed terminal interrupt this process like Ctrl-C. Workers ignore
+    """Makes SIGTERM and a closed terminal interrupt this process like Ctrl-C. Workers ignore
     Ctrl-C, because an interrupted import would print a traceback."""
 
     def interrupt(*_: object) -> NoReturn:

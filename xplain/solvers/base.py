@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 GIB = 1 << 30
 TIE = 1e-9
-"""Values whose difference, relative to 1 + their size, is smaller are equal."""
+"""Values count as equal if their difference, relative to 1 + their size, is smaller than this."""
 
 Knowledge = Literal["types", "everyone", "type", "labels"]
 """What the planning agent may know about the user (the experiment builds its problem from it):
@@ -96,7 +96,8 @@ class PolicyValue:
 
 
 def best_of(sets: NDArray[np.int64], values: NDArray[np.float64]) -> int:
-    """The set of messages with the largest value; ties: fewest messages, then message order."""
+    """Chooses the set of messages with the largest value; ties are decided by fewest messages, then
+    by message order."""
     first = values.argmax()
     best = values[first]
     equal = values >= best - TIE * (1 + abs(best))
@@ -114,7 +115,8 @@ def messages_of(action: Action) -> int:
 
 def best_action(values: Mapping[Action, float]) -> Action:
     """The action with the largest value. A question needs a larger value than all messages. Among
-    equal questions it is the first; among equal sets of messages, that of :func:`best_of`."""
+    equal questions the first is chosen; among equal sets of messages, the set of
+    :func:`best_of`."""
     asked = {a.question: v for a, v in values.items() if isinstance(a, AskQuestion)}
     said = {messages_of(a): v for a, v in values.items() if not isinstance(a, AskQuestion)}
     most, best = max(said.values()), max(asked.values(), default=-np.inf)
@@ -132,7 +134,7 @@ class CachedPolicy:
 
     Attributes:
         policy: the policy that decides.
-        seconds: time of the last decision, when the policy made it.
+        seconds: time that the policy took for the last decision.
         decisions: action and seconds, by visible state and rounded belief.
     """
 

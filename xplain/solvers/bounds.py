@@ -31,8 +31,8 @@ class Bounds:
     Attributes:
         lower, upper: bounds of the optimal value.
         known_type: Σ_t prior(t) V*_t, the value if the type were known at the start, with the same
-            messages as actions; if messages may be missed or forgotten, if the user's knowledge
-            after each action were known too.
+            messages as actions. If messages may be missed or forgotten, the user's knowledge after
+            each action is then known, too.
     """
 
     lower: float
@@ -59,13 +59,13 @@ def bounds(
     problem: Problem, effort: Effort = DEFAULT, told: Callable[[float], None] | None = None
 ) -> Bounds:
     """Certified bounds of the optimal value, by HSVI. If its tables exceed the effort's memory, or
-    there are too many messages, the upper bound is that of known types and the lower bound that of
-    plans without answers.
+    there are too many messages, the upper bound is the value of known types, and the lower bound
+    the value of plans that ignore answers.
 
     Args:
         problem: from the start of the trace.
         effort: when the search may stop.
-        told: receives the gap regularly while HSVI searches.
+        told: is called regularly with the gap while HSVI searches.
 
     Raises:
         TooLargeError: not even the tables of known types fit.
@@ -95,8 +95,8 @@ def _simple_bounds(problem: Problem, memory_gib: float) -> Bounds:
 
 
 def best_plan_value(process: Process, known: KnownValues) -> float:
-    """Expected discounted return of the best plan that ignores all answers: a type's optimal one,
-    or silence."""
+    """Expected discounted return of the best plan that ignores all answers. The candidates are the
+    optimal plan of each type, and silence."""
     greedy = Greedy(process, known)
     plans = [_plan(greedy, sure) for sure in np.eye(process.n_states)[: process.n_types]]
     return max(_plan_value(process, plan) for plan in [*plans, [0] * process.n_steps])

@@ -46,7 +46,7 @@ def evaluate(
     seed: int = 0,
     precision: float = EXACT,
 ) -> PolicyValue:
-    """The value of a policy, exact if it reaches at most ``beliefs`` beliefs.
+    """Computes the value of a policy, exactly if it reaches at most ``beliefs`` beliefs.
 
     Args:
         problem: the model, which draws every label again.
@@ -148,7 +148,7 @@ def _discount(process: Process, visible: VisibleState) -> float:
 
 
 def _paid(process: Process, messages: int) -> tuple[float, float]:
-    """The discounted price of messages, cheapest first, and their total discount."""
+    """Returns the discounted price of messages given cheapest first, and their total discount."""
     price, discount = set_prices(process, np.array([messages], np.int64))
     return float(price[0]), float(discount[0])
 

@@ -70,7 +70,7 @@ class Greedy:
             belief = give_message(process, belief, new.bit_length() - 1)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """The values of *explain* and of each single message."""
+        """Returns the values of *explain* and of each single message."""
         said = before_step(self.process, visible.given)
         messages = indices(matters(self.process, belief) & ~said)
         values = self._values(visible.step, said, belief, messages)
@@ -170,10 +170,10 @@ class Conformant:
 def one_labeler(
     problem: Problem, shares: NDArray[np.float64], what: str, memory_gib: float
 ) -> FixedBelief:
-    """QMDP for one type in the place of all. Each of its labels has the probability for a user
-    drawn by ``shares`` [N] again. If more than DENSE messages matter, a table over all of their
-    sets is too large. QMDP then uses ``shares`` as its permanent belief, and plans later steps for
-    each type alone."""
+    """Makes QMDP's policy for one type in the place of all. Each of its labels has the probability
+    for a user who is drawn anew by ``shares`` [N]. If more than DENSE messages matter, a table over
+    all of their sets is too large. QMDP then uses ``shares`` as its permanent belief, and plans
+    later steps for each type alone."""
     if problem.messages_land and len(problem.messages_with_effect) > DENSE:
         return FixedBelief(greedy_policy(problem, what, memory_gib), lambda _: shares)
     one = problem.mixture(shares)
@@ -194,7 +194,8 @@ class KnownType:
     memory_gib: Positive = 8.0
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Its policy for a problem with several types needs a belief that is certain of one."""
+        """Plans as QMDP; see :class:`xplain.solvers.base.Solver`. With several types the policy
+        needs a belief that is certain of one type."""
         what = f"knowing the {self.knows}"
         return FixedBelief(greedy_policy(problem, what, self.memory_gib), certain_type)
 
@@ -221,8 +222,8 @@ class FixedBelief:
 
 
 def certain_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The belief for a policy that needs a known type. With a belief of 1 in it QMDP's value is the
-    type's own optimal value.
+    """Checks the belief for a policy that needs a known type. If the belief in a type is 1, QMDP's
+    value is the optimal value of this type.
 
     Raises:
         InputError: the belief is not certain of one type.

@@ -104,7 +104,7 @@ class Certified:
         limit.
     decision_nodes: the largest number of beliefs to open for a decision at a belief that the search
         has not opened.
-    memory_gib: the largest memory. Larger tables are refused; the search stops at this limit.
+    memory_gib: the memory limit. Larger tables are refused, and the search stops at this limit.
     """
 
     gap: Gap = 1e-3
@@ -249,7 +249,7 @@ class _Search:
         start = np.ascontiguousarray(belief, dtype=np.float64)
         words = _words(self.tables, visible.asked)
         kernel.make_root(self.tables, self.store, visible.step, given, start, words)
-        self.backed_up = 1  # number of nodes at the last backup of all
+        self.backed_up = 1  # number of nodes when all were backed up last
         # Coarse before fine: a trial for the final gap would refine actions that are excluded later
         self.asked = max(float(effort.gap), self.gap / COARSER)
 
@@ -391,7 +391,7 @@ def _grown(store: Store) -> Store:
     for kind in short or set(GROWS):
         for name in GROWS[kind]:
             array = arrays[name]
-            # Of what is published only the numbers must be 0 before the first.
+            # Of the published arrays only the numbers must be 0 at first.
             make = np.zeros if name == "published" else np.empty
             arrays[name] = make((2 * len(array), *array.shape[1:]), array.dtype)
             arrays[name][: store.used[kind]] = array[: store.used[kind]]

@@ -1,8 +1,8 @@
 """The compiled search of :mod:`xplain.solvers.hsvi`: sample, back up, share.
 
-numba compiles this source once for each kind of problem. ``missed`` is None where messages land,
-and True where messages may be missed or forgotten: they then change the hidden state. numba removes
-the branches of a None.
+numba compiles this source once for each kind of problem. ``missed`` is None if messages land, and
+True if messages may be missed or forgotten: then they change the hidden state. numba removes the
+branches of a None.
 
 A node is a belief at (k, v) before a step's messages. Between two *explain* actions only questions
 bring information, so an action is either a set of messages (the cheapest first) followed by
@@ -46,9 +46,9 @@ ACTION = np.dtype(
         ("messages", np.int64),  # the set given, then *explain*; ~q to ask question q
         ("upper", np.float64),
         ("lower", np.float64),
-        ("base", np.float64),  # its expected reward at once
-        ("later", np.float64),  # what discounts what comes after it
-        ("tail_upper", np.float64),  # of the answers that are not told apart
+        ("base", np.float64),  # its expected immediate reward
+        ("later", np.float64),  # the discount of all later rewards
+        ("tail_upper", np.float64),  # of the answers that are treated as one
         ("tail_lower", np.float64),
         ("first_answer", np.int64),  # NONE until it is expanded
         ("n_answers", np.int64),
@@ -57,20 +57,20 @@ ACTION = np.dtype(
 ANSWER = np.dtype([("weight", np.float64), ("node", np.int64)])  # discounted; NONE is the tail
 PLACE = np.dtype([("first_set", np.int64), ("n_sets", np.int64), ("row", np.int64)])
 NODES, ACTIONS, ANSWERS, SETS, PLACES, OPENED, WORK, HASHED = range(8)
-"""Positions in ``store.used``: how much of each array is in use, how many nodes are OPENED, how
-much WORK was done, and how many nodes are in the hash table (HASHED)."""
+"""Positions in ``store.used``: the number of used elements of each array, of opened nodes (OPENED),
+of work done (WORK), and of nodes in the hash table (HASHED)."""
 ROOT = np.int64(0)
 NONE = -1
 """An index that does not exist yet: the node is not opened, the action is not expanded, the place
 has no sets, the entry of the hash table is free."""
 SILENCE = 1 << 62
-"""Stands in ``earned_by`` where no action of another node earns the lower bound."""
+"""The value of ``earned_by`` if no action of another node earns the lower bound."""
 KEPT = 32
 """The number of alpha vectors, and of upper bounds, that each place keeps."""
 GRAIN = 2.0**40
 """Beliefs that are equal when rounded to multiples of 1 / GRAIN are one node."""
 HAIR = 1e-12
-"""The largest rounding error of a value, relative to 1 + its size."""
+"""The largest rounding error of a value, relative to 1 + its absolute value."""
 ROUNDING = 1e-14
 """Differences below this are rounding."""
 WORD = 62
@@ -88,7 +88,7 @@ class Tables(NamedTuple):
 
     Attributes:
         model: the process of these messages; the cell of (v, s) is s + v · width.
-        width: S where messages land; 0 where they may be missed.
+        width: S if messages land; 0 if they may be missed.
         plans: [U, m + 1, cells] the values of plans that ignore all answers. They bound the optimum
             from below. The last plan gives no message.
         floor: [m + 1] a lower bound of every policy's value in every state.
@@ -108,7 +108,7 @@ class Store(NamedTuple):
     """The results of a search.
 
     Attributes:
-        used: [8] how much of each array is in use.
+        used: [8] the number of used elements of each array.
         nodes: [.] NODE.
         belief: [nodes, S].
         alpha: [nodes, S] the values by state of the policy that earns the lower bound.
@@ -159,11 +159,11 @@ class Scratch(NamedTuple):
         like: [answers, S] likelihoods of the answers listed so far.
         more: [answers, S] the same with one more kind of label.
         belief, after, tail: [S] beliefs, and the likelihood of the answers that are left out.
-        asked: [words] as in the store.
+        asked: [words] bits of questions, as in the store.
         ways: [m + 1, S] likelihoods of each number of 1s.
         under: [2^n, S] as in the store, for all sets.
         news: [Q] how informative each question is.
-        cells: [S] where tables of questions are read.
+        cells: [S] the cells at which tables of questions are read.
         path, taken, gaps: [levels] the nodes of a trial, the actions taken, and the nodes' gaps
             before the trial.
     """
@@ -301,7 +301,7 @@ def _walk_up(tables, store, scratch, missed, last, least):  # type: ignore[no-un
         if a >= 0:
             upper, lower, before = node.upper, node.lower, store.actions[a].upper
             _back_up(store, index, a)
-            # The node's own bounds may be those of others at its place, and so hide this change.
+            # The node's own bounds may come from other nodes of its place, and so hide this change.
             moved = moved or store.actions[a].upper < before
             _publish(tables, store, scratch, missed, index, upper, lower, least)
         moved = moved or node.upper - node.lower < scratch.gaps[level]
@@ -353,7 +353,7 @@ def _back_up(store, index, a):  # type: ignore[no-untyped-def]
     for b in range(node.first_action, node.first_action + node.n_actions):
         best_upper = max(best_upper, store.actions[b].upper)
         best_lower = max(best_lower, store.actions[b].lower)
-    # Rounding may cross them by a hair.
+    # Rounding may make the upper bound slightly less than the lower one.
     node.upper = min(node.upper, max(best_upper, best_lower))
     node.lower = min(best_lower, node.upper)
 
@@ -402,8 +402,8 @@ def _credit(store, begin, end, messages, value):  # type: ignore[no-untyped-def]
 
 @part
 def _asked_alike(store, index, other):  # type: ignore[no-untyped-def]
-    """Whether the same questions were asked on the way to two nodes. Bounds hold for nodes with the
-    same questions left."""
+    """Returns True if the same questions were asked on the way to two nodes. Bounds hold only for
+    nodes with the same remaining questions."""
     alike = True
     for w in range(store.asked.shape[1]):
         alike &= store.asked[index, w] == store.asked[other, w]
@@ -530,7 +530,7 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
     kept = begin
     for a in range(begin, end):
         action = store.actions[a]
-        # Some messages, or none, are always among them: for who may not ask any more.
+        # Some messages, or none, are always among them, because a node may have no questions left.
         spoken = action.messages >= 0 and action.upper == said
         if not _below(action.upper, lower) or action.upper == best or spoken:
             store.actions[kept] = action
@@ -591,7 +591,7 @@ def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-
 
 @part
 def _dominated(over, under):  # type: ignore[no-untyped-def]
-    """Whether one vector is at most the other in every state."""
+    """Returns True if one vector is at most the other in every state."""
     dominated = True
     for s in range(len(over)):
         dominated &= over[s] <= under[s]
@@ -600,8 +600,8 @@ def _dominated(over, under):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-untyped-def]
-    """Makes the nodes of the answers to an action. Unlikely answers are left out as long as they
-    widen the gap by at most ``gap``. Returns False if the store or the scratch memory is full."""
+    """Makes the nodes of the answers to an action. Unlikely answers are left out while this widens
+    the gap by at most ``gap``. Returns False if the store or the scratch memory is full."""
     node, action, belief = store.nodes[index], store.actions[a], scratch.belief
     step, given, messages = node.step, node.given, action.messages
     _copy(store.belief[index], belief)
@@ -708,8 +708,8 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
 
 @part
 def _kind_size(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
-    """Counts the labels of a step that have the same column as label i. Returns 0 if i is not the
-    first of them, or if all possible states answer it alike."""
+    """Counts the labels of a step with the same column as label i. Returns 0 if i is not the first
+    of these labels, or if all possible states answer it alike."""
     size, news, one = 0, False, -1
     for s in range(len(belief)):
         if belief[s] > 0.0:
@@ -879,5 +879,5 @@ def _copy(source, target):  # type: ignore[no-untyped-def]
 
 @part
 def _below(upper, lower):  # type: ignore[no-untyped-def]
-    """Whether an upper bound is below a lower one by more than rounding."""
+    """Returns True if an upper bound is below a lower bound by more than rounding."""
     return upper < lower - HAIR * (1.0 + abs(lower))

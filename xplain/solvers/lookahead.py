@@ -127,8 +127,8 @@ class Expectimax:
         return found
 
     def _later(self, step: int, said: int, belief: NDArray[np.float64]) -> float:
-        """The value of *explain* if QMDP decides after the answers; inf if there are too many
-        answers."""
+        """Computes the value of *explain* if QMDP decides after the answers; inf if there are too
+        many answers."""
         process, known = self.process, self.known
         following = outcomes(process, step, said, belief, NEGLIGIBLE, self.answers)
         if following is None:

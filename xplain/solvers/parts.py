@@ -23,18 +23,18 @@ class SearchModel(NamedTuple):
         stride: [n, S] the strides of these three tables.
         value: [m + 1, value cells] V.
         value_stride: [n, S] its strides.
-        wanted: [m, value cells] bitmask of the messages that s should be given next rather than
-            *explain*, or SETTLED; empty where messages may be missed, and for HSVI.
+        wanted: [m, value cells] bitmask of the messages that are better in s than *explain*, or
+            SETTLED; empty if messages may be missed, and for HSVI.
         relevant: [S] bitmask of the messages that have an effect on s.
-        jump, accept, forget: [n, S], [S] and [N], as in the process; empty where messages land.
+        jump, accept, forget: [n, S], [S] and [N], as in the process; empty if messages land.
         price: [n] λ C_e.
-        asked_answered, likelier: [Q, question cells] P(answer 1), and whether label 1 is likelier.
+        asked_answered, likelier: [Q, question cells] P(answer 1); True if label 1 is likelier.
         question_stride: [n, S] the strides of these two tables.
         discount, message_discount: γ and γ'.
         question_cost: κ.
         most: the largest number of questions.
-        first: whether questions come before the first step only.
-        patience: :data:`~xplain.solvers.process.PATIENCE`; 0 where messages land.
+        first: True if questions come only before the first step.
+        patience: :data:`~xplain.solvers.process.PATIENCE`; 0 if messages land.
     """
 
     answered: NDArray[np.float64]
@@ -113,10 +113,10 @@ def rank_questions(answered, likelier, cells, belief, news):  # type: ignore[no-
     A question that all states answer alike is never asked.
 
     Args:
-        answered, likelier: [Q, cells] P(answer 1), and whether label 1 is likelier.
-        cells: [S] where these tables are read.
+        answered, likelier: [Q, cells] P(answer 1); True if label 1 is likelier.
+        cells: [S] the cells at which these tables are read.
         belief: [S].
-        news: [Q] −1 for questions that may not be asked, else 0.
+        news: [Q] −1 for questions that may not be asked, otherwise 0.
     """
     for q in range(len(news)):
         mean, certain, alike = 0.0, 0.0, True

@@ -21,9 +21,9 @@ in the middle continues in the same way.
 
 ``backup="max"`` is MaxUCT (Keller & Helmert 2013): the value of a node is that of its best action,
 not the mean over all tries. Exploration and first rollouts then do not affect the values; a mean
-includes them for long. Histories at depth d have the mean of their rollouts, because QMDP's value
-is too high, and messages reach such histories sooner than labels. So a search with enough
-simulations is a step of policy improvement over QMDP, and does not lose to it.
+includes them for long. The value of a history at depth d is the mean of its rollouts, not QMDP's
+value: that is too high, and paths of messages reach depth d earlier than paths of labels. So a
+search with enough simulations is a step of policy improvement over QMDP, and does not lose to it.
 """
 
 from __future__ import annotations
@@ -211,11 +211,11 @@ class Search:
 
 
 def search_model(process: Process, known: KnownValues, searches: bool = True) -> SearchModel:
-    """Lays a process out for kernels.
+    """Converts a process to the arrays that kernels read.
 
     Args:
         process, known: the model, and its values.
-        searches: whether POMCP reads it, which needs ``wanted``.
+        searches: True if POMCP reads the result; POMCP needs ``wanted``.
     """
     lands = process.jump is None
     nothing, questions = np.zeros(0), process.questions
@@ -247,7 +247,7 @@ def search_model(process: Process, known: KnownValues, searches: bool = True) ->
 
 
 def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
-    """Computes ``wanted`` of :class:`~xplain.solvers.parts.SearchModel`, where messages land."""
+    """Computes ``wanted`` of :class:`~xplain.solvers.parts.SearchModel`, if messages land."""
     steps, types = process.n_steps, process.n_types
     wanted = np.zeros(known.explain.shape, np.int64)
     for bit, own in enumerate(process.own.T):
@@ -264,7 +264,8 @@ def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
 
 
 def _slots(process: Process) -> int:
-    """Returns how many questions a search tries at a belief: a bitmask must hold all actions."""
+    """Returns the number of questions that a search tries at a belief: a bitmask must have room for
+    all actions."""
     return min(QUESTIONS, len(process.questions.answered), 61 - process.n_messages)
 
 
@@ -313,7 +314,7 @@ def _entries(simulations: int) -> int:
 
 
 def _coded(messages: int, steps: int, states: int) -> int:
-    """Returns how many message sets are kept coded: a power of two."""
+    """Returns the number of message sets whose codes are kept: a power of two."""
     each = steps * (COLUMN.itemsize * states + LABEL.itemsize)
     return 1 << min(max(CODED // each, 16).bit_length() - 1, 12, messages)
 

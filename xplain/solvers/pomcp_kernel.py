@@ -1,9 +1,9 @@
 """The compiled search of :mod:`xplain.solvers.pomcp`: select, expand, evaluate, back up.
 
-numba compiles this source once for each kind of problem. ``missed`` is None where messages land,
-and True where messages may be missed or forgotten: they then change the hidden state. ``asks`` is
-None where there are no questions. numba removes the branches of a None, so the paper's search does
-no work for the other kinds.
+numba compiles this source once for each kind of problem. ``missed`` is None if messages land, and
+True if messages may be missed or forgotten: then they change the hidden state. ``asks`` is None if
+there are no questions. numba removes the branches of a None, so the paper's search does no work for
+the other kinds.
 
 A label is *informative* if hidden states answer it differently; only these are drawn. Labels with
 the same column P(answer 1 | s) are exchangeable, so an observation is identified by its code
@@ -35,13 +35,13 @@ from xplain.solvers.parts import NO_NEWS, find_cell, forget, give, rank_question
 
 NODE = np.dtype(
     [
-        ("code", np.uint64),  # of the labels that led here; v after a message
+        ("code", np.uint64),  # code of the labels that led here; v after a message
         ("leaf", np.float64),  # QMDP's value at the belief, NaN until asked for
-        ("value", np.float64),  # of the best action so far, or of the only rollout
-        ("reward", np.float64),  # expected, of *explain*
+        ("value", np.float64),  # value of the best action so far, or of the only rollout
+        ("reward", np.float64),  # expected reward of *explain*
         ("given", np.int64),  # v
         ("actions", np.int64),  # bitmask: messages that matter, *explain* (bit n), questions
-        ("untried", np.int64),  # of these
+        ("untried", np.int64),  # number of these
         ("edges", np.int32),  # its first edge; 0 until it is visited a second time
         ("parent", np.int32),  # node before *explain* or a question; ~base after a message
         ("base", np.int32),  # node where the step began
@@ -67,14 +67,14 @@ MEAN, MAX = 0, 1
 NODES, EDGES, MASK = 0, 1, 2
 """Positions in ``tree.used``."""
 ROOT, END = np.int64(0), -1
-"""The node that a search begins at, and what comes after the last *explain*."""
+"""The node at which a search begins, and the end after the last *explain*."""
 UNVISITED, UNOPENED = 0, 0
 """UNVISITED stands for "no node" in ``edge.child`` and ``entry.node``: the root is nobody's child.
 UNOPENED stands for "no edges yet" in ``node.edges``: the first edges are never used."""
 SETTLED = -1
-"""This value in ``wanted`` says that the state needs no message from this step to the end."""
+"""A value in ``wanted``: the state needs no message from this step to the end."""
 CERTAIN = 1 - 1e-6
-"""Rollouts take a state as certain if the belief in it exceeds this."""
+"""Rollouts treat a state as certain if the belief in it exceeds this."""
 ROUNDING = 1e-12
 """Values that differ by less than this are equal; the first message of equal ones is taken."""
 
@@ -102,8 +102,8 @@ class Tree(NamedTuple):
         nodes: [R + 1] NODE.
         edges: [(R + 2) · (n + 1 + B)] EDGE, one for each action of a node, side by side. The first
             n + 1 + B edges are never used, so that 0 can mean "no edges yet".
-        beliefs: [R + 1, S] the belief at each node. Where messages land, only nodes that begin a
-            step have one.
+        beliefs: [R + 1, S] the belief at each node. If messages land, only nodes that begin a step
+            have a belief.
         table: [a power of two > 2 R + 2] ENTRY, the hash table of child nodes; node 0 marks a free
             entry. Only the first ``used[MASK] + 1`` entries are in use; their number doubles as
             the tree grows.
@@ -116,13 +116,14 @@ class Tree(NamedTuple):
             ``probability`` and ``code`` are those of the likeliest answers to the first k + 1
             labels.
         path: [(n + 1) m + 1 + Q] the MOVEs of a simulation.
-        zero: [m] which of the labels drawn last are 0; filled if not all were the likelier answer.
+        zero: [m] True for labels 0 of the last draw; filled only if not all labels were the
+            likelier answer.
         belief: [S] the belief of a rollout.
-        cells: [S] where tables are read for one message set.
-        gain: [n] how much each message adds to QMDP's value; 0 between calls.
+        cells: [S] the cells at which tables are read for one message set.
+        gain: [n] the amount that each message adds to QMDP's value; 0 between calls.
         tried: [R + 1, B + 2] for nodes that begin a step: the questions to try, their number, and
             the question that led to the node (−1 for none).
-        asked: [Q] which questions were asked before the search.
+        asked: [Q] True for questions that were asked before the search.
         news: [Q] scratch memory for ranking questions.
         used: [3] the number of nodes (NODES) and edges (EDGES), and the table's mask (MASK).
         counter: [1] the counter of the random stream.
@@ -184,7 +185,8 @@ def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_
 
 @part
 def _draw_state(tree, last):  # type: ignore[no-untyped-def]
-    """Draws a state from the root's belief. The last possible state gets what rounding leaves."""
+    """Draws a state from the root's belief. The last possible state gets the remainder due to
+    rounding."""
     u = next_uniform(tree.counter)
     s = 0
     while s < last and u >= tree.beliefs[ROOT, s]:
@@ -281,8 +283,8 @@ def _expand(model, tree, missed, asks, node, edge, action, state):  # type: igno
 @part
 def _evaluate(model, tree, options, missed, node, is_new, state):  # type: ignore[no-untyped-def]
     """Estimates the return after the end of a simulation: 0 after the last *explain*, a rollout's
-    return at a new node, QMDP's value at the depth limit. Where messages may be missed, a rollout
-    over so many states would take longer than all the rest, so QMDP's value is used at new nodes,
+    return at a new node, QMDP's value at the depth limit. If messages may be missed, a rollout over
+    so many states would take longer than everything else, so QMDP's value is used at new nodes,
     too."""
     if node == END:
         return 0.0
@@ -406,7 +408,7 @@ def _add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
 def _open(model, tree, missed, asks, node):  # type: ignore[no-untyped-def]
     """Gives a node its edges, and computes the expected reward of *explain*. There is one edge for
     each message that has an effect on a possible state and was not given yet, one for *explain*,
-    and, where a step begins, one for each of the most informative questions."""
+    and, if a step begins at the node, one for each of the most informative questions."""
     record, n = tree.nodes[node], len(model.price)
     belief = tree.beliefs[record.base if missed is None else node]
     questions = 0
@@ -501,7 +503,7 @@ def _qmdp(model, tree, missed, step, messages, belief, patience):  # type: ignor
 
 @kernel
 def roll(model, tree, missed, step, said, belief, states, weights, seeds):  # type: ignore[no-untyped-def]
-    """Estimates by simulation the return of following QMDP from a belief at (k, v).
+    """Estimates by simulation the return of QMDP's decisions from a belief at (k, v).
 
     Args:
         model, missed: as in :func:`simulate`.
@@ -522,10 +524,10 @@ def roll(model, tree, missed, step, said, belief, states, weights, seeds):  # ty
 def _roll_qmdp(model, tree, missed, step, said, state, belief):  # type: ignore[no-untyped-def]
     """Simulates QMDP with exact beliefs for a user in this state; returns the estimated return.
 
-    The estimate is the value of the known state, less what each decision is expected to lose
-    because the state is not known. This control variate has the mean of the simulated return and
-    less noise. Where messages land, the simulation ends as soon as nothing can be lost any more:
-    the state is certain, or no state needs a message.
+    The estimate is the value of the known state minus the expected loss of each decision, which
+    arises because the state is unknown. This control variate has the mean of the simulated return
+    and less noise. If messages land, the simulation ends as soon as nothing more can be lost: the
+    state is certain, or no state needs a message.
     """
     n, steps, value, scale = len(model.price), len(model.explain_cost), 0.0, 1.0
     _find_cells(model.value_stride, tree, said)
@@ -654,7 +656,7 @@ def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
         first = model.answered[i, cells[0]]
         for s in range(states):
             p = model.answered[i, cells[s]]
-            columns[found, s].p = p  # overwritten where this transition is no news
+            columns[found, s].p = p  # overwritten if the label is not informative
             differs |= p != first
             code = splitmix64((code + GOLDEN) ^ np.float64(p).view(np.uint64))
         for s in range(states):

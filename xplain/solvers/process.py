@@ -1,6 +1,6 @@
 """The one model that every solver plans with: the POMDP of one problem as arrays.
 
-Hidden is s ∈ {0 … S − 1}; visible is v, a bitmask of the relevant messages:
+The hidden state is s ∈ {0 … S − 1}; the visible part is v, a bitmask of the relevant messages:
 
 - *messages land* (``jump`` is None): s is the hidden type, S = N, and v = H, all messages given;
 - *messages may be missed or forgotten*: s = K · N + t, the user's known facts (a row K of the label
@@ -18,9 +18,10 @@ missed, it is s itself and every stride is 0.
     ask q       pays questions.cost, never discounts; the evidence is
                 questions.answered[q, x_q(v, s)], x_q by ``questions.cells``
 
-A message is given at most once in a step; if messages land, once in all. A message discounts only
-if messages land (γ' = γ, the paper): if it could be repeated, delay would always gain. A message
-that is relevant to no s with positive belief is no action.
+A message is given at most once in a step; if messages land, at most once in the whole explanation.
+A message discounts only if messages land (γ' = γ, the paper): if it could be repeated, each
+repetition would reduce later costs by delaying them. A message is not an action if it is relevant
+to no s with positive belief.
 
 *Explain* leads to k + 1 with the same v if messages land, otherwise with v = 0
 (:func:`before_step`).
@@ -32,9 +33,9 @@ With known s labels give no information, and the process is an MDP on (k, v), so
     Q(k, v, s, give j) = γ' [α V(k, v + j, s + jump[j, s]) + (1 − α) V(k, v + j, s)] − price[j]
     V(k, v, s) = max { Q(k, v, s, explain), max_{j ∉ v} Q(k, v, s, give j) }
 
-If messages land, the maximum over all sets of messages is one sweep for each message, most
-expensive first: the cheapest of a best set is given first. If they may be missed, the next state
-depends on the accepted messages.
+If messages land, the maximum over all sets of messages takes one sweep for each message, most
+expensive first, so that the cheapest message of a best set is given first. If messages may be
+missed, the next state depends on which are accepted.
 """
 
 from __future__ import annotations
@@ -62,11 +63,12 @@ MAX_MISSED = 10
 """Maximum number of messages whose sets are compared if messages may be missed. Each set then leads
 to another belief."""
 KEPT_ANSWERS, JOINED = 1 << 9, 1 << 6
-"""Maximum number of cached likelihoods, and of answers listed together in one of them."""
+"""Maximum number of cached likelihoods, and of answers that one of them lists together."""
 PATIENCE = 0.1
-"""A message that may be missed must gain this additional share of its price, times the probability
-that the state is not the most likely one. Such a message gives no information about the user, and
-hides the answer that would. Chosen among 0.05, 0.1, 0.15 and 0.2 on seeds 9700 to 9745."""
+"""If messages may be missed, a message must gain this additional share of its price, times the
+probability that the state is not the most likely one. Such a message gives no information about the
+user, and hides the answer that would. Chosen among 0.05, 0.1, 0.15 and 0.2 on seeds 9700 to
+9745."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,22 +160,22 @@ class Process(NamedTuple):
 
     @property
     def n_steps(self) -> int:
-        """m."""
+        """m, the number of steps."""
         return len(self.p)
 
     @property
     def n_messages(self) -> int:
-        """n."""
+        """n, the number of messages."""
         return len(self.price)
 
     @property
     def n_states(self) -> int:
-        """S."""
+        """S, the number of hidden states."""
         return len(self.start)
 
     @property
     def n_types(self) -> int:
-        """N."""
+        """N, the number of hidden types."""
         return len(self.own)
 
 
@@ -290,7 +292,7 @@ def _answer_changing(table: LabelTable, problem: Problem) -> IntArray:
 
 
 def before_step(process: Process, given: int) -> int:
-    """v before the messages of a step, from the bitmask of all messages given so far."""
+    """Returns v before the messages of a step, from the bitmask of all messages given so far."""
     return given if process.jump is None else 0
 
 
@@ -300,7 +302,7 @@ def matters(process: Process, belief: FloatArray) -> int:
 
 
 def give(process: Process, belief: FloatArray, message: int) -> FloatArray:
-    """The belief(s) [..., S] after message j was given once."""
+    """Updates beliefs [..., S]: message j was given once."""
     if process.jump is None or process.accept is None:
         return belief
     jump = process.jump[message]
@@ -313,19 +315,19 @@ def give(process: Process, belief: FloatArray, message: int) -> FloatArray:
 
 
 def give_all(process: Process, belief: FloatArray, messages: int) -> FloatArray:
-    """The belief(s) [..., S] after these messages."""
+    """Updates beliefs [..., S]: these messages were given."""
     for message in indices(messages):
         belief = give(process, belief, message)
     return belief
 
 
 def forget(process: Process, belief: FloatArray) -> FloatArray:
-    """The belief(s) [..., S] after a step: b F."""
+    """Updates beliefs [..., S] at the end of a step: b F."""
     return belief if process.forget is None else after_forgetting(belief, process.forget)
 
 
 def expected_after_forgetting(process: Process, values: FloatArray) -> FloatArray:
-    """F v: E[v(s') | s] of values [..., S] after a step."""
+    """Computes F v: E[v(s') | s] of values [..., S] after a step."""
     if process.forget is None:
         return values
     after = np.array(values, order="C")
@@ -338,8 +340,9 @@ def expected_after_forgetting(process: Process, values: FloatArray) -> FloatArra
 def answer_likelihoods(
     process: Process, step: int, said: int, possible: IntArray
 ) -> list[FloatArray]:
-    """The distinguishable answers to *explain* at (k, v), as factors: [B, P] P(answer | s) of B
-    answers in each, for P possible states. Cached, because many beliefs use the same ones."""
+    """Lists the distinguishable answers to *explain* at (k, v), as factors: in each, [B, P]
+    P(answer | s) of B answers for P possible states. The result is cached, because many beliefs use
+    it."""
     kept, key = process.cells.answers, (step, said, possible.tobytes())
     factors = kept.get(key)  # several threads may use a policy
     if factors is None:
@@ -368,7 +371,8 @@ def outcomes(
     negligible: float = 0.0,
     most: int | None = None,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """The possible outcomes of *explain* at (k, v). Answers with the same information are merged.
+    """Lists the possible outcomes of *explain* at (k, v). Answers with the same information are
+    merged.
 
     Transitions with equal columns P(answer 1 | s) are exchangeable, so the number of their 1s is
     enough; transitions that all states answer alike give no information.
@@ -438,7 +442,7 @@ def hear_answer(
 
 
 class KnownValues(NamedTuple):
-    """V and Q in two layouts with one interface.
+    """The values V and Q of known states; two layouts of the arrays have this interface.
 
     Attributes:
         value: [m + 1, cells] V, with indices ``value_cells``.
@@ -465,9 +469,9 @@ def known_values(process: Process, idle: bool = False) -> KnownValues:
 
     Args:
         process: the model.
-        idle: True allows messages of a known type's row that change nothing for it. Given because
-            of other types they delay its costs: if messages discount, Σ b V is an upper bound of
-            the optimum only with them.
+        idle: True also allows messages that change nothing for the known type. A policy gives such
+            messages because of other types, and they delay costs. So if messages discount, Σ b V is
+            an upper bound of the optimum only if they are allowed.
     """
     prices = _bit_prices(process, idle)
     solve = _where_messages_land if process.jump is None else _where_messages_are_missed
@@ -507,7 +511,7 @@ def _where_messages_land(process: Process, prices: FloatArray) -> KnownValues:
 
 
 def _where_messages_are_missed(process: Process, prices: FloatArray) -> KnownValues:
-    """[m + 1, sets of the step, S] values if messages may be missed."""
+    """Computes [m + 1, sets of the step, S] values if messages may be missed."""
     states, types, bits = process.n_states, process.n_types, len(prices)
     assert process.accept is not None
     accept = process.accept[:types]

@@ -79,7 +79,7 @@ class QHRPolicy:
         process: the model.
         sets: the sets to compare, ascending. If these are not all, the best one is added to the
             chosen set until no addition is better.
-        shown: [m, cells] costs of the prefixes from k on, without further messages.
+        shown: [m, cells] the cost of all prefixes from step k on, without further messages.
     """
 
     process: Process

@@ -44,8 +44,8 @@ WORDS = (1 << 64) - 1
 def telling_questions(
     process: Process, visible: VisibleState, belief: NDArray[np.float64], most: int | None = None
 ) -> tuple[list[int], list[float]]:
-    """The possible questions that are informative, most informative first, with the nats of
-    information in their answers, from :func:`~xplain.solvers.parts.rank_questions`."""
+    """Lists the possible questions that are informative, most informative first, with the
+    information of their answers in nats (:func:`~xplain.solvers.parts.rank_questions`)."""
     questions, asked = process.questions, visible.asked
     if asked.bit_count() >= questions.most or (questions.first and (visible.step or visible.given)):
         return [], []
@@ -57,7 +57,7 @@ def telling_questions(
 
 
 def with_questions(policy: Policy, process: Process, known: KnownValues, seed: int) -> Policy:
-    """The policy, extended to ask if there are questions."""
+    """Extends the policy to ask if there are questions."""
     if not len(process.questions.answered):
         return policy
     stream = derived_seed(seed, "value of information")
@@ -113,7 +113,7 @@ class VoiPolicy:
         return gains
 
     def _worth(self, tree: Tree, step: int, said: int, belief: NDArray[np.float64]) -> float:
-        """The value of QMDP's decisions from a belief [S]."""
+        """Estimates the value of QMDP's decisions from a belief [S]."""
         process, model = self.process, self.model
         # If answers are certain, a simulation has no randomness.
         certain = process.jump is None and not (process.answered % 1).any()

@@ -2,8 +2,8 @@
 tests.
 
 States are ⟨k, L, E_given, E_next, t⟩, with three corrections (docs/choices.md, slips): given or
-pending messages are no actions; label probabilities use E_given ∪ E_next and depend on τ_i; label 0
-has the cost. Messages that change no label and no answer of any type are no actions either. If
+pending messages are not actions; label probabilities use E_given ∪ E_next and depend on τ_i; label
+0 has the cost. Messages that change no label and no answer of any type are not actions, either. If
 users err or miss messages, L are their answers, t is a hidden type, and the facts that they
 currently believe correctly are part of the state. The code does not use the reduction to (k, H,
 belief). Optimal values come from the definition, by trying every action and every observation.
@@ -57,9 +57,9 @@ class LiteralPOMDP:
         }
 
     def actions(self, state: LiteralState) -> list[int]:
-        """*Explain*, the messages with effect that are neither given nor pending (if they may be
-        missed or forgotten, all that are not pending), and questions if no message is pending. None
-        at the end of the trace."""
+        """The possible actions: *explain*; the messages with effect that are neither given nor
+        pending (if messages may be missed or forgotten, all that are not pending); and questions if
+        no message is pending. At the end of the trace there are none."""
         if state.step == self.problem.n_steps:
             return []
         messages = self.problem.messages_with_effect
@@ -73,8 +73,8 @@ class LiteralPOMDP:
         return free
 
     def _open_questions(self, state: LiteralState) -> list[int]:
-        """Among equal questions, the nearest one that was not asked. If users' knowledge is hidden,
-        questions are equal if they are equal for any knowledge."""
+        """The questions that may be asked: among equal ones, only the nearest that was not asked.
+        If users' knowledge is hidden, questions are equal if they are equal for any knowledge."""
         questions, table = self.problem.questions, self.problem.questions.table
         labels, answers, given = table.p, table.answered, 0
         if self.problem.messages_land:
@@ -196,7 +196,7 @@ def reduced_optimal_value(
     """The same value from (k, H, belief), the state that is sufficient according to docs/method.md
     §5.
 
-    Still by enumeration: every message, every label vector, no merging of observations.
+    This also enumerates every message and every label vector; it merges no observations.
     """
     if belief is None:
         belief = tuple(float(p) for p in problem.prior)

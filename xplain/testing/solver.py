@@ -37,7 +37,7 @@ class SolverConformance(Conformance):
     weighs_costs = True
 
     def test_is_a_solver(self, component: Any) -> None:
-        """It plans, and declares what it needs to know about the user."""
+        """It plans, and declares the knowledge about the user that it needs."""
         assert isinstance(component, Solver), "a solver has `knows` and `plan`"
         assert component.knows in get_args(Knowledge), f"knows: one of {get_args(Knowledge)}"
 
@@ -154,7 +154,7 @@ ONE = np.ones(1)
 
 
 def _types(solver: Solver, several: int) -> int:
-    """The number of types to plan for: several only for solvers of that problem."""
+    """The number of types to plan for: several only if the solver plans for several types."""
     return several if solver.knows == "types" else 1
 
 

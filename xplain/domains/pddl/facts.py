@@ -243,8 +243,8 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
     with the believed version.
 
     Parameters of actions are compared by position. All items with a predicate that only one task
-    has are one difference. A function's value that only one task has belongs to an initial atom
-    with the same arguments that only this task has, if there is one.
+    has are one difference. If only one task has the value of a function, the value belongs to an
+    initial atom with the same arguments that only this task has, if there is one.
 
     Raises:
         InputError: the tasks differ in objects, types, or the parameters of an action.

@@ -130,8 +130,8 @@ class Grounding:
         atoms: atoms that actions can change.
         beliefs: literals that differ between beliefs.
         start: atoms that hold at the start.
-        starts: for each fact, the atoms in which a believed start differs, and those of them that
-            hold.
+        starts: for each fact, the atoms in which the believed start differs, and those of them that
+            hold in it.
         actions: (name, object, …) of each ground action, in the order of the files.
         variants: the distinct forms of an action in any belief: its index, its precondition, and
             its effects.

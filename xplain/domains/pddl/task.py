@@ -312,7 +312,7 @@ def _number(node: Any, numbers: dict[int, float]) -> Any:
 
 
 def _value(expression: Any, numbers: Mapping[int, float]) -> float | str:
-    """A number, or the text of a function; 0 if it is missing."""
+    """Converts a cost to a number, or to the text of a function; a missing cost is 0."""
     if isinstance(expression, lifted.PrimitiveNumericExpression):
         return f"({' '.join([expression.symbol, *expression.args])})"
     return float(numbers.get(expression.value, expression.value)) if expression else 0.0

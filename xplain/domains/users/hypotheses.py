@@ -99,8 +99,8 @@ class Hypotheses:
             transitions; None if unknown.
         variants: [V, C, T] uint8 labels at other inaccurate values (half, double, …), which people
             may also believe; V may be 0.
-        variant_weight: [V] prior probabilities of the variants; None: equal, and in sum below that
-            of the assumed values.
+        variant_weight: [V] prior probabilities of the variants. None: they are equal, and their sum
+            is below the prior of the assumed values.
         further: labels of sets that are not yet candidates (:meth:`with_sets`); None if they cannot
             be computed.
     """
@@ -353,10 +353,10 @@ class Hypotheses:
         r"""[C] for each candidate, the facts that some question reveals at the assumed values.
         Candidates behave alike if and only if these facts are equal.
 
-        The intersection of two candidates that behave alike behaves like them (give the messages
-        outside it), so each class has one smallest member. A fact j is in it unless, for every K ⊆
-        R \\ j, people who believe K ∪ j incorrectly label everything like those who believe K
-        incorrectly.
+        The intersection of two candidates that behave alike behaves like them, too (consider the
+        messages outside it), so each class has one smallest member. A fact j is in it unless, for
+        every K ⊆ R \\ j, people who believe K ∪ j incorrectly label everything like those who
+        believe K incorrectly.
         """
         found = np.zeros_like(self.facts)
         for j, more, less in self.pairs:
@@ -406,7 +406,7 @@ _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
 
 
 def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
-    """The hypotheses of a file, or those of the domain, which are computed once.
+    """Reads the hypotheses of a file, or takes those of the domain, which are computed only once.
 
     Raises:
         InputError: there are neither, or they cannot be used.

@@ -146,7 +146,7 @@ class FactLabels:
 
 
 def other_values(domain: Domain, other: Callable[[float, float], float]) -> dict[str, Any]:
-    """Inaccurate values by parameter: ``other`` of the robot's and the inaccurate value if both are
+    """Other inaccurate values by parameter: ``other(robot's value, inaccurate value)`` if both are
     numbers and the domain accepts the result; otherwise the inaccurate value."""
     accurate = {one.name: one.accurate for one in domain.parameters}
     values = {one.name: one.inaccurate for one in domain.parameters}

@@ -192,7 +192,8 @@ class RandomCover:
 @checks("users")
 @dataclass(frozen=True)
 class FewFacts:
-    """Random types for domains with many facts: each type believes a few facts incorrectly.
+    """Random types for domains with many facts. People of each type believe a few facts
+    incorrectly.
 
     Attributes:
         count: number of types.

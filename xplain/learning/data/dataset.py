@@ -69,7 +69,7 @@ def numbered(rows: ArrayLike) -> dict[bytes, int]:
 
 
 def places(rows: ArrayLike, known: ArrayLike | Mapping[bytes, int]) -> NDArray[np.int64]:
-    """[P] indices of rows of features [P, F] among known rows [U, F] (or a map of
+    """[P] the index of each row of features [P, F] among known rows [U, F] (or in a map of
     :func:`numbered`); −1 if missing."""
     number = known if isinstance(known, Mapping) else numbered(known)
     found = [number.get(row.tobytes(), -1) for row in np.asarray(rows, np.float64) + 0.0]

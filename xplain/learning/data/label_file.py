@@ -1,4 +1,4 @@
-"""People's own tables, CSV or Parquet, such as tables of labels: one row for each label
+"""Reads people's own tables (CSV or Parquet), such as tables of labels with one row for each label
 (docs/your-own-data.md).
 
 Columns: ``observer``; ``messages``, names joined by ``;``, empty for none (without this column
@@ -59,7 +59,7 @@ MAX_MASK = 62
 MIN_QUERIES = 4
 """Minimum number of distinct (transition, message set); a split of fewer has no meaning."""
 PREFIXES = {"data": "", "observers.path": "observers."}
-"""The beginning of the other keys about a table of labels, by the key of its path."""
+"""The prefix of the other keys about a table of labels, by the key of its path."""
 
 
 class Column(NamedTuple):
@@ -436,8 +436,8 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
 
 
 def option(key: str, name: str, *values: str) -> str:
-    """The command-line option that sets the key ``name``, beside the key of the table's path, to a
-    list of texts."""
+    """Writes the command-line option that sets the key ``name`` to a list of texts. The key is on
+    the level of the key of the table's path."""
     return shlex.quote(f"{PREFIXES.get(key, '')}{name}=[{','.join(map(_quote, values))}]")
 
 
@@ -506,9 +506,8 @@ def _choose_features(
 def _counts_rows(
     column: Column, observer: Column, others: Sequence[Column], messages: Column
 ) -> bool:
-    """True if a column has numbers that rise from row to row of each person and do not name the
-    transition. Rows with the same number then differ in other columns, or have the same message
-    set."""
+    """True if a column has numbers that rise from row to row of each person and do not identify the
+    transition: rows with the same number differ in other columns, or have the same message set."""
     number = np.array([_float(word) for word in column.words])[column.code]
     order, values = np.argsort(observer.code, kind="stable"), len(column.words)
     rises = np.diff(number[order])[np.diff(observer.code[order]) == 0] > 0

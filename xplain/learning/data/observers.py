@@ -68,7 +68,7 @@ class Observed:
     @property
     def behaviour(self) -> NDArray[np.int64] | None:
         """[O] the ``distinct`` number of each observer's type; None if true types are unknown.
-        Types that label everything alike count as one, for clustering and for scores."""
+        Types with the same labels count as one type, for clustering and for scores."""
         if self.truth is None or self.setting is None:
             return self.truth
         return self.setting.distinct[self.truth]

@@ -34,14 +34,15 @@ def packed(subsets, z, mask):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def table_row(ahead):  # type: ignore[no-untyped-def]
-    """The row of the tables of :class:`~xplain.learning.mixture.sampler.Prior` for ones − zeros."""
+    """The row for ``ones − zeros`` in the tables of
+    :class:`~xplain.learning.mixture.sampler.Prior`."""
     return min(max(ahead, -REACH), REACH) + REACH
 
 
 @part
 def log_cell_of(zeros, ones, c, e, prior):  # type: ignore[no-untyped-def]
-    """:func:`~xplain.learning.mixture.likelihood.log_cell` of the labels in cell c at error level
-    e."""
+    """Computes :func:`~xplain.learning.mixture.likelihood.log_cell` of the labels in cell c at
+    error level e."""
     right, false, ahead = prior.log_flip[e, 0], prior.log_flip[e, 1], ones - zeros
     value = ones * right + zeros * false + prior.marginal[int(c == 0), e, table_row(ahead)]
     if ahead < -REACH:  # linear beyond the table
@@ -87,8 +88,8 @@ def draw(log_weight, size, temperature, rng):  # type: ignore[no-untyped-def]
 
 
 WIDE = 12
-"""For up to this number of facts every S_τ is tried. For more facts, S_τ is drawn among this number
-of facts: the current ones and random others."""
+"""If there are at most this number of facts, every S_τ is tried. Otherwise S_τ is drawn among this
+number of facts: the current ones and random others."""
 
 
 @kernel
@@ -371,7 +372,7 @@ def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # ty
 
 @kernel
 def log_likelihood(state, prior):  # type: ignore[no-untyped-def]
-    """log P(all labels | M of every answer, S, ε), with f integrated out."""
+    """Computes log P(all labels | M of every answer, S, ε), with f integrated out."""
     total, counts = 0.0, state.counts
     for t in range(len(counts)):
         for c in range(counts.shape[1]):

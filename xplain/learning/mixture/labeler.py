@@ -1,5 +1,5 @@
-"""A labeler from hypotheses: P(label = 1) of people of one type, by the facts that they may believe
-incorrectly (docs/what-to-ask.md).
+"""A labeler that uses hypotheses: it predicts P(label = 1) of people of one type from the facts
+that they may believe incorrectly (docs/what-to-ask.md).
 
 The labeler holds a posterior over fact sets. If answers contradict the hypotheses in a cell, the
 answers decide the label of this cell (:mod:`xplain.learning.mixture.likelihood`); all other cells
@@ -74,8 +74,8 @@ class HypothesisLabeler(MeasuredLabeler):
     Attributes:
         known: the hypotheses.
         fit_alone: fits a labeler to the labels alone.
-        trust: weight of the hypotheses; ``alone`` has the remaining weight. 1 if people think as
-            the hypotheses say (:attr:`doubt`).
+        trust: weight of the hypotheses; ``alone`` has the remaining weight. It is 1 if people think
+            as the hypotheses say (:attr:`doubt`).
         facts: [R] likely fact sets.
         weight: [R, 1 + V, D] posterior of fact set, variant and deviation.
         cells: cells of the answers, for each fact set.
@@ -168,7 +168,7 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @property
     def wrong(self) -> NDArray[np.float64]:
-        """See :attr:`Labeler.wrong`. Never exactly 0 or 1."""
+        """See :attr:`Labeler.wrong`. Its values are never exactly 0 or 1."""
         return np.clip(self._share, EDGE, 1 - EDGE)
 
     def known_rows(
@@ -203,8 +203,8 @@ class HypothesisLabeler(MeasuredLabeler):
     def _weighed(
         self, one: NDArray[np.float64], features: NDArray[Any], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P] P(f = 1) of rows of features [P, F] given message sets [P]; ``one`` [P] is the value
-        by the hypotheses."""
+        """[P] P(f = 1) of rows of features [P, F] given message sets [P], weighted between the
+        hypotheses' value ``one`` [P] and labels alone."""
         if self.trust < 1:
             alone = self.alone.probability(features, told)
             one = self.trust * one + (1 - self.trust) * alone
@@ -288,7 +288,7 @@ class KnownAnswers:
 
     @classmethod
     def of(cls, known: KnownTransitions, dataset: Dataset) -> KnownAnswers:
-        """Selects the known answers of a dataset. Its features and messages are those of the
+        """Selects the known answers of a dataset, whose features and messages must be those of the
         hypotheses."""
         place = known.find(dataset.features)
         return cls(known, dataset.take(np.flatnonzero(place[dataset.transition] >= 0)), place)
@@ -313,8 +313,8 @@ class KnownAnswers:
         return partition(self.grown, self.of_observers, concentration)
 
     def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
-        """The same types, with the expected answers to all transitions of the full dataset. None if
-        labels alone predict answers better."""
+        """Finds the types of :meth:`partition`, with the expected answers to all transitions of the
+        full dataset. None if labels alone predict answers better."""
         facts, _, expected = self.partition(concentration)
         if self.evidence(np.unique(facts, return_inverse=True)[1]).beaten:
             return None
@@ -465,8 +465,7 @@ class HypothesisTrainer(LabelerTrainer):
     def with_errors(
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
-        """Adds what is learned about the errors in these people's answers; their types [O] are
-        given."""
+        """See :meth:`LabelerTrainer.with_errors`."""
         known = self.known_answers(dataset)
         if known is None:
             return self, self.answers, self.evidence

@@ -41,7 +41,8 @@ log = logging.getLogger(__name__)
 def log_cell(
     one: NDArray[np.float64], given_zero: ArrayLike, given_one: ArrayLike
 ) -> NDArray[np.float64]:
-    """log Σ_f P(f) P(answers in the cell | f). All searches for types share this likelihood.
+    """Computes log Σ_f P(f) P(answers in the cell | f). All searches for types share this
+    likelihood.
 
     Args:
         one: P(f = 1) before any answer, strictly between 0 and 1.
@@ -139,8 +140,8 @@ class KnownTransitions:
     mean label.
 
     A message whose fact is in no hypothesis may still correct something. So there are also
-    candidates who believe such a fact incorrectly, alone or with others. Its effect is unknown:
-    each label may be 0 instead, and answers show which.
+    candidates who believe such a fact incorrectly, alone or with others. The effect of such a fact
+    is unknown: any label may be 0 instead of 1, and answers show which labels are.
 
     Attributes:
         hypotheses: hypotheses with features, including the candidates with unwritten facts.
@@ -192,7 +193,7 @@ class KnownTransitions:
 
     @cached_property
     def _column(self) -> NDArray[np.int64]:
-        """[U] one transition for each row of features."""
+        """[U] the index of one transition for each row of features."""
         rows = np.asarray(self.hypotheses.features, dtype=np.float32)
         return np.unique(rows, axis=0, return_index=True)[1]
 
@@ -216,7 +217,7 @@ class KnownTransitions:
     def exactly(
         self, held: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P, 1 + V, D] P(f = 1) of single transitions [P], also if they share features, for people
+        """[P, 1 + V, D] P(f = 1) of single transitions [P], even if they share features, for people
         who believe the facts ``held`` [P] incorrectly."""
         labels = self.hypotheses.tables[:, self.hypotheses.row(held), transitions]
         return self._deviating((labels * _certain(held, self.unwritten)).T)
@@ -231,8 +232,8 @@ class KnownTransitions:
         return self._deviating(self._by_cell[key])
 
     def _deviating(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """P(f = 1) if the hypotheses say ``share`` [*, 1 + V]. Where variants with different sizes
-        disagree, δ is larger."""
+        """Computes P(f = 1) if the hypotheses predict ``share`` [*, 1 + V]. If variants with
+        different sizes disagree, δ is larger."""
         of_sizes = share[..., self.hypotheses.sizes]
         disputed = of_sizes.min(axis=-1) != of_sizes.max(axis=-1)
         more = np.minimum(DISPUTED * DEVIATION, DEVIATION[-1])
@@ -302,10 +303,10 @@ def _certain(held: NDArray[np.int64], unwritten: int) -> NDArray[np.float64]:
 
 
 DEVIATION = np.array([0.0005, 0.005, 0.05, 1 / 3])
-"""The possible values of δ; the last is for people whom no hypothesis fits."""
+"""The possible values of δ. The last one is for people whom no hypothesis fits."""
 DEVIATION_PRIOR = np.array([0.9, 0.06, 0.03, 0.01])
 DISPUTED = 20.0
-"""Factor on δ where variants of the hypotheses disagree; the product is at most ⅓."""
+"""Factor on δ if variants of the hypotheses disagree; the product is at most ⅓."""
 ERROR = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """The possible values of ε, equally likely."""
 

@@ -1,13 +1,13 @@
 """Finds the fact sets of observers and the error rates of their answers.
 
-First comes a mixture over all people. Expectation maximisation finds the shares of (fact set,
-variant, deviation), f of the cells, slips, guesses and error rates together, as in cognitive
-diagnosis (DINA), where f is given. All assignments are soft: with hard assignments each person
+The first step is a mixture over all people. Expectation maximisation finds the shares of (fact set,
+variant, deviation), the f of each cell, slips, guesses and error rates together, as in cognitive
+diagnosis (DINA), but there f is given. All assignments are soft: with hard assignments each person
 would get the type that explains their mistakes, and nobody would seem to make any.
 
-Then a Chinese restaurant process assigns observers to types, as in
-:mod:`xplain.learning.mixture.sampler`. There is no sampling: hypotheses leave so few fact sets that
-merging finds the most likely partition (benchmarks/README.md compares).
+In the second step a Chinese restaurant process assigns observers to types, as in
+:mod:`xplain.learning.mixture.sampler`. Nothing is sampled: with hypotheses there are so few fact
+sets that merging finds the most likely partition (compared in benchmarks/README.md).
 """
 
 from __future__ import annotations
@@ -174,8 +174,8 @@ class _Search:
         self.log_new = np.log(concentration) + np.log(known.prior_of(self.facts))
 
     def alike(self) -> NDArray[np.float64]:
-        """Sets one error rate for all answers: the most likely one if every observer is a type of
-        their own. Returns the posterior [O, R] of each observer's fact set."""
+        """Sets one error rate for all answers: the most likely one if every observer has a separate
+        type. Returns the posterior [O, R] of each observer's fact set."""
         levels = by_level(self.every.label)
         alone = np.stack([self._log_sum(rows, self.facts, levels) for rows in self.rows])
         alone += self.log_new[:, None]
@@ -200,7 +200,7 @@ class _Search:
         return made
 
     def heed(self, answers: AnswerModel) -> None:
-        """Uses this error model from now on."""
+        """Changes the error model that the search uses."""
         about = self.every.transition, self.person, self.every.label
         self.given = answers.log_given(*about)[:, :, None]
 

@@ -58,8 +58,8 @@ from xplain.randomness import derived_seed, stream
 NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """The possible values of ε_τ; their shares are learned."""
 CELL = np.array([0.25, 0.98])
-"""P(f_τ = 1) before any answer: with a relevant fact believed incorrectly (then most people find
-the transition inexplicable), and without one."""
+"""P(f_τ = 1) before any answer: for people who believe a relevant fact incorrectly (most of them
+find the transition inexplicable), and for all others."""
 SUBSET = 0.5
 """Each further fact in S_τ multiplies its prior by this factor."""
 
@@ -107,7 +107,7 @@ class SortedLabels(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """Tables of the prior of f, S and ε.
+    """Tables for the prior of f, S and ε.
 
     Z subsets of at most ``depth`` facts, E levels of noise.
 
@@ -118,7 +118,8 @@ class Prior(NamedTuple):
         log_subset: [Z] log prior of each subset.
         log_block: [depth + 1] log P(the block of facts that S_τ is drawn from | S_τ), by the size
             of S_τ.
-        predictive: [2, E, 2 · REACH + 1, 2] log P(next label | is M ∩ S empty, ε, ones − zeros).
+        predictive: [2, E, 2 · REACH + 1, 2] log P(next label | whether M ∩ S is empty, ε, ones −
+            zeros).
         marginal: [2, E, 2 · REACH + 1] log marginal likelihood of a cell, relative to f = 1.
         log_flip: [E, 2] log(1 − ε) and log ε.
     """
@@ -267,8 +268,8 @@ def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> Chain
 
 
 def _log_restaurant(members: NDArray[np.int64], log_new: float) -> float:
-    """log P(partition of the observers, and each type's fact set) for types with ``members``
-    [K]."""
+    """Computes log P(partition of the observers, and each type's fact set) for types with
+    ``members`` [K]."""
     return sum(log_new + lgamma(size) for size in members.tolist())
 
 
@@ -376,14 +377,14 @@ def _propose(
 
 
 def _log_merged(size: int, others: int, urn: float) -> float:
-    """log P(one type) − log P(two types) under Pólya's urn with ``urn`` balls of each fact set at
-    first."""
+    """Computes log P(one type) − log P(two types) under Pólya's urn, which begins with ``urn``
+    balls of each fact set."""
     return lgamma(size + others + urn) + lgamma(urn) - lgamma(size + urn) - lgamma(others + urn)
 
 
 def _log_ways(whole: int, part: int) -> float:
-    """log of the inverse probability to choose a part of ``whole`` observers; all sizes 1 … whole −
-    1 are equally likely."""
+    """Computes −log P(a part is chosen) for parts of ``whole`` observers; all sizes 1 … whole − 1
+    are equally likely."""
     choose = lgamma(whole + 1) - lgamma(part + 1) - lgamma(whole - part + 1)
     return math.log(whole - 1) + choose
 

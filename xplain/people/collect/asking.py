@@ -1,8 +1,8 @@
-"""The state of a participant, the choice of the next clip, and the evidence of the answers so far.
+"""The state of a participant, the choice of the next clip, and what the answers so far show.
 
 Questions come from :class:`xplain.questions.questionnaire.Questionnaire`, or from one list for all.
-They include an obvious step, and some of the first questions are repeated. At the end some messages
-may be given that stay valid on later pages, to see whether people believe and remember them.
+They include an obvious step, and some of the first questions are repeated. At the end, people may
+get messages that stay valid on later pages, to test if they believe and remember them.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ FINISHED = ("beliefs", "questions", "done")
 """Stages after the last clip."""
 QUESTION, REPEAT, ATTENTION = "question", "repeat", "attention"
 TOLD, LATER, AGAIN = "told", "later", "again"
-"""Purposes of the clips at the end: a message that stays valid, its step later without the message,
-and the step with the message given again."""
+"""Purposes of the clips at the end: a step with a message that stays valid, the same step later
+without the message, and the step with the message given again."""
 HEEDED = (TOLD, LATER, AGAIN)
 STATED = ("accurate", "inaccurate", "unsure")
 """Possible statements about a fact; the payload has their index."""
 KEPT = 1e-6
 """Fact sets with a smaller posterior are not stored."""
 ALTERNATIVES, AS_MUCH = 200, 0.9
-"""Number of questions that are compared, and the share of the best question's information from
-which a question counts as equally good."""
+"""Number of questions that are compared. A question with at least this share of the best question's
+information counts as equally good."""
 SHARED = 1e-3
 """Fact sets with a smaller share are left out of the next participant's prior."""
 
@@ -81,7 +81,7 @@ class CollectState(core.State):
         others: {fact set: its share among earlier participants}.
         answered: clips with their labels.
         clip: the clip on the page.
-        belief: {fact set, or "none": its posterior}, after the last question.
+        belief: {fact set, or "none": its posterior} after the last question.
         stated: for each fact an index into STATED.
     """
 
@@ -195,8 +195,8 @@ def questions_of(plan: CollectPlan) -> int:
 def clip(
     plan: CollectPlan, state: CollectState, tasks: Sequence[ClipTask], asking: Questionnaire
 ) -> AskedClip:
-    """The clip for the next task, given all answers. Two clips of the same step never follow each
-    other while there are others."""
+    """Chooses the clip for the next task, given all answers. Two clips of the same step never
+    follow each other if there are others."""
     step, questions = len(state.answered), state.questions()
     task, following = tasks[step], tasks[step + 1 : step + 2]
     if task.purpose == REPEAT:
@@ -230,8 +230,9 @@ def clip(
 def _varied(
     plan: CollectPlan, before: Sequence[AskedClip], near: set[int], asking: Questionnaire
 ) -> tuple[int, int]:
-    """The best question about a step unlike all earlier steps, if it is about as informative as the
-    best question. Otherwise the best question about a step unlike the neighbouring ones."""
+    """Chooses the best question about a step that was not shown before, if it is about as
+    informative as the best question; otherwise the best question about a step that the neighbouring
+    clips do not show."""
     phrases, every = plan.hypotheses.phrases, asking.alternatives(ALTERNATIVES)
     unknown = _unknown(before)
     found = [one for one in every if ((one[0],), one[1]) not in unknown] or every
@@ -244,14 +245,14 @@ def _varied(
 
 
 def _unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int]]:
-    """Questions that the person could not answer. Such an answer is no evidence, so they would
-    otherwise always remain the best questions."""
+    """Lists questions that the person could not answer. Such an answer is no evidence, so without
+    this list they would remain the best questions."""
     return {(one.transitions, one.told) for one in before if CANNOT_TELL in one.labels}
 
 
 def _heeded(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:
-    """Chooses a message that stays valid, with a step that most likely makes sense only because of
-    it; or shows such a step again."""
+    """Chooses a message that stays valid, with a step that most likely makes sense only with this
+    message; or shows such a step again."""
     before = [clip for clip in state.answered if clip.purpose == TOLD]
     if task.purpose != TOLD:
         first = before[task.again]

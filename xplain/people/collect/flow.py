@@ -209,8 +209,8 @@ class Collection(Flow[CollectPlan, CollectState]):
         self.found.clear()
 
     def drawn(self, what: tuple[int, ...]) -> tuple[Way | None, int, Sequence[str]]:
-        """The transitions of a clip. Without transitions, the robot at a place where it hides
-        nothing."""
+        """The transitions of a clip; without transitions, the robot at a place where it covers no
+        item of the map."""
         shown, scene = self.plan.shown, self.plan.scene
         if scene is None:
             return None, 0, ()

@@ -1,8 +1,8 @@
 """Tables from a snapshot of the database: ``collect export``.
 
-``labels.csv`` is the input of ``xplain discover``, with the ``hypotheses.npz`` that the questions
-were chosen by. ``observers.csv`` and ``clips.csv`` describe who gave the labels, and how. People,
-pilots and bots never share a table of labels.
+``labels.csv`` is the input of ``xplain discover``, together with ``hypotheses.npz``, by which the
+questions were chosen. ``observers.csv`` describes the people who gave the labels, ``clips.csv``
+their pages. People, pilots and bots never share a table of labels.
 """
 
 from __future__ import annotations
@@ -152,8 +152,9 @@ def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar
 
 
 def glance(collection: Collection, people: People) -> dict[str, Any]:
-    """Figures for the researcher's page: labels so far, the types found in them, and the expected
-    new types in more people. They are about people, or about bots if there are no people yet."""
+    """Computes figures for the researcher's page: the labels so far, the types found in them, and
+    the expected number of new types in more people. They are about people, or about bots if there
+    are no people yet."""
     plan, found = collection.plan, collection.found
     whose = "person" if any(one.stream == "person" for one in people) else "bot"
     states = {one.id: one.state for one in people if one.stream == whose}
@@ -176,9 +177,9 @@ def glance(collection: Collection, people: People) -> dict[str, Any]:
 
 
 def compared(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dict[str, int]]:
-    """For each fact, counts people with an opinion at the end ("of"): how many said that they
-    believed it incorrectly ("said"), for how many the answers show it ("inferred"), and for how
-    many both agree ("agree")."""
+    """Counts for each fact the people with an opinion at the end ("of"), those who said that they
+    believed it incorrectly ("said"), those whose answers show it ("inferred"), and those for whom
+    both agree ("agree")."""
     found = {
         fact.name: dict.fromkeys(("said", "inferred", "agree", "of"), 0) for fact in plan.facts
     }
@@ -255,7 +256,7 @@ def tables(plan: CollectPlan, people: list[Person]) -> dict[str, Iterable[Row]]:
 
 
 def _timed(one: Person) -> list[tuple[Event, Event | None]]:
-    """Each answer to a clip, with the event that first showed its page."""
+    """Yields each answer to a clip, with the event that first showed its page."""
     shown = {e.source_sequence: e for e in one.events if e.source == "shown"}
     return [(answer, shown.get(answer.source_sequence)) for answer in one.answers("labels")]
 
@@ -387,7 +388,7 @@ class Asked:
 
 
 def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
-    """The people of a stream whose labels are used, except those whom no hypothesis fits.
+    """Lists the people of a stream whose labels are used, except those whom no hypothesis fits.
 
     Args:
         database: a collection's database that no server has open, or a snapshot.
@@ -410,7 +411,7 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
 
 
 def asked_of(plan: CollectPlan, state: CollectState) -> Asked:
-    """The pages of a person who reached their end."""
+    """The pages of a person who reached the end."""
     known = plan.hypotheses
     before = np.bincount(known.classes, prior(plan, state.others))
     shares = {int(facts): share for facts, share in state.belief.items() if facts != "none"}

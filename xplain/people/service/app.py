@@ -42,7 +42,7 @@ Kind = Literal["session", "questionnaire"]
 
 
 def problem(status: int, detail: str, **about: Any) -> JSONResponse:
-    """An error as in RFC 9457."""
+    """Makes an error response as in RFC 9457."""
     body = {"title": HTTPStatus(status).phrase, "status": status, "detail": detail, **about}
     return JSONResponse(body, status, media_type="application/problem+json")
 
@@ -71,7 +71,7 @@ PROBLEMS: dict[Any, Callable[[Request, Exception], JSONResponse]] = {
 
 
 class OnlyJson:
-    """Reads every body of at most LARGEST bytes as JSON, also if it is sent as text (as beacons
+    """Reads every body of at most LARGEST bytes as JSON, even if it is sent as text (as beacons
     do)."""
 
     def __init__(self, app: Any) -> None:

@@ -46,10 +46,10 @@ class Served:
         hypotheses: T transitions with features, and what people may believe incorrectly about them;
             None if only traces can be explained.
         sentences: text of each message, by its name.
-        beliefs: statement of a person who believes a fact incorrectly, by its message's name.
+        beliefs: statement of a person who believes a fact incorrectly, by the name of its message.
         seed: seed that breaks ties in questionnaires.
         questions: maximum number of questions in a questionnaire.
-        asking: how a questionnaire chooses them.
+        asking: the settings by which a questionnaire chooses questions.
         clips: maximum number of transitions that an explanation may ask about.
         scene: a domain's map, or None.
         cells: [T, 2] cells of the map where a transition starts and ends.
@@ -201,7 +201,8 @@ def served(cfg: DictConfig) -> Served:
 
 
 def _map(domain: Domain, known: Hypotheses, cfg: DictConfig) -> dict[str, Any]:
-    """The map of a domain, and some traces of its robot over the transitions of hypotheses."""
+    """Returns the map of a domain, and some traces of its robot as indices into the transitions of
+    the hypotheses."""
     assert known.states is not None, "hypotheses of a domain know states"
     assert known.features is not None, "and features"
     cells = tuple((domain.position(a), domain.position(b)) for a, b in known.states.tolist())

@@ -34,7 +34,7 @@ class Unknown(Exception):
 
 
 class Conflict(Exception):
-    """A different answer has this number, or the number was never given out."""
+    """Another answer already has this number, or no action had this number."""
 
 
 class Explanation:

@@ -1,7 +1,6 @@
-"""A document to register before the first participant: ``study preregister``.
-
-It follows from the plan alone, so the registered study is the one that runs.
-"""
+"""The analysis of a study (``study analyse``), and the document to register before the first
+participant (``study preregister``). The document follows from the plan alone, so the registered
+study is the one that runs."""
 
 from __future__ import annotations
 
@@ -45,7 +44,7 @@ SECONDARY = {
     "questions_asked": "Questions",
     "cost": "Cost",
 }
-"""Measures that are shown if they are known for all participants."""
+"""Measures that are reported only if they are known for all participants."""
 NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES)
 PERMUTATIONS = 10_000
 
@@ -62,7 +61,7 @@ class Analysis:
             and the paper's figures ``paper_…``.
         flow: numbers of participants who reached a stage, who came to an end, who were excluded
             with the reason, and who are analysed; in all and by condition.
-        data: the completed, included participants.
+        data: the participants who finished and are not excluded.
     """
 
     conditions: tuple[str, str]

@@ -40,9 +40,9 @@ class AskedQuestion:
     """A question to the participant.
 
     Attributes:
-        step: k, of the next step.
+        step: k of the next step.
         question: index of the question.
-        told: number of messages given before.
+        told: number of messages given before the question.
         worth: the policy's value of the question minus that of its best other action; None if
             unknown.
         before: [M] belief over user types.
@@ -113,8 +113,8 @@ class StudyState(core.State):
 
     @property
     def place(self) -> int | None:
-        """The position of the place that they hold or have used; None after they gave it back, for
-        example because they are excluded from the analysis."""
+        """The position of the place that they have now or have used; None after they gave it back,
+        for example because they are excluded from the analysis."""
         used = self.stage == "done" and not self.missed
         return self.position if used or not self.over else None
 
@@ -162,8 +162,8 @@ class Explaining(Flow[StudyPlan, StudyState]):
         return talk
 
     def next_step(self, state: StudyState) -> StudyState:
-        """A question, if the policy asks one before the state's step; otherwise the step with the
-        policy's messages."""
+        """Returns the policy's question, if it asks one before the state's step; otherwise the step
+        with the policy's messages."""
         talk, belief = self.talk(state), self.of_types(state.belief)
         action, values = talk.decide(), talk.values()
         said = {
@@ -190,12 +190,13 @@ class Explaining(Flow[StudyPlan, StudyState]):
         )
 
     def of_types(self, belief: Sequence[float]) -> tuple[float, ...]:
-        """The belief over user types, summed over habits and knowledge, for the log."""
+        """Returns the belief over user types, summed over habits and knowledge, for the log."""
         return tuple(self.plan.problem.type_belief(np.array(belief)).tolist())
 
     def told(self, state: StudyState) -> dict[str, Any]:
-        """The content of every page of the evaluation: the briefing, the old messages and the new
-        ones, each at its last position; ``again`` are new messages that were given before."""
+        """Collects the content that every page of the evaluation has: the briefing, the old
+        messages and the new ones. A message that was given twice appears once, at its last
+        position; ``again`` lists new messages that were also given before."""
         messages = [fact.message for fact in self.plan.facts]
         last = [*dict.fromkeys(reversed(state.heard))][::-1]
         old = [messages[j] for j in last if not state.new >> j & 1]

@@ -166,9 +166,8 @@ class LastQuestions(QuestionStage["Study", StudyState]):
 @dataclass(frozen=True)
 class Study(Explaining):
     """A running plan with its policies. Places are permuted blocks of every type and condition. A
-    participant holds a place from the consent on, gives it back by dropping out, by a time-out or
-    by not being eligible, and uses it up by completing. All of this is in the participants'
-    states."""
+    participant takes a place at the consent, gives it back after dropping out, a time-out or failed
+    tests, and uses it up by finishing. All of this is in the participants' states."""
 
     PLAN = StudyPlan
     PACKAGE = "xplain.people.study"
@@ -190,7 +189,7 @@ class Study(Explaining):
     @classmethod
     def of(cls, plan: StudyPlan) -> Study:
         """Creates the study, with policies from the conditions' configurations."""
-        from hydra.utils import instantiate  # a flow at work knows no configuration
+        from hydra.utils import instantiate  # a running flow does not know the configuration
 
         seed = derived_seed(plan.seed, "solver")
         policies = {
@@ -209,14 +208,15 @@ class Study(Explaining):
         return view | {"untrue": [(role.briefing[j], facts[j].message) for j in untrue]}
 
     def advance(self, state: StudyState, kind: str, payload: Mapping[str, Any]) -> StudyState:
-        """A returning participant gets the place that was free."""
+        """Gives a returning participant the free place."""
         after = super().advance(state, kind, payload)
         return replace(after, **payload) if kind == "return" else after
 
     # Places --------------------------------------------------------------------------------------
 
     def cell(self, stream_name: str, position: int) -> tuple[int, str]:
-        """Type and condition of a place: each block contains every cell once, in a seeded order."""
+        """Returns type and condition of a place: each block contains every cell once, in a seeded
+        order."""
         block, place = divmod(position, len(self.plan.cells))
         rng = stream(self.plan.seed, "slots", stream_name, block)
         return self.plan.cells[int(rng.permutation(len(self.plan.cells))[place])]
@@ -303,7 +303,8 @@ class Study(Explaining):
     # What to expect ------------------------------------------------------------------------------
 
     def announcement(self) -> str:
-        """If a condition asks, says what asking is worth to people who never err."""
+        """If a condition asks, tells the costs of people who never err with and without
+        questions."""
         if ASKING not in self.plan.conditions:
             return ""
         met = self.faultless().items()

@@ -106,10 +106,10 @@ class StudyPlan(StoredPlan):
         known: facts that everybody is told.
         before: questions before the briefing.
         roles: [N].
-        kinds: [M] facts that each kind of simulated people believes incorrectly, in a study without
-            a briefing; such a study has one role. None otherwise.
+        kinds: [M] the facts that each kind of simulated people believes incorrectly, in a study
+            without a briefing; such a study has one role. None for other studies.
         shown: [m + Q] the trace, then the transitions that the condition ASKING may ask about.
-        taken: [m + 1] names of the items that are off the map after each number of steps; or none.
+        taken: [m + 1] names of the items that are off the map after 0 … m steps; or none.
         problem: label probabilities and costs of the policies, with the questions that the
             condition ASKING may ask.
         clip_labels: answers of the M kinds to the questions, as in ``true_labels``; None without

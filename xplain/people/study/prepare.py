@@ -44,7 +44,8 @@ from xplain.randomness import stream
 NATURAL = "natural"
 """Name of the role in a study without a briefing."""
 STATEMENTS = 2
-"""Number of quiz statements about the facts that a type needed, and also about others."""
+"""Number of quiz statements about facts that a type needed; the same number is about other
+facts."""
 
 
 def roles_of(
@@ -60,9 +61,9 @@ def roles_of(
         types: N user types.
         labels: [N, m, 2^n] their true labels of the trace.
         wording: texts of the study. ``rewards`` has a phrase for the action of each parameter that
-            is the reward of an action; the eligibility test then asks the paper's question (is the
-            reward ≥ 0?), and otherwise which of two sentences was in the briefing. ``known`` has
-            the facts that everybody is told, ``words`` the texts of the questions.
+            is the reward of an action. About such a parameter the eligibility test asks the paper's
+            question (is the reward ≥ 0?), about others which of two sentences was in the briefing.
+            ``known`` has the facts that everybody is told, ``words`` the texts of the questions.
     """
     known = tuple(Known(**one) for one in wording["known"])
     roles = []
@@ -83,7 +84,8 @@ def roles_of(
 def natural_role(
     facts: Sequence[Parameter], known: Sequence[Known], labels: NDArray[np.uint8]
 ) -> StudyRole:
-    """The only role of a study without a briefing. Its quiz is about what simulated people need.
+    """Makes the only role of a study without a briefing. Its quiz is about facts that simulated
+    people need.
 
     Args:
         facts, known: of the plan.
@@ -128,7 +130,7 @@ def _quiz(
     If fewer than two facts were needed, the type's other incorrect facts follow, then any facts.
     The other statements are about facts that everybody is told, or that the type believes
     correctly. One statement of each two is true. True sentences that everybody is told are bad
-    news, so the sound of a sentence does not reveal whether it is true.
+    news, so good and bad news do not reveal which sentences are true.
 
     Args:
         facts, known: of the plan.
@@ -302,8 +304,8 @@ def traces_of(
     those of ``rows``, lists of its rows from 1.
 
     Traces for which the types need the most facts corrected come first, and shorter ones before
-    longer ones. A trace that most types understand anyway would measure nothing, and one of two or
-    three steps very little.
+    longer ones. A trace that most types understand without messages would measure nothing, and a
+    trace of two or three steps very little.
 
     Raises:
         InputError: no trace meets ``rules``.

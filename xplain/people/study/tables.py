@@ -39,7 +39,7 @@ def export(database: Path, folder: Path) -> str:
 
 
 def glance(study: Study, people: People) -> dict[str, Any]:
-    """Free places, and how many participants no type fits, for the researcher's page."""
+    """Counts free places, and participants whom no type fits, for the researcher's page."""
     held, plan, rows = study.holders(people), study.plan, []
     for own in sorted({"person", *(name for name, _ in held)}):
         for user_type, condition in plan.cells:
@@ -60,8 +60,8 @@ def glance(study: Study, people: People) -> dict[str, Any]:
 
 
 def fit_of(plan: StudyPlan, state: StudyState) -> float | None:
-    """P(the participant is of a found type, as assumed). None before the evaluation, or where the
-    belief only knows found types."""
+    """P(the participant has a found type and the assumed habits). None before the evaluation, or if
+    the belief has only found types."""
     if not state.belief or plan.problem.as_found.all():
         return None
     return plan.problem.fit(np.array(state.belief))
@@ -301,14 +301,14 @@ def pages(events: Sequence[Event]) -> list[Row]:
 def hidden(events: Sequence[Event]) -> float | None:
     """Seconds of the evaluation in which no page was visible; None if no page reported.
 
-    Pages report when they become visible and when they are hidden (another tab, another window,
+    Pages report when they become visible and when they are hidden (by another tab or window, or
     closed), but not when an answer opens the next page. So the page that became visible last is the
     current one, and only its hidden time counts. Switching between two tabs of the study does not
-    count.
+    count as hidden time.
 
-    Clocks of two devices may differ. So pages are ordered by arrival, a duration on one page uses
-    that page's clock, and one between pages uses the server's. If the wall clock of a visible page
-    jumps ahead of the page's own clock, the device slept.
+    Clocks of two devices may differ. So pages are ordered by arrival. A duration on one page uses
+    that page's clock, a duration between pages uses the server's clock. If the wall clock of a
+    visible page jumps ahead of the page's own clock, the device slept.
     """
     total, began, looked_at = 0.0, False, ""
     since: Event | None = None
