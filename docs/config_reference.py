@@ -20,15 +20,15 @@ CONF, PAGE = ROOT / "conf", ROOT / "docs" / "config.md"
 GROUPS = {
     "domain": "the robot's task",
     "users": "the true user types",
-    "observers": "who labelled transitions",
+    "observers": "the people who label transitions",
     "queries": "what observers are asked",
     "labeler": "learns a labeling model from labels",
     "clusterer": "finds the user types",
     "solver": "plans the explanation",
-    "belief": "which labels are evidence, and how users are taken to be",
+    "belief": "which labels are evidence, and how users are assumed to answer",
     "explainee": "how simulated users listen and answer",
     "ask": "what the explainer asks the user",
-    "tracking": "where results go besides the disk",
+    "tracking": "where results are sent besides the disk",
 }
 COMMANDS = ("discover", "observe", "questions", "plan", "export", "collect", "serve")
 """Commands with keys of their own."""
@@ -67,10 +67,11 @@ def page() -> str:
     """The whole page."""
     parts = [
         "# Configuration\n",
-        "Written by `python docs/config_reference.py` from the comments in `conf/`; edit those.\n",
+        "`python docs/config_reference.py` writes this page from the comments in `conf/`; "
+        "edit those.\n",
         "Any key can be set on the command line (`python -m xplain lambda=2 solver=qhr`), "
-        "`group=choice` takes another file, `+group=...` is never needed. "
-        "`python -m xplain --cfg job` prints what a run would be given. "
+        "`group=choice` selects another file; `+group=...` is never needed. "
+        "`python -m xplain --cfg job` prints the configuration of a run. "
         "Commands have keys of their own: "
         f"{', '.join(f'[{name}](#the-command-{name}-conf{name}yaml)' for name in COMMANDS)} and "
         "[study](#the-user-study-confstudyyaml).\n",
@@ -103,7 +104,8 @@ def section(file: Path, prefix: str) -> str:
     if made:
         about.append(f"Class: `{made[1]}`.")
     if parent := parent_of(file):
-        about.append(f"All else is as with `{prefix[:-1]}={parent}`.")
+        if prefix:
+            about.append(f"All other keys are those of `{prefix[:-1]}={parent}`.")
         rows = [row for row in rows if row.meaning]
     table = "\n".join(
         ["| key | default | meaning |", "|---|---|---|"]
@@ -132,6 +134,8 @@ def keys(lines: list[str], prefix: str) -> Iterator[Key]:
         if 0 <= block < depth or 0 <= hidden < depth:
             continue
         block = hidden = -1
+        if bare.startswith("#  - "):  # an example of the key above
+            continue
         if bare.startswith("#"):
             above.append(bare.removeprefix("#").strip())
             continue

@@ -203,7 +203,7 @@ def test_every_page_is_accessible_and_is_photographed(
         look_at(driver, axe, "researcher-login")
         driver.find_element(By.ID, "key").send_keys(server.key)
         press(driver)
-        wait(lambda: "Who is where" in driver.page_source)
+        wait(lambda: "Each participant" in driver.page_source)
         driver.find_element(By.CSS_SELECTOR, "form.inline button").click()
         wait(lambda: "New invitations" in driver.page_source)
         look_at(driver, axe, "researcher")

@@ -21,11 +21,11 @@ def test_the_document_says_what_the_plan_does() -> None:
     text = document(plan)
     for part in (
         plan.hash,
-        "7 who finish in each of 6 cells: 21 a condition, 42 in all",
-        "failed 3 times",
+        "7 participants finish in each of 6 cells: 21 in each condition, 42 in total",
+        "fail the check after the briefing 3 times",
         "45 minutes",
         "less than 900 pixels",
-        "“Choose blue” answered otherwise than “blue” before the briefing: the part ends",
+        "answer “Choose blue” before the briefing with anything except “blue”",
         "Before the briefing: “Choose blue” (choice, `blue`).",
         "After the quiz: “Your age” (number, `age`); “Anything else?” (text, `comment`).",
         "QMDP",
@@ -40,7 +40,7 @@ def test_the_document_says_what_the_plan_does() -> None:
     # Without them nothing of them is promised.
     plain = document(street_plan())
     assert "pixels" not in plain
-    assert "answered otherwise" not in plain
+    assert "with anything except" not in plain
     assert "message again" not in plain
     assert "messages_again" not in plain
 

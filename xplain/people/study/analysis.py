@@ -405,20 +405,20 @@ def draw(analysis: Analysis, path: Path) -> None:
 
 
 DIRECTION = {
-    "interaction_time_s": "less time",
-    "inexplicable_transitions": "fewer steps that make no sense",
-    "quiz_score": "a higher score",
+    "interaction_time_s": "need less time",
+    "inexplicable_transitions": "have fewer steps that make no sense",
+    "quiz_score": "have a higher score",
 }
 MEANING = {
     "interaction_time_s": "seconds from the first rendering of the first step to the last accepted "
     "label, by the server's clock",
-    "inexplicable_transitions": "steps labelled as making no sense, in the labels at the last step",
-    "quiz_score": "statements judged rightly in the last test",
-    "visible_time_s": "the first measure less the time in which no page of the study was visible",
-    "messages_given": "messages that the robot sent, each counted once",
-    "messages_again": "how often it said one of them again",
-    "questions_asked": "steps that the robot asked about in between",
-    "cost": "λ · messages + inexplicable labels of all steps + κ · questions, as the policies plan",
+    "inexplicable_transitions": "number of labels \"makes no sense\" at the last step",
+    "quiz_score": "number of statements judged correctly in the quiz",
+    "visible_time_s": "the first measure minus the time in which no page of the study was visible",
+    "messages_given": "number of different messages that the robot gave",
+    "messages_again": "number of times that the robot repeated a message",
+    "questions_asked": "number of questions about extra steps",
+    "cost": "λ · messages + inexplicable labels of all steps + κ · questions, which policies minimise",
 }
 
 
