@@ -412,13 +412,13 @@ DIRECTION = {
 MEANING = {
     "interaction_time_s": "seconds from the first rendering of the first step to the last accepted "
     "label, by the server's clock",
-    "inexplicable_transitions": "number of labels \"makes no sense\" at the last step",
+    "inexplicable_transitions": 'number of labels "makes no sense" at the last step',
     "quiz_score": "number of statements judged correctly in the quiz",
     "visible_time_s": "the first measure minus the time in which no page of the study was visible",
     "messages_given": "number of different messages that the robot gave",
     "messages_again": "number of times that the robot repeated a message",
     "questions_asked": "number of questions about extra steps",
-    "cost": "λ · messages + inexplicable labels of all steps + κ · questions, which policies minimise",
+    "cost": "λ · messages + inexplicable labels of all steps + κ · questions; policies minimise it",
 }
 
 
