@@ -84,7 +84,7 @@ def properties(domain: str, seeds: int = SEEDS) -> dict[str, str]:
         "different traces": f"{number:,}" if number < 1_000_000 else "over a million",
         "mean length of a trace": f"{np.mean([len(trace) for trace in traces]):.1f}",
         "traces through a door": through if domain == "four_rooms" else "–",
-        "least and most that one wrong fact alone makes inexplicable, of transitions": (
+        "share of transitions that one incorrect fact makes inexplicable (least, most)": (
             f"{min(alone.values()):.0%}, {max(alone.values()):.0%}"
         ),
         "mean smallest explaining set": f"{mean(p.smallest for p in found):.2f}",
@@ -93,7 +93,7 @@ def properties(domain: str, seeds: int = SEEDS) -> dict[str, str]:
             f"{mean(p.worth for p in found):.0%}"
         ),
         "different label tables": f"{mean(p.tables for p in found):.0f}",
-        "traces with the commonest of them": f"{mean(p.commonest for p in found):.0%}",
+        "traces with the most frequent label table": f"{mean(p.commonest for p in found):.0%}",
         "traces with a transition that puzzles every type": (
             f"{mean(p.puzzling for p in found):.0%}"
         ),

@@ -8,7 +8,7 @@ CELLS = np.arange(8)  # the first and the last cell are doors
 
 
 class Corridor:
-    """A state is a cell. Each drive costs 1, and what somebody believes to be in its way."""
+    """A state is a cell. Each drive costs 1, plus the costs that a person believes in."""
 
     name, actions, feature_names = "corridor", ("left", "right"), ("cell",)
     parameters = (
@@ -21,7 +21,7 @@ class Corridor:
     scene = None  # no map
 
     def model(self, values):
-        """The task of somebody who holds these values: [states, actions, outcomes]."""
+        """The task of a person who believes these values: [states, actions, outcomes]."""
         successor = np.clip(CELLS[:, None, None] + [[-1], [1]], 0, 7)
         reward = np.full(successor.shape, -1.0)
         for name, cell in (("wet", 5), ("stairs", 2), ("lock", 0)):
