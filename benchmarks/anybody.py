@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from questions import domain_of
 
 from xplain.errors import InputError
-from xplain.experiment.config import composed
-from xplain.experiment.explanations import problem_of_types, what_is_thought
+from xplain.experiment.config import compose_config
+from xplain.experiment.explanations import problem_of_types, true_thoughts
 from xplain.experiment.from_config import components_of
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.experiment.strangers import with_others
@@ -106,7 +106,7 @@ class Told(NamedTuple):
 def of_kinds(world: World, name: str, people: dict[str, Explainee]) -> dict[str, Prepared]:
     """The world with users of each kind, where its task has any."""
     domain = f"domain={'rescue' if 'rescue' in name else 'four_rooms'}"
-    made = components_of(composed("config", [domain, f"seed={world.seed}"]))
+    made = components_of(compose_config("config", [domain, f"seed={world.seed}"]))
     components, found = replace(made, domain=domain_of(name, world.seed)), {}
     for kind, explainee in people.items():
         if explainee.as_observed:
@@ -132,7 +132,7 @@ def episodes(name: str, seeds: Iterable[int], trade_offs: Iterable[float], *over
                     problem = problem_of_types(world.prepared, case, costs, update)
                     planned = CachedPolicy(solver.plan(problem))
                     for kind, prepared in users.items():
-                        truth, same = what_is_thought(prepared.cases[index])
+                        truth, same = true_thoughts(prepared.cases[index])
                         for user in range(len(prepared.types)):
                             seed = derived_seed(world.seed, "explainee", index, user)
                             own = truth.of_types([user])

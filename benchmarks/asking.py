@@ -21,7 +21,7 @@ import numpy as np
 from explainees import DOMAINS, World, cost, figure, ratio
 from questions import domain_of
 
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import prepare
 from xplain.explanation.asking import Limits, When
@@ -60,7 +60,7 @@ def world(name: str, seed: int, traces: int, *source: str, clips: int = 150) -> 
     """A map's types, traces and clips."""
     domain = "rescue" if "rescue" in name else "four_rooms"
     fixed = (f"domain={domain}", "discount=1", f"traces={traces}", f"seed={seed}")
-    cfg = composed("config", [*fixed, "ask=clips", f"ask.clips={clips}", *source])
+    cfg = compose_config("config", [*fixed, "ask=clips", f"ask.clips={clips}", *source])
     components = components_of(cfg)
     if name.startswith("random"):
         components = replace(components, domain=domain_of(name, seed))

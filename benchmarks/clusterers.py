@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from sklearn.metrics import adjusted_rand_score
 
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.experiment.pipeline import observe
 
 SETTINGS = {
@@ -42,10 +42,10 @@ def found(
     """What a clusterer makes of one data set."""
     few = () if points is None else (f"points={points}",)
     choices = (*SETTINGS[setting], f"queries={queries}", f"observers.label_noise={noise}", *few)
-    cfg = composed("observe", choices)
+    cfg = compose_config("observe", choices)
     parts = (instantiate(cfg[name]) for name in ("domain", "users", "observers", "queries"))
     observed = observe(*parts, seed=seed)
-    clusterer = instantiate(composed("discover", [f"clusterer={method}"]).clusterer)
+    clusterer = instantiate(compose_config("discover", [f"clusterer={method}"]).clusterer)
     clustering = clusterer.cluster(observed, seed)
     true = observed.behaviour
     assert true is not None  # of simulated observers it is known

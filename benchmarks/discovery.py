@@ -41,7 +41,7 @@ from sklearn.metrics import adjusted_rand_score
 from xplain.domains.base import transition_features
 from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import RandomCover
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
@@ -78,7 +78,7 @@ GOALS = [  # domain, types, questions, points, noise, goal
 @lru_cache(maxsize=8)
 def setting_of(domain: str, types: int | None, seed: int) -> Setting:
     """The domain's own types, or so many drawn at random."""
-    cfg = composed("observe", [f"domain={domain}"])
+    cfg = compose_config("observe", [f"domain={domain}"])
     made = instantiate(cfg.domain)
     source = instantiate(cfg.users) if types is None else RandomCover(types)
     return Setting.build(made, source.types(made, stream(seed, "users")))
@@ -87,7 +87,7 @@ def setting_of(domain: str, types: int | None, seed: int) -> Setting:
 @cache
 def clusterer(method: str) -> Any:
     """As conf/clusterer/<method>.yaml says."""
-    return instantiate(composed("discover", [f"clusterer={method}"]).clusterer)
+    return instantiate(compose_config("discover", [f"clusterer={method}"]).clusterer)
 
 
 @dataclass(frozen=True)
@@ -225,8 +225,8 @@ def grid(
 @cache
 def meaning(domain: str, method: str) -> str:
     """Changes with the values of the domain and of the method: rows of other values are stale."""
-    cfg = composed("observe", [f"domain={domain}"]).domain
-    chosen = composed("discover", [f"clusterer={method}"]).clusterer
+    cfg = compose_config("observe", [f"domain={domain}"]).domain
+    chosen = compose_config("discover", [f"clusterer={method}"]).clusterer
     text = OmegaConf.to_yaml(cfg) + OmegaConf.to_yaml(chosen)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 

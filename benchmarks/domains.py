@@ -36,7 +36,7 @@ from xplain.domains.four_rooms import DOORS
 from xplain.domains.rescue import Rescue
 from xplain.domains.users.setting import Setting
 from xplain.errors import XplainError
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.randomness import stream
 from xplain.report.plots import save
 from xplain.report.trace import draw_trace
@@ -51,7 +51,7 @@ TRACES = 200
 
 def settings_of(domain: str, seeds: int = SEEDS) -> list[Setting]:
     """The domain with its types; where these are drawn at random, one of each count and seed."""
-    cfg = composed("observe", [f"domain={domain}"])
+    cfg = compose_config("observe", [f"domain={domain}"])
     made = instantiate(cfg.domain)
     if "count" not in cfg.users:
         return [Setting.build(made, instantiate(cfg.users).types(made, stream(0, "users")))]
@@ -117,7 +117,7 @@ def has_all(setting: Setting) -> bool:
 def draws() -> Iterator[tuple[str, bool | None]]:
     """Random maps, one after the other, and whether they have all properties; None where something
     has no way to the shelter."""
-    cfg = composed("observe", ["domain=rescue"])
+    cfg = compose_config("observe", ["domain=rescue"])
     node: Any = OmegaConf.to_container(cfg.domain, resolve=True)
     fixed = {key: value for key, value in node.items() if not key.startswith("_")}
     source = instantiate(cfg.users)

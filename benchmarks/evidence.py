@@ -35,7 +35,7 @@ from questions import MAPS, domain_of
 from xplain.domains.base import transition_features
 from xplain.domains.users.setting import Setting
 from xplain.errors import XplainError
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.experiment.pipeline import draw_trace
 from xplain.explanation.belief import Independent as IndependentLabels
 from xplain.explanation.problem import Problem
@@ -72,8 +72,10 @@ def believing() -> Iterator[None]:
 def learned(way: str, setting: Setting, path: str | None, seed: int) -> Any:
     """The types that a way finds."""
     name = "practice" if way == "labels alone" else "hypotheses"
-    trainer = instantiate(composed("discover", [f"labeler={name}"]).labeler)
-    clusterer = instantiate(composed("discover", ["clusterer=dirichlet"]).clusterer, _partial_=True)
+    trainer = instantiate(compose_config("discover", [f"labeler={name}"]).labeler)
+    clusterer = instantiate(
+        compose_config("discover", ["clusterer=dirichlet"]).clusterer, _partial_=True
+    )
     if name == "practice":
         queries: Queries = Independent()
     else:

@@ -25,14 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 from questions import MAPS, domain_of
 
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import Costs, evaluate, problem_of_types
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import PAPER, Assumed, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.listening import Explained, learned_habits
+from xplain.explanation.listening import Explained, learn_habits
 from xplain.interaction.explainees import Exact, Explainee, Heedless, Person, Slips
 from xplain.interaction.metrics import Record
 from xplain.interaction.statistics import clustered_mean
@@ -84,7 +84,7 @@ def worlds(name: str, seeds: Iterable[int], traces: int, *overrides: str) -> Ite
     domain = "rescue" if "rescue" in name else "four_rooms"
     for seed in seeds:
         fixed = (f"domain={domain}", "discount=1", f"traces={traces}", f"seed={seed}")
-        cfg = composed("config", [*fixed, *source])
+        cfg = compose_config("config", [*fixed, *source])
         components = replace(components_of(cfg), domain=domain_of(name, seed))
         yield World(prepare(components), costs_of(cfg), seed)
 
@@ -237,7 +237,7 @@ def earlier(seeds: Iterable[int], traces: int) -> None:
                     for key in ("accept", "forget", "error"):
                         mean = float(getattr(known, key) @ known.prior)
                         costs[accept, forget, key].append(mean)
-                before[accept, forget] = learned_habits(
+                before[accept, forget] = learn_habits(
                     [
                         Explained(
                             problems[one.trace],

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pomcp import problem_of
 
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.experiment.from_config import component
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.message_sets import indices
@@ -100,7 +100,7 @@ class LimitPolicy:
 def solver_of(choice: str, changes: list[str]) -> Solver:
     """As conf/solver/ has it, with changes."""
     keys = [f"solver={choice}", *(f"solver.{change}" for change in changes)]
-    solver: Solver = component(composed("config", keys), "solver")
+    solver: Solver = component(compose_config("config", keys), "solver")
     return solver
 
 

@@ -63,7 +63,7 @@ from xplain.domains.rescue import Rescue
 from xplain.domains.users.hypotheses import hypotheses_of
 from xplain.domains.users.setting import Setting
 from xplain.errors import XplainError
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.experiment.pipeline import draw_trace
 from xplain.explanation.belief import Independent as IndependentLabels
 from xplain.explanation.problem import Problem
@@ -106,7 +106,7 @@ KEY = ["map", "way", "points", "error", "people", "seed"]
 def domain_of(name: str, seed: int) -> Domain:
     """A shipped domain, or the random map of this seed."""
     kind = "rescue" if "rescue" in name else "four_rooms"
-    cfg = composed("observe", [f"domain={kind}"]).domain
+    cfg = compose_config("observe", [f"domain={kind}"]).domain
     if not name.startswith("random"):
         made: Domain = instantiate(cfg)
         return made
@@ -168,7 +168,7 @@ def design_of(way: str, path: str | None, error: float, people: str) -> tuple[Qu
     }
     if labeler == "hypotheses":
         return designs[asked], None
-    return designs[asked], instantiate(composed("discover", [f"labeler={labeler}"]).labeler)
+    return designs[asked], instantiate(compose_config("discover", [f"labeler={labeler}"]).labeler)
 
 
 def observed_by(
@@ -196,7 +196,7 @@ def row_of(
         trainer = trainer or HypothesisTrainer(path=path)
         observed = observed_by(setting, queries, points, error, people, seed)
         clusterer = instantiate(
-            composed("discover", ["clusterer=dirichlet"]).clusterer, _partial_=True
+            compose_config("discover", ["clusterer=dirichlet"]).clusterer, _partial_=True
         )
         types = clusterer(labeler=trainer).find(observed, seed)
         none = _none(observed, types, hypotheses_of(domain, path), error)

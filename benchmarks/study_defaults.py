@@ -19,15 +19,15 @@ import numpy as np
 from explainees import DOMAINS, figure, ratio
 from hydra.utils import instantiate
 
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Explainee, Slips
-from xplain.people.material import Material, fixed, learned_types
+from xplain.people.material import Material, learned_types, select_plan_keys
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import PERSONALIZED
-from xplain.people.study.prepare import drafted, learned_table, traces_of
+from xplain.people.study.prepare import learned_table, make_draft, traces_of
 from xplain.randomness import derived_seed
 
 FIRST = 9600
@@ -50,8 +50,8 @@ def paid(study: Study, explainee: Explainee, seed: int) -> float:
 
 def measured(domain: str, labeler: str, seed: int, traces: int) -> dict[tuple[str, str], float]:
     """The mean cost of a seed, by belief and people."""
-    cfg = composed("study", [f"domain={domain}", f"seed={seed}", f"labeler={labeler}"])
-    config: dict[str, Any] = fixed(cfg)
+    cfg = compose_config("study", [f"domain={domain}", f"seed={seed}", f"labeler={labeler}"])
+    config: dict[str, Any] = select_plan_keys(cfg)
     setting, learned = learned_types(cfg, instantiate(cfg.domain))
     task, found = Material.of(setting), defaultdict[tuple[str, str], list[float]](list)
     best = traces_of(task, config["trace"], config["max_steps"], seed)[:traces]
@@ -60,7 +60,7 @@ def measured(domain: str, labeler: str, seed: int, traces: int) -> dict[tuple[st
             kind = f"{type(belief).__module__}.{type(belief).__name__}"
             own = {**config, "belief": {"_target_": kind, "error": belief.error}}
             study = Study.of(
-                drafted(task, trace, learned_table(task, learned, trace), own, learned)
+                make_draft(task, trace, learned_table(task, learned, trace), own, learned)
             )
             for people, explainee in PEOPLE.items():
                 cost = paid(study, explainee, derived_seed(seed, "people", number))

@@ -29,7 +29,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.people.server_process import ServerProcess
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.people.bots import Browser, Page, Researcher, Visitor
 from xplain.people.collect.bot import Habits as Answers
 from xplain.people.collect.bot import bot
@@ -138,7 +138,7 @@ class Slow(threading.Thread):
 def study() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
     """The shipped study, and its people."""
     small = ["seed=0", "observers.points=150", "trace.candidates=40"]
-    plan = study_plan(composed("study", small))
+    plan = study_plan(compose_config("study", small))
     habits = Habits(0, 0, 0, 0, mistake=0)
     rng = np.random.default_rng
     return Study.of(plan), lambda number: StudyBot(plan, habits, rng(number))
@@ -146,7 +146,7 @@ def study() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
 
 def collect() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
     """A collection about rescue with adaptive questions, and its people."""
-    plan = collect_plan(composed("collect", ["rules.people=6"]))
+    plan = collect_plan(compose_config("collect", ["rules.people=6"]))
     habits = Answers(error=0.05, mistake=0)
     return Collection.of(plan), lambda number: bot(plan, habits, 0, number)
 

@@ -21,14 +21,14 @@ import pandas as pd
 
 import xplain
 from xplain.errors import InputError
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.interaction.statistics import clustered_mean
 from xplain.learning.data.label_file import write_table
 from xplain.people.collect.bot import Habits as Observing
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, material_of
 from xplain.people.collect.tables import dataset_of
-from xplain.people.material import fixed
+from xplain.people.material import select_plan_keys
 from xplain.people.study.analysis import CONDITIONS
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
@@ -51,8 +51,8 @@ MEASURES = ["messages", "inexplicable", "score", "seconds"]
 
 def collection(domain: str, seed: int) -> CollectPlan:
     """The plan of ``collect``."""
-    cfg = composed("collect", [f"domain={domain}", f"points={LABELS}", f"seed={seed}"])
-    config = fixed(cfg)
+    cfg = compose_config("collect", [f"domain={domain}", f"points={LABELS}", f"seed={seed}"])
+    config = select_plan_keys(cfg)
     rules = CollectRules(points=LABELS, **config["rules"])
     return assemble(material_of(cfg), Adaptive(), rules, config)
 
@@ -76,7 +76,7 @@ def found_types(plan: CollectPlan, folder: Path, seed: int) -> tuple[Path, float
 def study(domain: str, types: Path, seed: int) -> StudyPlan:
     """The plan of a study of people as they are, whose policies know these types."""
     given = [f"domain={domain}", f"types={types}", "briefing=none", f"seed={seed}"]
-    return study_plan(composed("study", given))
+    return study_plan(compose_config("study", given))
 
 
 def took_part(plan: StudyPlan, people: int, habits: Habits, seed: int) -> list[dict[str, object]]:

@@ -48,7 +48,7 @@ class XplainSweeper(Sweeper):
 
     def sweep(self, arguments: list[str]) -> Any:
         """Runs the jobs without a result; returns what the launcher does, or None."""
-        from xplain.errors import quoted
+        from xplain.errors import quote
         from xplain.runs.plan import Plan
         from xplain.runs.signals import end_on_signals
         from xplain.runs.sweep import run_missing
@@ -60,11 +60,11 @@ class XplainSweeper(Sweeper):
 
         def launch(batches: Sequence[Path]) -> Any:
             own = [
-                f"hydra.sweep.dir={quoted(escaped)}",
+                f"hydra.sweep.dir={quote(escaped)}",
                 "hydra.sweep.subdir=batches",
                 "hydra/job_logging=none",  # a job in this process would take the sweep's words
             ]
-            words = [quoted(str(path).replace("${", r"\${")) for path in batches]
+            words = [quote(str(path).replace("${", r"\${")) for path in batches]
             return self._launcher().launch([[*own, f"+batch={one}"] for one in words], 0)
 
         return run_missing(plan, launch)

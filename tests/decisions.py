@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.actions import AskQuestion, VisibleState
-from xplain.explanation.belief import answered, told, update
+from xplain.explanation.belief import update, update_by_answer, update_by_messages
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
@@ -63,7 +63,7 @@ def worth_by_enumeration(
         value = -cost
         for answer, chance in ((1, yes), (0, 1 - yes)):
             if chance > 1e-12:
-                after = answered(problem, belief, given, q, answer)
+                after = update_by_answer(problem, belief, given, q, answer)
                 later = visible._replace(asked=asked | 1 << q)
                 returned, paid = worth_by_enumeration(problem, policy, later, after)
                 value, cost = value + chance * returned, cost + chance * paid
@@ -73,7 +73,7 @@ def worth_by_enumeration(
     for price in sorted(problem.prices[indices(new)].tolist()):
         value, cost = value - factor * price, cost + price
         factor *= problem.message_discount
-    belief, given = told(problem, belief, new), given | new
+    belief, given = update_by_messages(problem, belief, new), given | new
     thought, p = _columns(problem, problem.table, step + 1, given)
     zeros = problem.inexplicability_cost * float(belief @ (1 - thought).sum(axis=1))
     value, cost = value - factor * zeros, cost + zeros

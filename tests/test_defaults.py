@@ -10,7 +10,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.experiment.config import CONF, composed, schema
+from xplain.experiment.config import CONF, compose_config, schema
 from xplain.people.server import Server
 from xplain.runs.mlflow import MLflow
 
@@ -123,7 +123,7 @@ def test_a_class_and_its_file_have_one_default(
     for name in ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME"):
         monkeypatch.delenv(name, raising=False)
     GlobalHydra.instance().clear()
-    chosen = composed(config, [])[key]
+    chosen = compose_config(config, [])[key]
     plain = OmegaConf.to_container(chosen, resolve=True)
     assert isinstance(plain, dict)
     told = {str(name): plain[name] for name in plain if name not in {"_target_", *elsewhere}}

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from xplain.storage import decode, encode, write_text, written_whole
+from xplain.storage import decode, encode, open_atomic, write_text
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def test_what_does_not_fit_the_type_is_refused(change):
 def test_a_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path):
     path = tmp_path / "a.txt"
     write_text(path, "old")
-    with pytest.raises(TypeError, match="write"), written_whole(path) as file:
+    with pytest.raises(TypeError, match="write"), open_atomic(path) as file:
         file.writelines(["new", 7])
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
@@ -95,7 +95,7 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 
 def test_bytes_are_written_as_they_are(tmp_path):
     path = tmp_path / "a.bin"
-    with written_whole(path, "wb") as file:
+    with open_atomic(path, "wb") as file:
         file.write(b"\xff\n")
     assert path.read_bytes() == b"\xff\n"
 

@@ -59,7 +59,7 @@ class Refused(Exception):
     """A participant's answer that is not accepted; the text is for the participant."""
 
 
-def quoted(text: str, mark: str = "'") -> str:
+def quote(text: str, mark: str = "'") -> str:
     """Quotes any text for Hydra's overrides: backslashes are doubled only before a quotation
     mark."""
     ends = rf"(\\*)({mark}|$)"
@@ -219,7 +219,7 @@ def mapping(key: str, value: object, allowed: str) -> Mapping[str, Any]:
     return value
 
 
-def listed(key: str, value: object, allowed: str = "a list") -> Sequence[Any]:
+def require_list(key: str, value: object, allowed: str = "a list") -> Sequence[Any]:
     """Checks that a value is a list and not a text.
 
     Raises:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 
 @contextmanager
-def written_whole(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
+def open_atomic(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
     """A context with a file for writing; the file replaces ``path`` after all of it is on the disk.
 
     If the process is killed, the disk is full or the block raises, ``path`` stays unchanged.
@@ -51,8 +51,8 @@ def written_whole(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text atomically; see :func:`written_whole`."""
-    with written_whole(path) as file:
+    """Writes a text atomically; see :func:`open_atomic`."""
+    with open_atomic(path) as file:
         file.write(text)
 
 

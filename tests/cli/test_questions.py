@@ -8,13 +8,13 @@ import pytest
 
 from xplain import Hypotheses, LearnedTypes
 from xplain.errors import InputError
-from xplain.experiment.config import composed
-from xplain.runs.observing import listed_questions
+from xplain.experiment.config import compose_config
+from xplain.runs.observing import write_questions
 
 
 def questions(words):
     """Writes the list; returns what is known of it."""
-    return listed_questions(composed("questions", words, with_hydra=True))[1]
+    return write_questions(compose_config("questions", words, with_hydra=True))[1]
 
 
 TABLE = """text,image,inexplicable_if

@@ -13,7 +13,7 @@ from hydra.core.global_hydra import GlobalHydra
 from tests.chromium import missing
 from xplain.cli.main import main
 from xplain.demo.page import content, page
-from xplain.demo.play import play, stage
+from xplain.demo.play import play, set_up
 from xplain.explanation.belief import Independent
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.episode import explain
@@ -27,7 +27,7 @@ QUICK = ["points=150", "lambda=1.5", "clusterer=dirichlet", "labeler=tree"]
 @pytest.fixture(scope="module")
 def rescue():
     GlobalHydra.instance().clear()
-    return stage(QUICK, trace=1)
+    return set_up(QUICK, trace=1)
 
 
 @pytest.fixture

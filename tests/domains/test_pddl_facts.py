@@ -14,7 +14,7 @@ import pytest
 from tests.domains.configs import given
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.facts import Words, describe, find_differences, read_changes
-from xplain.domains.pddl.task import Source, changed, read_task, texts
+from xplain.domains.pddl.task import Source, apply_changes, read_task, texts
 
 pytest.importorskip("fast_downward", reason="pip install 'xplain-hri[pddl]'")
 
@@ -166,8 +166,8 @@ def test_two_tasks_differ_in_what_was_edited_no_more_and_no_less(
     assert found == written
     # They lead from one task to the other, and back.
     back = find_differences(believed, robot, "domain.believed")
-    made = replace(robot, items=changed(robot.items, *found.values()))
-    again = replace(believed, items=changed(believed.items, *back.values()))
+    made = replace(robot, items=apply_changes(robot.items, *found.values()))
+    again = replace(believed, items=apply_changes(believed.items, *back.values()))
     assert not find_differences(made, believed, "")
     assert not find_differences(again, robot, "")
 
@@ -293,5 +293,5 @@ def test_changes_do_and_say_what_they_say(name: str, change: Any, holds: Any, me
     own = given(name)
     task = read_task(own["file"], own["problem"], KEYS)
     made = read_changes("", change, task, {})
-    assert holds(task.items, changed(task.items, made))
+    assert holds(task.items, apply_changes(task.items, made))
     assert describe(task, made, Words(task, own["words"]))[0] == message

@@ -11,7 +11,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 
 from tests.report import handmade
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import evaluate
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
@@ -25,7 +25,7 @@ OVERRIDES = ("labeler=truth", "clusterer=perfect", "ask=clips", "ask.cost=0.2", 
 
 def explained(*overrides: str) -> tuple[Prepared, list[Record]]:
     GlobalHydra.instance().clear()
-    cfg = composed("config", [*OVERRIDES, *overrides])
+    cfg = compose_config("config", [*OVERRIDES, *overrides])
     prepared = prepare(components_of(cfg))
     solvers = {"solver": instantiate(cfg.solver)}
     update, explainee = instantiate(cfg.belief), instantiate(cfg.explainee)

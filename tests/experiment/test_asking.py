@@ -12,12 +12,12 @@ from xplain.domains.base import transition_features
 from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.cache import source_fingerprint
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import (
     Costs,
     evaluate,
     problem_of_types,
-    what_is_thought,
+    true_thoughts,
     with_true_labels,
 )
 from xplain.experiment.fingerprint import configuration
@@ -36,7 +36,7 @@ OVERRIDES = ("domain=four_rooms", "labeler=truth", "clusterer=perfect", "discoun
 
 @cache
 def world(*more: str) -> tuple[Prepared, Costs, Setting]:
-    cfg = composed("config", [*OVERRIDES, "ask=clips", *more])
+    cfg = compose_config("config", [*OVERRIDES, "ask=clips", *more])
     components = components_of(cfg)
     own = (components.domain, components.users, components.observers, components.queries)
     setting = observe(*own, components.seed).setting
@@ -93,7 +93,7 @@ def test_a_clip_is_answered_as_the_label_is_mistakes_included() -> None:
     mistakes = 0
     for case in prepared.cases:
         assert case.questions is not None
-        labels, same = what_is_thought(case)
+        labels, same = true_thoughts(case)
         m = len(case.transitions)
         for user in range(len(prepared.types)):
             person = Slips(0.4, repeats=True).meet(labels.of_types([user]), same, seed=user)
@@ -119,14 +119,14 @@ def test_who_missed_a_message_answers_without_it() -> None:
 
 def test_asking_is_learned_once_whatever_it_costs() -> None:
     def key(*more: str) -> str:
-        return source_fingerprint(configuration(composed("config", [*OVERRIDES, *more])))
+        return source_fingerprint(configuration(compose_config("config", [*OVERRIDES, *more])))
 
     assert key("ask=clips") == key("ask=clips", "ask.cost=0.5", "ask.most=3", "ask.when=first")
     assert len({key(), key("ask=clips"), key("ask=clips", "ask.clips=9")}) == 3
 
 
 def test_nothing_is_asked_by_default() -> None:
-    cfg = composed("config", list(OVERRIDES))
+    cfg = compose_config("config", list(OVERRIDES))
     components = components_of(cfg)
     assert components.ask is None
     prepared = prepare(replace(components, traces=1))
@@ -139,7 +139,7 @@ def test_true_labels_and_strangers_answer_questions_too() -> None:
     for case in with_true_labels(prepared).cases:
         assert case.questions is not None
         assert case.questions.learned is case.questions.labels
-    cfg = composed("config", [*OVERRIDES, "ask=clips"])
+    cfg = compose_config("config", [*OVERRIDES, "ask=clips"])
     strange = with_others(prepared, components_of(cfg), Unseen())
     records = evaluate(strange, costs, {"solver": QMDP()}, Independent(0.1), Exact(), 0)
     assert len(records) == len(strange.types) * len(strange.cases)

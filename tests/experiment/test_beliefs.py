@@ -9,8 +9,8 @@ from hydra.utils import instantiate
 
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
-from xplain.experiment.asking import CaseQuestions, belief_questions, merged
-from xplain.experiment.config import composed
+from xplain.experiment.asking import CaseQuestions, belief_questions, merge_questions
+from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import evaluate
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
@@ -23,7 +23,7 @@ HYPOTHESES = ("labeler=hypotheses", "queries=adaptive", "points=20", "traces=2")
 
 def prepared_with(*overrides: str) -> Prepared:
     GlobalHydra.instance().clear()
-    return prepare(components_of(composed("config", list(overrides))))
+    return prepare(components_of(compose_config("config", list(overrides))))
 
 
 def questions(prepared: Prepared, trace: int = 0) -> CaseQuestions:
@@ -35,7 +35,7 @@ def questions(prepared: Prepared, trace: int = 0) -> CaseQuestions:
 @pytest.fixture(scope="module")
 def setting() -> Setting:
     GlobalHydra.instance().clear()
-    domain = instantiate(composed("config", []).domain)
+    domain = instantiate(compose_config("config", []).domain)
     values = {one.name: one.inaccurate for one in domain.parameters}
     held = [(), ("fire",), ("rubble", "fence"), ("refuel", "puddle", "first_aid")]
     return Setting.build(
@@ -103,13 +103,13 @@ def test_clips_and_beliefs_are_one_list_with_one_cap() -> None:
     assert (both.transitions[both.facts < 0] == clips.transitions).all()
     few = questions(prepared_with(*TRUE, "ask=both", "ask.clips=7"))
     assert len(few.texts) == 7
-    assert merged([], 5) is None
+    assert merge_questions([], 5) is None
 
 
 @pytest.mark.parametrize("kind", ["clips", "beliefs", "both"])
 def test_strangers_answer_for_themselves(kind: str) -> None:
     GlobalHydra.instance().clear()
-    cfg = composed("config", [*TRUE, f"ask={kind}", "explainee=unseen", "ask.cost=0"])
+    cfg = compose_config("config", [*TRUE, f"ask={kind}", "explainee=unseen", "ask.cost=0"])
     components = components_of(cfg)
     strangers = with_others(prepare(components), components, Unseen())
     for case in strangers.cases:

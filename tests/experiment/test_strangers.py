@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import Costs, evaluate
 from xplain.experiment.from_config import components_of
 from xplain.experiment.pipeline import prepare
@@ -50,7 +50,7 @@ def wrong_of(explainee: Explainee, name: str, told: set[str]) -> set[str]:
 
 @pytest.mark.parametrize("explainee", [AllWrong(), Union(), Unseen(), Backlash()])
 def test_their_labels_are_those_of_the_task_that_they_believe_in(explainee: Explainee) -> None:
-    components = components_of(composed("config", TRUE))
+    components = components_of(compose_config("config", TRUE))
     prepared = prepare(components)
     others = with_others(prepared, components, explainee)
     domain, names = components.domain, prepared.messages
@@ -75,7 +75,7 @@ def test_their_labels_are_those_of_the_task_that_they_believe_in(explainee: Expl
 def test_nobody_costs_less_than_their_own_clairvoyant(explainee: Explainee) -> None:
     """Without a discount: it plans with what this very person thinks."""
     costs = Costs(1.0, 1.0, 1.0, 1.0, "action", "uniform")
-    prepared = prepare(components_of(composed("config", TRUE)))
+    prepared = prepare(components_of(compose_config("config", TRUE)))
     solvers = {"clairvoyant": KnownType("labels"), "qmdp": QMDP(), "everything": SayAll()}
     records = evaluate(prepared, costs, solvers, Independent(), explainee, seed=3)
     paid = {(one.solver, one.trace, one.user_type): one.episode.cost for one in records}

@@ -13,7 +13,7 @@ import pytest
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.anybody import Open
 from xplain.explanation.asking import Limits, Questions
-from xplain.explanation.belief import Facts, Independent, answered, update
+from xplain.explanation.belief import Facts, Independent, update, update_by_answer
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.solvers.bounds import bounds
@@ -87,7 +87,7 @@ def test_the_belief_is_that_over_everybody(rng_of_the_day: np.random.Generator) 
                     one = one * (1 - slip) + (1 - one) * guess
                     weights[p] *= one if label else 1 - one
             coin *= 0.5 ** (step + 1)
-        belief = answered(opened, belief, told, 1, 1)
+        belief = update_by_answer(opened, belief, told, 1, 1)
         for p, (_, _, rest, slip, guess, _) in enumerate(people):
             one = labels[STEPS + 1, rest(told)]
             weights[p] *= one * (1 - slip) + (1 - one) * guess

@@ -14,7 +14,7 @@ from xplain.explanation.asking import (
     alike_first,
     nearest_first,
 )
-from xplain.explanation.belief import Independent, Persistent, answered
+from xplain.explanation.belief import Independent, Persistent, update_by_answer
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
@@ -93,7 +93,7 @@ def test_an_answer_is_weighed_by_bayes(accept: float) -> None:
     p = yes.ravel() if accept < 1 else yes[1]
     for answer in (0, 1):
         expected = belief * (p if answer else 1 - p)
-        found = answered(problem, belief, 1, 2, answer)
+        found = update_by_answer(problem, belief, 1, 2, answer)
         np.testing.assert_allclose(found, expected / expected.sum(), rtol=1e-12)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.explanation.problems import tiny_problems
-from xplain.explanation.belief import Independent, Persistent, rounded, update
+from xplain.explanation.belief import Independent, Persistent, round_belief, update
 from xplain.explanation.problem import Problem
 from xplain.interaction.dialogue import Dialogue, Given, Labelled
 from xplain.solvers.greedy import QMDP
@@ -114,9 +114,9 @@ def test_rounding_makes_beliefs_equal_whatever_the_order_of_evidence() -> None:
         for i in order:
             belief = update(problem, belief, 0, labels, slice(i, i + 1))
         beliefs.append(belief)
-    assert np.array_equal(rounded(beliefs[0]), rounded(beliefs[1]))
-    assert rounded(beliefs[0]) == pytest.approx(beliefs[0], abs=1e-12)
-    assert not np.array_equal(rounded(np.array([0.5])), rounded(np.array([0.5 + 1e-11])))
+    assert np.array_equal(round_belief(beliefs[0]), round_belief(beliefs[1]))
+    assert round_belief(beliefs[0]) == pytest.approx(beliefs[0], abs=1e-12)
+    assert not np.array_equal(round_belief(np.array([0.5])), round_belief(np.array([0.5 + 1e-11])))
 
 
 @settings(deadline=None, max_examples=50)

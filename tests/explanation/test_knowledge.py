@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.decisions import messages_given, worth_by_enumeration, worths
-from xplain.explanation.belief import told, update
+from xplain.explanation.belief import update, update_by_messages
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
@@ -54,7 +54,7 @@ def test_the_belief_is_that_over_the_states_of_the_literal_pomdp(seed: int) -> N
         for j in range(problem.n_messages):
             if rng.random() < 0.5:
                 states = after(pomdp, states, j, None)
-                belief, mask = told(problem, belief, 1 << j), mask | 1 << j
+                belief, mask = update_by_messages(problem, belief, 1 << j), mask | 1 << j
         labels = rng.integers(0, 2, k + 1)
         heard = after(pomdp, states, EXPLAIN, tuple(labels.tolist()))
         if not heard:  # nobody can answer so

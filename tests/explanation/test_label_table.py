@@ -13,7 +13,7 @@ from tests.explanation.by_type_problems import pairs, plain
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.belief import update
 from xplain.explanation.files import load, save
-from xplain.explanation.label_table import LabelTable, joined, stacked
+from xplain.explanation.label_table import LabelTable, join_steps, stack_types
 from xplain.explanation.problem import Problem
 
 
@@ -89,10 +89,10 @@ def test_twenty_relevant_messages_are_the_most(many: int) -> None:
         LabelTable.by_type([own], np.random.default_rng(0).random((1, 1, 1 << len(own))))
         for own in ([*range(half)], [*range(half, many)])
     ]
-    both = Problem(stacked(parts), np.ones(many))
+    both = Problem(stack_types(parts), np.ones(many))
     if many == 20:
         assert LabelTable.by_type(*table).p.shape[1] == 1 << 20
-        whole = joined(parts)
+        whole = join_steps(parts)
         for given in (0, 5, 1 << half, (1 << many) - 1):
             each = [part.label_probabilities(1, given)[0, 0] for part in parts]
             assert whole.label_probabilities(2, given)[0].tolist() == each
@@ -100,7 +100,7 @@ def test_twenty_relevant_messages_are_the_most(many: int) -> None:
         with pytest.raises(InputError, match=r"at most 2\*\*20"):
             LabelTable.by_type(*table)
         with pytest.raises(TooLargeError, match="at most 20"):
-            joined(parts)
+            join_steps(parts)
         for refused in (lambda: both.mixture(both.prior), lambda: both.p_explicable):
             with pytest.raises(TooLargeError, match="at most 20"):
                 refused()

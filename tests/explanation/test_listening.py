@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from xplain.explanation.belief import Independent
 from xplain.explanation.habits import Habits, habits_of
-from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learned_habits
+from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learn_habits
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 
@@ -89,14 +89,14 @@ def test_the_shares_are_the_mode_of_their_posterior(seed: int) -> None:
     share = np.linspace(0, 1, 10_001)[1:-1]
     shares = np.stack([share, 1 - share])
     log = np.log(likely @ shares).sum(axis=0) + PRIOR_PEOPLE * habits.prior @ np.log(shares)
-    assert learned_habits(people, habits).prior[0] == pytest.approx(share[log.argmax()], abs=2e-4)
+    assert learn_habits(people, habits).prior[0] == pytest.approx(share[log.argmax()], abs=2e-4)
 
 
 def test_what_was_learned_is_what_a_belief_takes() -> None:
     rng = np.random.default_rng(5)
     problem = Problem(rng.random((2, 2, 4)), np.ones(2))
     answers = [rng.integers(2, size=k + 1).astype(np.uint8) for k in range(2)]
-    found = learned_habits([Explained(problem, [1, 2], answers)])
+    found = learn_habits([Explained(problem, [1, 2], answers)])
     taken = Independent("learned", "learned", "learned").habits(found)
     for key in ("error", "accept", "forget"):
         shares = [getattr(h, key) @ h.prior for h in (found, taken)]

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.explanation.problems import random_problem
-from xplain.explanation.asking import worded
+from xplain.explanation.asking import make_question
 from xplain.explanation.files import load, save
 from xplain.testing.problems import with_questions
 
@@ -49,7 +49,7 @@ def test_a_saved_problem_carries_its_questions(tmp_path: Path, seed: int, words:
 
 def test_a_belief_shows_its_sentences_in_the_order_given() -> None:
     for right in (0, 1):
-        question = worded(3, "It needs fuel.\nIt needs none.", right)
+        question = make_question(3, "It needs fuel.\nIt needs none.", right)
         assert [words for words, _ in question.replies] == ["It needs fuel.", "It needs none."]
         assert question.replies[right][1] == 1
         assert question.replies[1 - right][1] == 0

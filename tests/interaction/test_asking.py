@@ -15,7 +15,7 @@ from xplain.errors import InputError
 from xplain.explanation.actions import AskQuestion
 from xplain.explanation.asking import Limits, Question
 from xplain.explanation.belief import Independent, Persistent
-from xplain.explanation.label_table import joined
+from xplain.explanation.label_table import join_steps
 from xplain.explanation.message_sets import indices, mask_of
 from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
 from xplain.interaction.session import Candidate, Session, Show
@@ -86,7 +86,7 @@ def situations(draw: st.DrawFn) -> Situation:
     assume(problem.p_explicable.any() and problem.habits.never_err)
     problem = with_questions(rng, problem, most=3)
     asked = problem.questions
-    table = joined([problem.table, asked.table])
+    table = join_steps([problem.table, asked.table])
     m, count = problem.n_steps, len(asked)
     clips = [m + q if rng.random() < 0.7 else int(rng.integers(m)) for q in range(count)]
     update = (Independent if rng.random() < 0.5 else Persistent)(

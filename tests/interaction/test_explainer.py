@@ -15,7 +15,7 @@ from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.listening import learned_habits
+from xplain.explanation.listening import learn_habits
 from xplain.explanation.message_sets import mask_of, names_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
@@ -295,7 +295,7 @@ def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
             people.append(session)
     rates = []
     for people in (missed, took_in):
-        found = learned_habits([one.explained for one in people])
+        found = learn_habits([one.explained for one in people])
         own = replace(types, habits=found)
         belief = Explainer(own, belief_update=weighs).session(range(6)).explained.problem.habits
         assert belief.accept @ belief.prior == pytest.approx(found.accept @ found.prior)

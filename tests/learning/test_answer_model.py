@@ -10,7 +10,7 @@ from xplain.learning.answers import (
     RATES,
     AnswerModel,
     CellAnswers,
-    learned,
+    learn_answers,
 )
 
 
@@ -30,7 +30,7 @@ def simulated(seed, errors, slips, people=20, each=40, types=4, sure=0.9995):
     label = said ^ (rng.random(len(person)) < error[person])
     cell = kind * questions + question
     answers = CellAnswers(cell, question, person, label.astype(np.int64))
-    return learned(answers, prior.ravel(), questions, people), error
+    return learn_answers(answers, prior.ravel(), questions, people), error
 
 
 def mean_rate(model):
@@ -75,7 +75,7 @@ def test_what_most_of_a_type_answer_is_what_they_think():
         label = np.where(contrary[person] & (question < 10), 0, 1)
         cell = rng.permutation(120)[kind * 60 + question]
         answers = CellAnswers(cell, question, person, label)
-        model = learned(answers, np.full(120, 1 - 1e-6), 60, 8, start=0.1)
+        model = learn_answers(answers, np.full(120, 1 - 1e-6), 60, 8, start=0.1)
         assert model.slip[:10].max() < allowed
         assert (mean_rate(model).max() < 0.01) == (allowed < 1)
 
@@ -86,7 +86,7 @@ def test_a_person_is_judged_as_by_the_sum_over_all_truths():
     label = np.array([1, 0, 1, 0, 0, 0])
     prior = np.array([0.9, 0.8, 0.3, 0.6, 0.05])
     answers = CellAnswers(cell, cell, person, label)
-    model = learned(answers, prior, 5, 2, steps=500)
+    model = learn_answers(answers, prior, 5, 2, steps=500)
     joint = np.zeros((5, 5))
     for f in product((0, 1), repeat=5):
         chance = np.prod(np.where(np.array(f) == 1, prior, 1 - prior))

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.landing import Landing, learned_landing
+from xplain.learning.landing import Landing, learn_landing
 
 ITEMS, PEOPLE, EVERY = 15, 200, 7
 SLIP, GUESS = 0.05, 0.1
@@ -37,7 +37,7 @@ def taught(rng: np.random.Generator, accept: NDArray[np.float64]) -> Dataset:
 
 
 def learned(dataset: Dataset, table: NDArray[np.float64] | None = TABLE) -> Landing:
-    found = learned_landing(dataset, table)
+    found = learn_landing(dataset, table)
     assert found is not None
     return found
 
@@ -84,9 +84,9 @@ def test_nothing_is_learned_where_nobody_was_told_for_good() -> None:
     rng = np.random.default_rng(0)
     dataset = taught(rng, np.full(3, 0.5))
     drawn = replace(dataset, message_set=rng.integers(0, 8, len(dataset)))
-    assert learned_landing(drawn, TABLE) is None
-    assert learned_landing(dataset.of(np.arange(15)), TABLE) is None
-    assert learned_landing(replace(dataset, message_set=0 * dataset.message_set), TABLE) is None
+    assert learn_landing(drawn, TABLE) is None
+    assert learn_landing(dataset.of(np.arange(15)), TABLE) is None
+    assert learn_landing(replace(dataset, message_set=0 * dataset.message_set), TABLE) is None
 
 
 def test_without_hypotheses_people_differ_in_ability() -> None:

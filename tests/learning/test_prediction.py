@@ -9,7 +9,7 @@ from scipy.stats import norm
 from tests.learning.conftest import made
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.prediction import calibration, held_out, predicted
+from xplain.learning.prediction import calibration, held_out, predict
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import Single, learn_types
 
@@ -28,7 +28,7 @@ def test_an_observer_is_predicted_by_the_types_that_their_labels_speak_for(
         observers=("new", *dataset.observers[::-1]),
         observer=np.arange(20) % (len(dataset.observers) + 1),
     )
-    found = predicted(few, types, asked)
+    found = predict(few, types, asked)
     for p in range(20):
         name = asked.observers[asked.observer[p]]
         weight = types.prior.copy()
@@ -41,7 +41,7 @@ def test_an_observer_is_predicted_by_the_types_that_their_labels_speak_for(
         each = [labeler.probability(row, told)[0] for labeler in types.labelers]
         assert found[p] == pytest.approx(weight @ each / weight.sum())
     assert np.ptp(found) > 0.1
-    assert np.array_equal(found, predicted(few, types, replace(asked, label=1 - asked.label)))
+    assert np.array_equal(found, predict(few, types, replace(asked, label=1 - asked.label)))
 
 
 def test_intervals_of_calibration_are_wilsons():

@@ -12,7 +12,7 @@ from xplain import LearnedTypes
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.label_file import encoded, read_table
+from xplain.learning.data.label_file import encode_transition, read_table
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import learn_types
@@ -184,7 +184,7 @@ def test_a_transition_is_encoded_from_its_columns_as_the_table_was(tmp_path):
     data = read_table(path)
     assert set(data.feature_names) == {"load", "zone=river", "zone=hill=steep", "zone=2"}
     for row, transition in zip(rows, data.transition, strict=True):
-        assert encoded(row, data.feature_names) == tuple(data.features[transition])
+        assert encode_transition(row, data.feature_names) == tuple(data.features[transition])
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_a_transition_is_encoded_from_its_columns_as_the_table_was(tmp_path):
 )
 def test_what_cannot_be_encoded_is_refused_by_name(transition, named):
     with pytest.raises(InputError, match=named):
-        encoded(transition, ("zone=river", "load", "zone=hill"))
+        encode_transition(transition, ("zone=river", "load", "zone=hill"))
 
 
 @pytest.mark.parametrize(

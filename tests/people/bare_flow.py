@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from starlette.datastructures import ImmutableMultiDict
 
 from xplain.people.bots import Bot, Page
-from xplain.people.collect.asking import CollectState, shared
+from xplain.people.collect.asking import CollectState, mean_posterior
 from xplain.people.collect.bot import Habits, Observer, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
@@ -75,7 +75,7 @@ def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[Col
     collection, states = Collection(plan), list[CollectState]()
     for number in range(people):
         person = bot(plan, habits, seed, number)
-        others = shared([state.belief for state in states])
+        others = mean_posterior([state.belief for state in states])
         role = number % len(plan.roles) if plan.assigned else None
         # Each simulated collection draws questions and their order anew.
         states.append(observe(collection, person, seed * 10_000 + number, others, role))

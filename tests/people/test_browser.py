@@ -82,24 +82,26 @@ def axe(request: pytest.FixtureRequest) -> str:
 @pytest.fixture(scope="module")
 def rescue() -> Study:
     """The rescue study with every kind of question, learned from few labels to save time."""
-    from xplain.experiment.config import composed
+    from xplain.experiment.config import compose_config
 
     questions = (
         "questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
         "{name: gender, label: Your gender, kind: choice, choices: [woman, man, another]},"
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
     )
-    return Study.of(study_plan(composed("study", ["seed=0", "observers.points=150", questions])))
+    return Study.of(
+        study_plan(compose_config("study", ["seed=0", "observers.points=150", questions]))
+    )
 
 
 @pytest.fixture(scope="module")
 def asking() -> Study:
     """The rescue study with a condition that asks, as the paper's belief has it: also after
     messages."""
-    from xplain.experiment.config import composed
+    from xplain.experiment.config import compose_config
 
     paper = ["belief=independent", "belief.error=0"]
-    made = composed("study", ["seed=0", "observers.points=150", "ask=clips", *paper])
+    made = compose_config("study", ["seed=0", "observers.points=150", "ask=clips", *paper])
     return Study.of(study_plan(made))
 
 

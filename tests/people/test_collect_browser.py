@@ -35,16 +35,16 @@ def own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def rescue() -> Collection:
     """The rescue task with clips of two steps and the lab's questions."""
-    from xplain.experiment.config import composed
+    from xplain.experiment.config import compose_config
     from xplain.people.collect.prepare import assemble, material_of
-    from xplain.people.material import fixed
+    from xplain.people.material import select_plan_keys
 
     questions = (
         "wording.questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
     )
-    cfg = composed("collect", ["points=8", questions])
-    config = fixed(cfg)
+    cfg = compose_config("collect", ["points=8", questions])
+    config = select_plan_keys(cfg)
     rules = CollectRules(points=8, **config["rules"] | {"listening": 2})
     plan = assemble(material_of(cfg), Adaptive(clip=2), rules, config)
     return at_work(plan)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from xplain.cli.people import configured, server_of
+from xplain.cli.people import load_config, server_of
 from xplain.people.study.flow import ENDS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -32,12 +32,12 @@ def settings() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("kind", "setting"), settings())
 def test_a_setting_that_a_page_names_is_taken(kind: str, setting: str) -> None:
-    configured(kind, re.split(r" (?=[\w.@/]+=)", setting))
+    load_config(kind, re.split(r" (?=[\w.@/]+=)", setting))
 
 
 @pytest.mark.parametrize("kind", ["study", "collect"])
 def test_every_ending_can_have_a_code_of_its_own(kind: str) -> None:
     for ending in (*ENDS, "full"):
-        codes = server_of(configured(kind, [f"server.codes={{{ending}: ABC}}"])).codes
+        codes = server_of(load_config(kind, [f"server.codes={{{ending}: ABC}}"])).codes
         assert codes[ending] == "ABC"
         assert codes == dict.fromkeys((*ENDS, "full"), "") | {ending: "ABC"}

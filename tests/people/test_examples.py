@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from xplain.experiment.config import CONF
-from xplain.people.plan import LabQuestion, typed
+from xplain.people.plan import LabQuestion, make_typed
 
 FILES = ("study.yaml", "collect/texts/en.yaml")
 EXAMPLES = [
@@ -20,5 +20,5 @@ EXAMPLES = [
 
 @pytest.mark.parametrize(("file", "example"), EXAMPLES)
 def test_commented_questions_can_be_asked(file: str, example: str) -> None:
-    question = typed(LabQuestion, "questions", yaml.safe_load(example))
+    question = make_typed(LabQuestion, "questions", yaml.safe_load(example))
     assert question.label[0].isupper()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from xplain.people.export import defused, described
+from xplain.people.export import defuse, order_columns
 
 CODEBOOK = ["who", "stated_…", "number"]
 
 
 def test_columns_are_those_of_the_codebook_in_its_order_and_others_last() -> None:
     rows = [{"number": n, "stated_b": 1, "who": name, "stated_a": 0} for n, name in enumerate("xy")]
-    table = described("people", rows, CODEBOOK)
+    table = order_columns("people", rows, CODEBOOK)
     assert list(table.columns) == ["who", "number", "stated_b", "stated_a"]
     assert table.to_dict("records") == rows
 
@@ -29,7 +29,7 @@ def test_a_row_that_is_not_as_its_codebook_says_is_refused(
     row: dict[str, object], named: str
 ) -> None:
     with pytest.raises(ValueError, match=f"^people: .*'{named}'"):
-        described("people", [row], CODEBOOK)
+        order_columns("people", [row], CODEBOOK)
 
 
 def test_no_cell_is_a_formula() -> None:
@@ -45,6 +45,6 @@ def test_no_cell_is_a_formula() -> None:
         "\uff0d1",
         "\uff20A1",
     ):
-        assert defused(text) == f"'{text}"
+        assert defuse(text) == f"'{text}"
     for harmless in ("1 + 1", "a=b", "", -1, -1.5, None, "[1, 0]"):
-        assert defused(harmless) == harmless
+        assert defuse(harmless) == harmless

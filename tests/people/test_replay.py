@@ -13,9 +13,9 @@ from tests.people.client import Client
 from tests.people.kinds import KINDS, filled, flow_of
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.cli.main import main
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.people.bots import Page
-from xplain.people.export import replayed
+from xplain.people.export import find_differences
 from xplain.people.log import read
 from xplain.people.store import Store
 from xplain.people.web import TAB_KINDS, create_app
@@ -87,7 +87,7 @@ def changed(snapshot: Path, *statements: str) -> None:
 
 def differs(kind: str, snapshot: Path) -> list[str]:
     flow = flow_of(kind)
-    return replayed(flow, read(snapshot, flow.PLAN, flow.STATE)[1])
+    return find_differences(flow, read(snapshot, flow.PLAN, flow.STATE)[1])
 
 
 def test_a_replay_agrees_to_the_last_bit(
@@ -146,6 +146,6 @@ def test_what_a_page_reports_is_told_in_the_consent_and_exported(kind: str, tmp_
     main([kind, "export", str(path), str(tmp_path / "out")])
     exported = (tmp_path / "out" / "events.csv").read_text()
     assert [one for one in kinds if f"seen {one}" not in exported] == []
-    shipped = " ".join(composed(kind, []).wording.consent)
+    shipped = " ".join(compose_config(kind, []).wording.consent)
     for stored in ("click", "hidden", "look up", "recruiting platform", "reference", "erase"):
         assert stored in shipped, stored

@@ -16,7 +16,7 @@ from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.cli.main import main
 from xplain.errors import InputError
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.learning.saved import LearnedTypes
 from xplain.people.bots import Visitor as Bot
 from xplain.people.bots import visit
@@ -26,7 +26,7 @@ from xplain.people.collect.plan import CollectRules
 from xplain.people.collect.prepare import assemble, material_of
 from xplain.people.collect.tables import export
 from xplain.people.flow import Flow
-from xplain.people.material import fixed
+from xplain.people.material import select_plan_keys
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
@@ -51,9 +51,12 @@ def over_the_pages(
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the tables of 24 people × 20 adaptive questions at 5 % wrong answers."""
     folder = tmp_path_factory.mktemp("labels")
-    cfg = composed("collect", [])
+    cfg = compose_config("collect", [])
     plan = assemble(
-        material_of(cfg), Adaptive(), CollectRules(points=20, **fixed(cfg)["rules"]), fixed(cfg)
+        material_of(cfg),
+        Adaptive(),
+        CollectRules(points=20, **select_plan_keys(cfg)["rules"]),
+        select_plan_keys(cfg),
     )
 
     def person(number: int) -> Bot:
@@ -77,7 +80,7 @@ def types(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def planned(types: Path, *arguments: str) -> StudyPlan:
-    return study_plan(composed("study", [f"types={types}", "seed=0", *arguments]))
+    return study_plan(compose_config("study", [f"types={types}", "seed=0", *arguments]))
 
 
 def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(

@@ -8,7 +8,7 @@ from typing import Any
 
 from tests.people.client import Client
 from xplain.people.bots import Browser, Page
-from xplain.people.export import replayed
+from xplain.people.export import find_differences
 from xplain.people.server import Server
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
@@ -66,7 +66,7 @@ def pages(visitor: Visitor, person: StudyBot, invitation: str) -> Iterator[tuple
 
 def differences(store: Store) -> list[str]:
     """What the plan would decide otherwise."""
-    return replayed(store.flow, store.everybody())
+    return find_differences(store.flow, store.everybody())
 
 
 def query(store: Store, sql: str, values: Any = ()) -> list[dict[str, Any]]:

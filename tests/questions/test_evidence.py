@@ -14,9 +14,9 @@ from xplain.learning.evidence import (
     COIN,
     LEAST,
     Evidence,
-    foretold,
-    parts,
-    stacked,
+    number_parts,
+    predict_in_order,
+    stacking_weight,
 )
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.labeler import HypothesisTrainer
@@ -31,7 +31,7 @@ def test_the_weight_of_hypotheses_makes_the_answers_likeliest(seed):
     grid = np.linspace(LEAST, 1, 4001)
     mixed = grid[:, None] * np.exp(first) + (1 - grid[:, None]) * np.exp(second)
     value = np.log(mixed).sum(axis=1) + BEFORE * np.log(grid)
-    assert stacked(first, second) == pytest.approx(grid[value.argmax()], abs=5e-4)
+    assert stacking_weight(first, second) == pytest.approx(grid[value.argmax()], abs=5e-4)
 
 
 def crowd(seed=0, each=24, thinks=None):
@@ -51,13 +51,13 @@ def evidence_of(known, data):
 def test_no_answer_is_foretold_by_itself_or_a_later_one_or_by_other_types():
     """Answers of the last quarter, or of the other type, say nothing of those before."""
     _, data = crowd()
-    part, kind = parts(data.observer), TYPES[data.observer]
+    part, kind = number_parts(data.observer), TYPES[data.observer]
 
     def way(train, test):
         assert train.observer.max() <= (2 if test.observer[0] <= 2 else 5)
         return train.label.sum() + 0.001 * len(train) + np.zeros(len(test))
 
-    rows, logs = foretold(data, TYPES, (way,))
+    rows, logs = predict_in_order(data, TYPES, (way,))
     assert sorted(rows.tolist()) == np.flatnonzero(part > 0).tolist()
     for row, said in zip(rows, logs, strict=True):
         before = (kind == kind[row]) & (part < part[row])

@@ -14,7 +14,7 @@ from xplain.domains.users.setting import Setting, UserType
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.data.observers import Observed, SimulatedObservers
 from xplain.learning.mixture.labeler import MOST, HypothesisTrainer
-from xplain.learning.mixture.likelihood import LIKELY, grown, posterior_by
+from xplain.learning.mixture.likelihood import LIKELY, grow, posterior_by
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.questions.designs import Adaptive
 
@@ -50,7 +50,7 @@ def test_the_posterior_is_that_over_all_sets_within_the_list(seed, most):
     told = rng.integers(0, 1 << FACTS, 60)
     labels = every.labels[person & ~told, transitions].astype(np.int64)
     answers = transitions, told, labels
-    found = grown(few_sets(most), lambda known: posterior_by(known, *answers))
+    found = grow(few_sets(most), lambda known: posterior_by(known, *answers))
     own = posterior_by(found, *answers)
     whole = few_sets(most).with_sets(np.arange(1 << FACTS))
     dense = posterior_by(whole, *answers)[found.facts]

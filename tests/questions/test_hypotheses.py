@@ -22,7 +22,7 @@ from xplain.domains.users.inaccurate_values import (
 )
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import DomainError, InputError, XplainError
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 
 seeds = st.integers(0, 10_000)
 
@@ -257,7 +257,7 @@ def test_values_on_the_other_side_are_variants_all_at_once_and_each_alone():
     assert not np.array_equal(gift, labels_at(domain, {"toll": -5.0}))
     (of_gift,) = (own[0b10] for own in hypotheses.variants[~hypotheses.sizes[1:]])
     assert np.array_equal(of_gift, gift)
-    rooms = instantiate(composed("observe", ["domain=four_rooms"]).domain)
+    rooms = instantiate(compose_config("observe", ["domain=four_rooms"]).domain)
     hypotheses = Hypotheses.of_domain(rooms)
     names = [parameter.name for parameter in rooms.parameters]
     opposite = hypotheses.variants[~hypotheses.sizes[1:]]

@@ -14,7 +14,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
-from xplain.learning.prediction import held_out, predicted
+from xplain.learning.prediction import held_out, predict
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import Single, learn_types
 
@@ -133,7 +133,7 @@ def test_a_prediction_is_a_mean_over_types_and_error_rates():
         types, labelers=tuple(Constant(p, True) for p in sure), names=("a", "b"), prior=prior
     )
     new = replace(data.take(np.arange(2)), observers=("o1", "new"), observer=np.array([0, 1]))
-    found = predicted(data, made, new)
+    found = predict(data, made, new)
     for row, (own, t) in enumerate(
         zip((data.of(np.array([1])), data.take(np.zeros(0, int))), new.transition, strict=True)
     ):
@@ -148,7 +148,7 @@ def test_a_prediction_is_a_mean_over_types_and_error_rates():
         assert found[row] == pytest.approx((joint * one).sum() / joint.sum())
     # A labeler measured on answers says what is answered, errors and all.
     measured = replace(made, labelers=(Constant(0.8, False),) * 2)
-    assert predicted(data, measured, new)[1] == pytest.approx(0.8)
+    assert predict(data, measured, new)[1] == pytest.approx(0.8)
 
 
 def pupils(rng, people, items, skills):
@@ -187,7 +187,7 @@ def test_answers_about_skills_are_predicted_nearly_as_by_the_truth(seed):
     known, answers, left, best = pupils(rng, 300, 12, 3)
     data, asked_ = table(known, answers, ~left), table(known, answers, left)
     types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
-    found = predicted(data, types, asked_)
+    found = predict(data, types, asked_)
     assert nats(found, answers[left]) < nats(best[left], answers[left]) + 0.02
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from xplain.report.ratios import ratios
+from xplain.report.ratios import compute_ratios
 
 COSTS = {
     ("exact", "qmdp"): 2.0,
@@ -37,7 +37,7 @@ def test_a_ratio_is_to_the_best_other_way() -> None:
         episodes=frame,
         values=lambda key: list(dict.fromkeys(frame[key])),
     )
-    found = ratios(summary).frame.set_index("explainee")
+    found = compute_ratios(summary).frame.set_index("explainee")
     assert found.columns.tolist()[:2] == ["Domain", "QMDP"]
     ratio = {kind: [float(cell.split()[0]) for cell in found.loc[kind][1:]] for kind in found.index}
     assert ratio["exact"] == pytest.approx([0.5, 3, 2])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from xplain.cli.plan import how_known
+from xplain.cli.plan import describe_accuracy
 from xplain.report.terminal import print_certificates
 
 BOUNDS = {
@@ -38,10 +38,10 @@ def test_a_simulated_value_beyond_the_proven_optimum_is_said_to_be_chance(capsys
 def test_a_comparison_of_solvers_says_so_too(value: float, chance: bool) -> None:
     row = {"value": value, "value_is": "simulated", "value_half_width": 0.08}
     for upper, expected in ((-3.0, chance), (None, False)):
-        words = how_known(row | {"optimal_upper": upper})
+        words = describe_accuracy(row | {"optimal_upper": upper})
         assert words.startswith("simulated ± 0.0800")
         assert ("by sampling error" in words) == expected
-    assert how_known({"value": -3.0, "value_is": "exact", "optimal_upper": -3.0}) == "exact"
+    assert describe_accuracy({"value": -3.0, "value_is": "exact", "optimal_upper": -3.0}) == "exact"
 
 
 def test_what_certificates_are_not_about_is_said(capsys) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests import forked, processes
 from xplain.report.folder import Listed, SweepFolder
-from xplain.runs.plan import listed
+from xplain.runs.plan import label_jobs
 from xplain.runs.sweep import save_sweep
 
 ROOT = Path(__file__).parents[2]
@@ -48,7 +48,7 @@ def planned(outputs: Path, jobs: int) -> SweepFolder:
     folder = SweepFolder(outputs / "sweeps" / "tiny-1")
     folder.path.mkdir(parents=True)
     about = {"name": "tiny", "command": "python -m xplain sweeps=tiny"}
-    save_sweep(folder.path, listed(rows), outputs, about)
+    save_sweep(folder.path, label_jobs(rows), outputs, about)
     return folder
 
 

@@ -14,15 +14,15 @@ import pytest
 import requests
 import uvicorn
 
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.people.service.app import create_app
-from xplain.people.service.served import Served, served
+from xplain.people.service.served import Served, make_served
 from xplain.people.service.talks import Talks
 
 
 @pytest.fixture(scope="session")
 def task() -> Served:
-    return served(composed("serve", ["questions=8", "ask=clips"]))
+    return make_served(compose_config("serve", ["questions=8", "ask=clips"]))
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from tests.decisions import messages_given, question_asked, worth_by_enumeration
 from tests.explanation.test_knowledge import problem_of
 from xplain.errors import TooLargeError
 from xplain.explanation.asking import Limits, Questions
-from xplain.explanation.belief import told
+from xplain.explanation.belief import update_by_messages
 from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -46,7 +46,7 @@ def test_qmdp_asks_what_is_worth_it() -> None:
     it is worth."""
     problem = needy(0, questions=True)
     cheap = QMDP().plan(problem)
-    belief = told(problem, problem.start, 3)
+    belief = update_by_messages(problem, problem.start, 3)
     assert max(worths(cheap, 1, 0, belief).values()) > max(
         value for action, value in worths(cheap, 1, 0, belief).items() if action >= 0
     )

@@ -11,7 +11,7 @@ import pytest
 from tests.decisions import question_asked, worth_by_enumeration
 from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleState
 from xplain.explanation.asking import Limits, Questions
-from xplain.explanation.belief import answered
+from xplain.explanation.belief import update_by_answer
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
@@ -178,10 +178,10 @@ def test_second_opinions_are_worth_asking_for_where_answers_err() -> None:
     for solver in (Certified(gap=1e-9), POMCP()):
         policy = solver.plan(problem, 0)
         first = question_asked(policy, 0, 0, problem.prior)
-        after = answered(problem, problem.prior, 0, first, 1)
+        after = update_by_answer(problem, problem.prior, 0, first, 1)
         second = question_asked(policy, 0, 0, after, 1 << first)
         assert (first, second) == (0, 1)
-        last = answered(problem, after, 0, second, 1)
+        last = update_by_answer(problem, after, 0, second, 1)
         assert question_asked(policy, 0, 0, last, 0b11) is None
 
 

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from xplain.explanation.belief import told, update
+from xplain.explanation.belief import update, update_by_messages
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -82,7 +82,7 @@ def test_messages_and_steps_change_the_belief_as_the_problem_says(seed: int) -> 
     belief = random_belief(rng, problem)
     for said in range(1 << problem.n_messages):
         heard = give_all(process, belief, said)
-        assert heard == pytest.approx(told(problem, belief, said))
+        assert heard == pytest.approx(update_by_messages(problem, belief, said))
         if not problem.messages_land:
             # Of labels that nobody can give nothing is learned, and then facts are forgotten.
             labels, none = np.ones(1, np.uint8), slice(0, 0)

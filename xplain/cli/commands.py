@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from xplain.errors import InputError, quoted
+from xplain.errors import InputError, quote
 
 FILE = click.Path(path_type=Path)
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -79,7 +79,7 @@ def keys(function: Callable[..., Any]) -> Callable[..., Any]:
             folder = Path(config_dir).absolute()
             if not folder.is_dir():
                 raise InputError("--config-dir", str(folder), "a folder with choices of your own")
-            where = [f"hydra.searchpath=[{quoted(f'file://{folder}')}]"]
+            where = [f"hydra.searchpath=[{quote(f'file://{folder}')}]"]
         return function(*given, [*words, *where], **more)
 
     words = click.argument("words", nargs=-1)

@@ -42,10 +42,10 @@ def discover(words: list[str]) -> dict[str, Any]:
     same with types alone), ``seconds``; if the answers show it, also ``accept`` {message:
     [probability that it is accepted, lower and upper end of its 95 % interval]}.
     """
-    from xplain.experiment.config import composed
+    from xplain.experiment.config import compose_config
     from xplain.runs.discovery import discovery, require_writable
 
-    cfg = composed("discover", words)
+    cfg = compose_config("discover", words)
     folder = Path(cfg.output)
     require_writable(folder)
     found = discovery(cfg)
@@ -64,10 +64,10 @@ def observe(words: list[str]) -> dict[str, Any]:
     line on standard output is one JSON object: ``output``, ``truth``, ``observers``, ``labels``,
     ``types``.
     """
-    from xplain.experiment.config import composed
-    from xplain.runs.observing import observed
+    from xplain.experiment.config import compose_config
+    from xplain.runs.observing import write_labels
 
-    return observed(composed("observe", words, with_hydra=True))
+    return write_labels(compose_config("observe", words, with_hydra=True))
 
 
 @command("questions", "what to ask people, as a list", "questions")
@@ -84,10 +84,10 @@ def questions(words: list[str]) -> dict[str, Any]:
     from rich.console import Console
     from rich.table import Table
 
-    from xplain.experiment.config import composed
-    from xplain.runs.observing import listed_questions
+    from xplain.experiment.config import compose_config
+    from xplain.runs.observing import write_questions
 
-    rows, about = listed_questions(composed("questions", words, with_hydra=True))
+    rows, about = write_questions(compose_config("questions", words, with_hydra=True))
     table = Table("", "the robot", "told before")
     for row in rows:
         table.add_row(str(row["question"]), row["text"], row["told"] or "nothing")
@@ -118,12 +118,12 @@ def plan(words: list[str]) -> dict[str, Any] | list[dict[str, Any]]:
 
     ``solver=all`` prints a comparison first, and the line is a list of such objects.
     """
-    from xplain.cli.plan import compared, planned
-    from xplain.experiment.config import composed
+    from xplain.cli.plan import compare_solvers, plan_problem
+    from xplain.experiment.config import compose_config
 
     if "solver=all" in words:
-        return compared([word for word in words if word != "solver=all"])
-    return planned(composed("plan", words, with_hydra=True))
+        return compare_solvers([word for word in words if word != "solver=all"])
+    return plan_problem(compose_config("plan", words, with_hydra=True))
 
 
 @command("export", "write a saved problem for POMDP solvers", "export")
@@ -132,15 +132,15 @@ def export(words: list[str]) -> None:
     """Writes a saved problem for other programs:
     ``xplain export problem=FILE.npz format=pomdp output=FILE.pomdp``.
     """
-    from xplain.experiment.config import composed
+    from xplain.experiment.config import compose_config
     from xplain.explanation.files import load, pomdp_lines
-    from xplain.storage import written_whole
+    from xplain.storage import open_atomic
 
-    cfg = composed("export", words)
+    cfg = compose_config("export", words)
     if cfg.format != "pomdp":
         raise InputError("format", cfg.format, "pomdp")
     problem = load(cfg.problem)
-    with written_whole(Path(cfg.output)) as file:
+    with open_atomic(Path(cfg.output)) as file:
         file.writelines(f"{line}\n" for line in pomdp_lines(problem))
     print(Path(cfg.output))
 
@@ -184,13 +184,13 @@ def sync(words: tuple[str, ...]) -> None:
     """
     from hydra.utils import instantiate
 
-    from xplain.experiment.config import composed
+    from xplain.experiment.config import compose_config
     from xplain.runs.mlflow import sync as send
 
     # Names of folders may have an equals sign as well.
     folders = [Path(word) for word in words if Path(word).exists() or "=" not in word]
     given = [word for word in words if Path(word) not in folders]
-    cfg = composed("config", ["tracking=mlflow", *given])
+    cfg = compose_config("config", ["tracking=mlflow", *given])
     tracking: MLflow = instantiate(cfg.tracking)
     count = send(folders or [Path(cfg.outputs)], Path(cfg.outputs), tracking)
     print(f"{count} results in MLflow")
@@ -227,13 +227,13 @@ def serve(words: list[str]) -> None:
     """
     import uvicorn
 
-    from xplain.experiment.config import composed
+    from xplain.experiment.config import compose_config
     from xplain.people.service.app import create_app
-    from xplain.people.service.served import served
+    from xplain.people.service.served import make_served
     from xplain.people.service.talks import Talks
 
-    cfg = composed("serve", words)
-    talks = Talks(Path(cfg.database), served(cfg))
+    cfg = compose_config("serve", words)
+    talks = Talks(Path(cfg.database), make_served(cfg))
     try:
         print(f"service: http://{cfg.host}:{cfg.port}/", file=sys.stderr)
         app = create_app(talks, tuple(cfg.origins), cfg.key)

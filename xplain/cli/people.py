@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from xplain.cli.commands import FILE, Decorator, command, keys
 from xplain.errors import InputError, XplainError, first_line, mapping, one_of, whole_number
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 
 if TYPE_CHECKING:
     from xplain.people.flow import Flow
@@ -57,11 +57,11 @@ def serve(name: str, words: list[str]) -> None:
     """
     from xplain.people.server import LOOPBACK
 
-    cfg = configured(name, words)
+    cfg = load_config(name, words)
     # Before the plan is made, so that a wrong key is refused at once.
     server, path = server_of(cfg), database_of(cfg)
     kind = flow(name)
-    made = kind.of(running(name, cfg, path, kind))
+    made = kind.of(load_plan(name, cfg, path, kind))
     outside = server.address and urlsplit(server.address).hostname not in LOOPBACK
     if made.plan.unedited and outside and not server.demo:
         wanted = "demo for a pilot; else fill in [EDIT: …] in wording.consent, wording.introduction"
@@ -70,7 +70,7 @@ def serve(name: str, words: list[str]) -> None:
     run_server(made, name, server, path, cfg)
 
 
-def configured(name: str, arguments: list[str]) -> DictConfig:
+def load_config(name: str, arguments: list[str]) -> DictConfig:
     """The configuration. With a table of one's own transitions it has no domain's texts;
     ``domain=null`` is allowed.
 
@@ -78,7 +78,7 @@ def configured(name: str, arguments: list[str]) -> DictConfig:
         InputError: both a domain and a table, or neither.
     """
     given = [one for one in arguments if one != "domain=null"]
-    cfg = composed(name, given)
+    cfg = compose_config(name, given)
     if cfg.get("transitions") is None:
         if given != arguments:
             raise InputError("domain", None, "a domain; null only with transitions=TABLE")
@@ -86,7 +86,7 @@ def configured(name: str, arguments: list[str]) -> DictConfig:
     for one in given:
         if one.startswith("domain="):
             raise InputError("domain", one.removeprefix("domain="), "null with transitions=TABLE")
-    return composed(name, [*given, f"{name}@wording=neutral"])
+    return compose_config(name, [*given, f"{name}@wording=neutral"])
 
 
 def database_of(cfg: DictConfig) -> Path:
@@ -108,7 +108,7 @@ def server_of(cfg: DictConfig) -> Server:
     Raises:
         InputError: a key or value is not allowed.
     """
-    from xplain.people.plan import typed
+    from xplain.people.plan import make_typed
     from xplain.people.server import Server
 
     whole_number("port", cfg.port, 1, 65535)
@@ -119,21 +119,21 @@ def server_of(cfg: DictConfig) -> Server:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise InputError("server.file", file, f"a YAML file ({first_line(error)})") from None
     given["demo"] = one_of("consent", cfg.consent, ("own", "demo")) == "demo"
-    return typed(Server, "server", given | mapping("server.file", own, "keys of server"))
+    return make_typed(Server, "server", given | mapping("server.file", own, "keys of server"))
 
 
-def running(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]) -> Any:
+def load_plan(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]) -> Any:
     """The plan in the database, or a new one. Logs the keys of ``cfg`` that differ from a stored
     plan."""
     from xplain.people.log import read_plan
-    from xplain.people.material import fixed
+    from xplain.people.material import select_plan_keys
 
     plan = read_plan(path, kind.PLAN)
     if plan is None:
         print(f"{name}: preparing {kind.PLAN.OF} …", file=sys.stderr)
         prepare = import_module(f"xplain.people.{name}.prepare")
         return getattr(prepare, f"{name}_plan")(cfg)
-    now = fixed(cfg)
+    now = select_plan_keys(cfg)
     if now["seed"] is None:
         del now["seed"]  # drawn once, at the first start
     ignored = [key for key in now if now[key] != plan.config.get(key)]
@@ -311,12 +311,12 @@ def replay(name: str, database: Path) -> None:
 
     No server may have the database open. The exit code is 1 if anything differs.
     """
-    from xplain.people.export import replayed
+    from xplain.people.export import find_differences
     from xplain.people.log import read
 
     kind = flow(name)
     plan, people = read(database, kind.PLAN, kind.STATE)
-    differences = replayed(kind.of(plan), people)
+    differences = find_differences(kind.of(plan), people)
     for difference in differences:
         print(difference, file=sys.stderr)
     verdict = f"{len(differences)} differences" if differences else "all equal"
@@ -339,10 +339,10 @@ def habits(name: str, database: Path, stream: str) -> None:
     A collection must be started with ``rules.listening``; people then forget per page, not per
     step.
     """
-    from xplain.explanation.listening import learned_habits
+    from xplain.explanation.listening import learn_habits
 
     listeners = import_module(f"xplain.people.{name}.tables").listeners_in(database, stream)
-    found = learned_habits(listeners)
+    found = learn_habits(listeners)
     print(f"{len(listeners)} participants: rates, and how many people have them")
     for key in ("error", "accept", "forget"):
         shares = found.shares(key)
@@ -396,9 +396,9 @@ def analyse(folder: Path, stream: str, exclude: Path | None, seed: int, out: Pat
     """
     from rich.console import Console
 
-    from xplain.people.study.analysis import analyses, exclusions, read, save, show
+    from xplain.people.study.analysis import analyse_all, exclusions, read, save, show
 
-    found = analyses(read(folder), stream, exclusions(exclude), seed=seed)
+    found = analyse_all(read(folder), stream, exclusions(exclude), seed=seed)
     out = out or folder
     files: list[str] = []
     for name, analysis in found.items():

@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.table import Table
 
-from xplain.experiment.config import CONF, composed
+from xplain.experiment.config import CONF, compose_config
 from xplain.explanation.actions import AskQuestion, VisibleState
 from xplain.explanation.files import load
 from xplain.explanation.message_sets import indices
@@ -26,16 +26,18 @@ from xplain.solvers.hsvi import CertifiedPolicy, Effort
 Row = dict[str, Any]
 
 
-def compared(words: list[str]) -> list[Row]:
+def compare_solvers(words: list[str]) -> list[Row]:
     """Prints a table of all solvers on one problem. Returns a row for each.
 
     Args:
         words: overrides of conf/plan.yaml, without the solver.
     """
     names = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
-    configs = [composed("plan", [*words, f"solver={name}"], with_hydra=True) for name in names]
+    configs = [
+        compose_config("plan", [*words, f"solver={name}"], with_hydra=True) for name in names
+    ]
     known = _bounds(load(configs[0].problem), configs[0])
-    rows = [planned(cfg, known) for cfg in configs]
+    rows = [plan_problem(cfg, known) for cfg in configs]
     table = Table("solver", "first decision", "value", "", "optimum", "seconds")
     for row in rows:
         lower, upper = row["optimal_lower"], row["optimal_upper"]
@@ -43,7 +45,7 @@ def compared(words: list[str]) -> list[Row]:
             row["solver"],
             _first(row),
             f"{row['value']:.4f}",
-            how_known(row),
+            describe_accuracy(row),
             "" if lower is None else f"{lower:.4f} … {upper:.4f}",
             f"{row['seconds']:.3f}",
         )
@@ -51,7 +53,7 @@ def compared(words: list[str]) -> list[Row]:
     return rows
 
 
-def planned(cfg: DictConfig, known: Bounds | None = None) -> Row:
+def plan_problem(cfg: DictConfig, known: Bounds | None = None) -> Row:
     """One solver's row, as described in the command's help.
 
     Args:
@@ -113,7 +115,7 @@ def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
     return bounds(problem, effort)
 
 
-def how_known(row: Row) -> str:
+def describe_accuracy(row: Row) -> str:
     """``simulated ± 0.0412``, with half of the 95 % interval."""
     if "value_half_width" not in row:
         return str(row["value_is"])

@@ -8,8 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from xplain.demo.play import DemoSetup, Played, play, stage
-from xplain.experiment.results import told
+from xplain.demo.play import DemoSetup, Played, play, set_up
+from xplain.experiment.results import encode_question
 from xplain.interaction.session import Why
 from xplain.storage import encode, write_text
 
@@ -29,7 +29,7 @@ def write_page(overrides: Sequence[str], trace: int | None, user: str | None, pa
     Raises:
         XplainError, HydraException: a value that is not allowed.
     """
-    scene = stage(overrides, trace, user)
+    scene = set_up(overrides, trace, user)
     write_text(path, page(scene, play(scene, scene.user_type(user))))
 
 
@@ -62,7 +62,7 @@ def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
         "steps": [
             {
                 "said": step.said,
-                "asked": [told(question, answer) for question, answer in step.asked],
+                "asked": [encode_question(question, answer) for question, answer in step.asked],
                 "values": _values(step.why),
                 "labels": step.labels,
                 "belief": step.belief,

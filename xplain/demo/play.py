@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from hydra.utils import instantiate
 
 from xplain.errors import InputError, one_of
-from xplain.experiment.config import composed
-from xplain.experiment.explanations import Costs, what_is_thought
+from xplain.experiment.config import compose_config
+from xplain.experiment.explanations import Costs, true_thoughts
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Case, Prepared, prepare
 from xplain.experiment.results import domain_name
 from xplain.explanation.asking import Question
 from xplain.explanation.belief import BeliefUpdate
-from xplain.explanation.label_table import joined
+from xplain.explanation.label_table import join_steps
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.explainees import Explainee, Person
 from xplain.interaction.explainer import Explainer, GivenTypes
@@ -132,7 +132,9 @@ SURE = 0.9
 """A type counts as found at this belief."""
 
 
-def stage(overrides: Sequence[str], trace: int | None = None, user: str | None = None) -> DemoSetup:
+def set_up(
+    overrides: Sequence[str], trace: int | None = None, user: str | None = None
+) -> DemoSetup:
     """Learns the user types as an experiment does, and chooses one of its traces.
 
     Args:
@@ -144,7 +146,7 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
         XplainError, HydraException, OmegaConfBaseException: something in ``overrides`` is wrong.
     """
     count = TRIED if trace is None else trace + 1
-    cfg = composed("config", [*overrides, f"traces={count}"], with_hydra=True)
+    cfg = compose_config("config", [*overrides, f"traces={count}"], with_hydra=True)
     choices = cfg.hydra.runtime.choices
     components, costs = components_of(cfg), costs_of(cfg)
     solver, update = instantiate(cfg.solver), instantiate(cfg.belief)
@@ -205,7 +207,7 @@ def _explainer(
     table = case.everyone if alone else case.learned
     asked = None if alone else case.questions
     if asked is not None:
-        table = joined([case.learned, asked.learned])
+        table = join_steps([case.learned, asked.learned])
     if table is None:
         raise InputError("solver", "baseline", "a solver that plans for types: solver=qmdp")
     types = GivenTypes(
@@ -253,7 +255,7 @@ def play(scene: DemoSetup, user: str) -> Played:
 
 
 def _simulated(scene: DemoSetup, user: str) -> Person:
-    truth, same = what_is_thought(scene.case)
+    truth, same = true_thoughts(scene.case)
     labels = truth.of_types([scene.prepared.types.index(user)])
     seed = derived_seed(scene.explainer.seed, "explainee", user)
     return scene.explainee.meet(labels, same, seed)

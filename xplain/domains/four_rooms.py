@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import MOVES, Cell, Grid, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import InputError, Range, Slip, checks, listed, number
+from xplain.errors import InputError, Range, Slip, checks, number, require_list
 
 PARAMETERS = ("goals", "discount", "step_cost", "penalty_cells", "penalty")
 DOORS = ((3, 6), (10, 6), (6, 2), (7, 9))
@@ -83,7 +83,7 @@ class FourRooms:
         )
         penalised = [
             self.grid.at(cell, "domain.parameters.penalty_cells")
-            for cell in listed("domain.parameters.penalty_cells", values["penalty_cells"])
+            for cell in require_list("domain.parameters.penalty_cells", values["penalty_cells"])
         ]
         entered = self._moves & np.isin(self._successor, penalised)
         reward[entered] -= number("domain.parameters.penalty", values["penalty"])
@@ -97,7 +97,7 @@ class FourRooms:
         """Rewards by cell number."""
         key = "domain.parameters.goals"
         goals = {}
-        for goal in listed(key, value):
+        for goal in require_list(key, value):
             if not isinstance(goal, Mapping) or set(goal) != {"cell", "reward"}:
                 raise InputError(key, goal, "{cell: [row, column], reward: a number}")
             goals[self.grid.at(goal["cell"], key)] = number(f"{key}.reward", goal["reward"])

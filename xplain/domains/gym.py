@@ -23,10 +23,10 @@ from xplain.errors import (
     XplainError,
     checks,
     first_line,
-    listed,
     mapping,
     number,
     one_of,
+    require_list,
 )
 
 EFFECTS = ("add", "like", "to", "arguments")
@@ -239,7 +239,7 @@ class Gymnasium:
 
 def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
     """Checks the form of a parameter's value."""
-    for change in listed(key, value, "a list of changes"):
+    for change in require_list(key, value, "a list of changes"):
         for field in mapping(key, change, f"a change with {', '.join(CHANGES)}"):
             one_of(key, field, CHANGES, "field")
         if sum(effect in change for effect in EFFECTS) != 1:
@@ -248,7 +248,7 @@ def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
             raise InputError(key, dict(change), "a change with arguments has no other field")
         if "next" in change and "add" not in change:
             raise InputError(key, dict(change), "next needs add")
-        listed(f"{key}.actions", change.get("actions", []), "a list of actions")
+        require_list(f"{key}.actions", change.get("actions", []), "a list of actions")
         mapping(f"{key}.arguments", change.get("arguments", {}), "{argument: value}")
     return list(value)
 

@@ -16,7 +16,7 @@ from xplain.domains.base import transition_features
 from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
-from xplain.explanation.label_table import LabelTable, joined
+from xplain.explanation.label_table import LabelTable, join_steps
 from xplain.explanation.message_sets import subsets
 from xplain.learning.types import TablesOf
 from xplain.randomness import stream
@@ -70,7 +70,7 @@ class CaseQuestions:
         clips, beliefs = np.flatnonzero(self.facts < 0), np.flatnonzero(self.facts >= 0)
         parts = [setting.true_labels(self.transitions[clips])] if len(clips) else []
         parts += [_right(setting.wrong, self.facts[beliefs].tolist())] if len(beliefs) else []
-        whole = joined(parts) if parts else self.labels
+        whole = join_steps(parts) if parts else self.labels
         back = np.argsort(np.concatenate([clips, beliefs]), kind="stable")
         return replace(self, labels=whole.of_steps(back.tolist()).of_types(types))
 
@@ -175,7 +175,7 @@ def _right(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:
     return LabelTable.joined_types(rows, tables)
 
 
-def merged(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:
+def merge_questions(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:
     """Merges questions: at most ``most``, the nearest of each kind first; None without
     questions."""
     if not parts:
@@ -185,11 +185,13 @@ def merged(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:
         whole = CaseQuestions(
             np.concatenate([whole.transitions, part.transitions]),
             np.concatenate([whole.facts, part.facts]),
-            joined([whole.learned, part.learned]),
-            joined([whole.labels, part.labels]),
+            join_steps([whole.learned, part.learned]),
+            join_steps([whole.labels, part.labels]),
             np.concatenate([whole.shows, part.shows]),
             whole.texts + part.texts,
             np.concatenate([whole.right, part.right]),
-            whole.everything and part.everything and joined([whole.everything, part.everything]),
+            whole.everything
+            and part.everything
+            and join_steps([whole.everything, part.everything]),
         )
     return whole.take(alike_first(whole.learned, most))

@@ -27,7 +27,7 @@ from xplain.experiment.config import SOURCE_GROUPS
 from xplain.experiment.fingerprint import fingerprint
 from xplain.experiment.pipeline import Prepared
 from xplain.interaction.metrics import Record
-from xplain.storage import decode, encode, write_text, written_whole
+from xplain.storage import decode, encode, open_atomic, write_text
 
 SOURCE = (*SOURCE_GROUPS, "traces", "max_steps", "seed")
 """Configuration keys that decide data, types and traces."""
@@ -85,7 +85,7 @@ def _write(path: Path, prepared: Prepared) -> None:
     arrays: dict[str, NDArray[Any]] = {}
     content = np.array(json.dumps(encode(prepared, arrays)))
     # If the cache cannot be written, the result is kept but not shared.
-    with suppress(OSError), written_whole(path, "wb") as file:
+    with suppress(OSError), open_atomic(path, "wb") as file:
         np.savez_compressed(file, allow_pickle=False, content=content, **arrays)
 
 

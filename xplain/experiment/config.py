@@ -85,7 +85,7 @@ def register() -> None:
     )
 
 
-def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> DictConfig:
+def compose_config(name: str, overrides: Sequence[str], with_hydra: bool = False) -> DictConfig:
     """Composes conf/<name>.yaml with overrides.
 
     Args:

@@ -19,7 +19,7 @@ from xplain.explanation.actions import VisibleState
 from xplain.explanation.asking import Limits
 from xplain.explanation.belief import BeliefUpdate, Facts, fact_sets
 from xplain.explanation.habits import PAPER
-from xplain.explanation.label_table import LabelTable, joined
+from xplain.explanation.label_table import LabelTable, join_steps
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Explainee
@@ -184,7 +184,7 @@ def evaluate(
     """
     records = []
     for index, case in progress.track(enumerate(prepared.cases), what, len(prepared.cases)):
-        truth, same = what_is_thought(case)
+        truth, same = true_thoughts(case)
         steps = range(len(case.labels.p))
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")
@@ -278,7 +278,7 @@ def same_problems(one: Prepared, other: Prepared) -> bool:
     )
 
 
-def what_is_thought(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
+def true_thoughts(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
     """Returns the true labels of a trace's transitions and of its questions; and for each the first
     one that it equals, because people make the same errors about equal ones."""
     if case.questions is None:
@@ -286,7 +286,7 @@ def what_is_thought(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
     asked = case.questions
     about = np.where(asked.facts[:, None] < 0, asked.transitions, -1 - asked.facts[:, None])
     same = copies(np.concatenate([case.transitions, about]))
-    return joined([case.labels, asked.labels]), same
+    return join_steps([case.labels, asked.labels]), same
 
 
 def copies(transitions: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -77,7 +77,7 @@ def fingerprint(config: Mapping[str, Any]) -> str:
         "code": code_version(),
         "libraries": library_versions(),
         "components": component_code(config),
-        "declared": declared(config),
+        "declared": collect_declarations(config),
         "files": {text: _digest(path.read_bytes()) for text, path in named.items() if path},
     }
     return _digest(json.dumps(content, sort_keys=True).encode())
@@ -140,7 +140,7 @@ def component_code(config: Any) -> dict[str, str]:
     return found
 
 
-def declared(config: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+def collect_declarations(config: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     """The declarations of components from outside the package, as ``{group: {name: value}}``. A
     component that cannot be created declares nothing; the experiment reports the reason."""
     found = {}

@@ -19,7 +19,7 @@ from xplain.domains.base import Domain, Scene, changes_of, transition_features
 from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import TypeSource
 from xplain.errors import Count, Range, checks
-from xplain.experiment.asking import CaseQuestions, Clips, belief_questions, merged
+from xplain.experiment.asking import CaseQuestions, Clips, belief_questions, merge_questions
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Pool
 from xplain.explanation.belief import OPEN
@@ -220,7 +220,7 @@ def build_case(
         transitions=transitions,
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
-        questions=merged(asked, most),
+        questions=merge_questions(asked, most),
         changes=changes,
         labels=labels,
         **tables(features, transitions)._asdict(),

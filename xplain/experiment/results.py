@@ -16,7 +16,7 @@ from typing import Any
 
 from xplain.domains.base import Scene
 from xplain.experiment.pipeline import Case, Prepared
-from xplain.explanation.asking import Question, worded
+from xplain.explanation.asking import Question, make_question
 from xplain.explanation.message_sets import names_of
 from xplain.interaction.episode import Episode
 from xplain.interaction.metrics import Record, by_step, summarise
@@ -256,10 +256,14 @@ def _asked(episode: Episode, case: Case, step: int) -> dict[str, Any]:
         return {}
     own = episode.questions[episode.questions[:, 0] == step, 1:].tolist()
     texts, right = case.questions.texts, case.questions.right.tolist()
-    return {"questions": [told(worded(q, texts[q], right[q]), answer) for q, answer in own]}
+    return {
+        "questions": [
+            encode_question(make_question(q, texts[q], right[q]), answer) for q, answer in own
+        ]
+    }
 
 
-def told(question: Question, answer: int) -> dict[str, Any]:
+def encode_question(question: Question, answer: int) -> dict[str, Any]:
     """Converts an answered question to plain JSON."""
     reply = next(words for words, value in question.replies if value == answer)
     return {"text": question.text, "about": question.about, "answer": answer, "reply": reply}

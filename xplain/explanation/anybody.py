@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.belief import Facts, Independent
 from xplain.explanation.habits import Habits, habits_of
-from xplain.explanation.label_table import DENSE, LabelTable, joined
+from xplain.explanation.label_table import DENSE, LabelTable, join_steps
 from xplain.explanation.problem import Problem
 
 STUCK = 0.01
@@ -97,13 +97,13 @@ def with_anybody(
     n, count = problem.n_messages, problem.n_types
     every, sets = (1 << n) - 1, np.arange(1 << n)
     dense = [range(n)] * count
-    table = joined([problem.table, problem.questions.table]).select_messages(dense).p
+    table = join_steps([problem.table, problem.questions.table]).select_messages(dense).p
     wrong = tuple(sum(1 << j for j in row) for row in problem.table.effective())
     share, whose = problem.prior, np.arange(count)
     if facts is not None:
         wrong, share = facts.wrong, (1 - facts.new) * share
         parts = [facts.everything] if facts.asked is None else [facts.everything, facts.asked]
-        everything = joined(parts).select_messages([range(n)]).p[..., 0]
+        everything = join_steps(parts).select_messages([range(n)]).p[..., 0]
         others = _other_sets(facts.wrong, n)
         own = [everything[:, sets | every & ~one] for one in others]
         table = np.concatenate([table, np.stack(own, axis=-1)], axis=-1)

@@ -130,10 +130,10 @@ class Questions:
     def question(self, number: int) -> Question:
         """The question with this number in words."""
         text = self.texts[number] if self.texts else f"question {number + 1}"
-        return worded(number, text, int(self.right[number]))
+        return make_question(number, text, int(self.right[number]))
 
 
-def worded(number: int, text: str, right: int) -> Question:
+def make_question(number: int, text: str, right: int) -> Question:
     """Makes a question in words from the fields of :class:`Questions`."""
     if right < 0:
         return Question(number, SENSE, text, (("yes", 1), ("no", 0)))

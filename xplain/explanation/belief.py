@@ -164,7 +164,7 @@ def update(
     return posterior if problem.messages_land else after_forgetting(posterior, problem.forget)
 
 
-def answered(
+def update_by_answer(
     problem: Problem, belief: NDArray[np.float64], message_set: int, question: int, answer: int
 ) -> NDArray[np.float64]:
     """Updates the belief, as :func:`update` does, by the answer 0 or 1 to one of the problem's
@@ -199,7 +199,9 @@ def _after(
     return normalised
 
 
-def told(problem: Problem, belief: NDArray[np.float64], new: int) -> NDArray[np.float64]:
+def update_by_messages(
+    problem: Problem, belief: NDArray[np.float64], new: int
+) -> NDArray[np.float64]:
     """Updates the belief by these messages; it changes only if users may miss messages."""
     if problem.messages_land:
         return belief
@@ -238,7 +240,7 @@ def after_forgetting(belief: NDArray[np.float64], lose: NDArray[np.float64]) -> 
     return after
 
 
-def rounded(belief: NDArray[np.float64]) -> NDArray[np.float64]:
+def round_belief(belief: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rounds a belief to 12 decimals, without negative zeros. The same evidence in another order
     then gives the same bytes."""
     return np.round(belief, 12) + 0.0

@@ -282,7 +282,7 @@ class LabelTable:
         return LabelTable(together.relevant[:1], p)
 
 
-def joined(parts: Sequence[LabelTable]) -> LabelTable:
+def join_steps(parts: Sequence[LabelTable]) -> LabelTable:
     """Concatenates tables of one trace's parts.
 
     Raises:
@@ -297,7 +297,7 @@ def joined(parts: Sequence[LabelTable]) -> LabelTable:
     return LabelTable(relevant, p, np.concatenate([part.answered for part in whole]))
 
 
-def stacked(parts: Sequence[LabelTable]) -> LabelTable:
+def stack_types(parts: Sequence[LabelTable]) -> LabelTable:
     """Concatenates the types of tables about the same transitions."""
     rows = [row for part in parts for row in part.rows]
     tables = [part.p[:, :, t] for part in parts for t in range(part.n_types)]

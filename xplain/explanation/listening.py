@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
-from xplain.explanation.belief import told, update
+from xplain.explanation.belief import update, update_by_messages
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -56,13 +56,13 @@ class Explained:
         belief, given = problem.start, 0
         for new, labels in zip(self.said, self.answers, strict=False):
             given |= new
-            belief = update(problem, told(problem, belief, new), given, labels)
+            belief = update(problem, update_by_messages(problem, belief, new), given, labels)
         hidden = belief.reshape(-1, problem.n_user_types, len(habits))
         found: NDArray[np.float64] = hidden.sum(axis=(0, 1))
         return found
 
 
-def learned_habits(people: Sequence[Listener], grid: Habits | None = None) -> Habits:
+def learn_habits(people: Sequence[Listener], grid: Habits | None = None) -> Habits:
     """The habits of the next person.
 
     Args:

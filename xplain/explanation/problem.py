@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from xplain.errors import InputError, Range, number, one_of
 from xplain.explanation.asking import Questions
 from xplain.explanation.habits import PAPER, Habits
-from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, joined
+from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, join_steps
 from xplain.explanation.message_sets import indices
 
 DiscountPer = Literal["action", "step"]
@@ -79,7 +79,7 @@ class Problem:
             raise InputError("p_explicable", table.p.shape, "at least one transition")
         # A table by type does not have the number of messages.
         count = (len(self.message_names) or None) if given is table else table.relevant.shape[1]
-        cost = each_cost(self.message_cost, count)
+        cost = expand_costs(self.message_cost, count)
         n = len(cost)
         asking = self.questions or Questions(table.of_steps([]))
         if asking.table.n_types != types or asking.shows.shape[1] not in (0, steps):
@@ -109,12 +109,12 @@ class Problem:
         checked: dict[str, Any] = {
             "table": table,
             "message_cost": cost,
-            "prior": distribution(self.prior, types),
+            "prior": check_distribution(self.prior, types),
             "inexplicability_cost": number("inexplicability_cost", self.inexplicability_cost, COST),
             "trade_off": number("lambda", self.trade_off, COST),
             "discount": number("discount", self.discount, Range(0, 1, "(]")),
-            "message_names": named("message_names", self.message_names, n, "message"),
-            "type_names": named("type_names", self.type_names, int(whose.max()) + 1, "type"),
+            "message_names": check_names("message_names", self.message_names, n, "message"),
+            "type_names": check_names("type_names", self.type_names, int(whose.max()) + 1, "type"),
             "questions": asking,
             "copies": copies,
             "whose": whose,
@@ -243,7 +243,7 @@ class Problem:
         if not habits.take_all_in:
             # A row is what somebody knows, for labels and for answers to questions. It leaves out
             # facts that change neither.
-            whole = joined([table, asked])
+            whole = join_steps([table, asked])
             whole = whole.select_messages(whole.effective())
             table = whole.of_steps(range(self.n_steps))
             asked = whole.of_steps(range(self.n_steps, len(whole.p)))
@@ -290,7 +290,7 @@ def _erring(table: LabelTable, habits: Habits) -> LabelTable:
     return replace(erring, answers=habits.answered(table.answered))
 
 
-def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
+def check_numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
     """A float64 copy without NaN or infinities."""
     try:
         array = np.array(value, dtype=np.float64)
@@ -301,10 +301,10 @@ def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-def distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
+def check_distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
     """Checks a prior [N]; an empty one becomes uniform."""
     prior = np.asarray(given)
-    prior = np.full(types, 1 / types) if prior.size == 0 else numbers("prior", prior)
+    prior = np.full(types, 1 / types) if prior.size == 0 else check_numbers("prior", prior)
     if prior.shape != (types,) or (prior < 0).any() or abs(prior.sum() - 1) > 1e-6:
         raise InputError("prior", prior.tolist(), f"{types} probabilities that sum to 1")
     # A prior whose sum is 1 up to rounding stays unchanged when problems are made from it:
@@ -312,10 +312,10 @@ def distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
     return prior / prior.sum() if abs(prior.sum() - 1) > 1e-12 else prior
 
 
-def each_cost(given: ArrayLike, count: int | None) -> NDArray[np.float64]:
+def expand_costs(given: ArrayLike, count: int | None) -> NDArray[np.float64]:
     """[n] read-only costs of messages, from one cost for all messages or a cost for each. If
     ``count`` is unknown, n is the number of given costs."""
-    cost = numbers("message_cost", given)
+    cost = check_numbers("message_cost", given)
     if cost.ndim == 0 and count is not None:
         cost = np.full(count, float(cost))
     n = cost.size if count is None else count
@@ -326,7 +326,7 @@ def each_cost(given: ArrayLike, count: int | None) -> NDArray[np.float64]:
     return cost
 
 
-def named(key: str, given: Sequence[str], count: int, kind: str) -> tuple[str, ...]:
+def check_names(key: str, given: Sequence[str], count: int, kind: str) -> tuple[str, ...]:
     """Exactly ``count`` names; numbered names if none are given."""
     names = tuple(given) or tuple(f"{kind}_{i}" for i in range(count))
     if len(names) != count:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.actions import Action, VisibleState
 from xplain.explanation.asking import bitmask
-from xplain.explanation.belief import BeliefUpdate, answered, told, update
+from xplain.explanation.belief import BeliefUpdate, update, update_by_answer, update_by_messages
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
@@ -87,7 +87,7 @@ def advance(
             bit = 1 << state.open
             return state._replace(
                 visible=visible._replace(asked=visible.asked | bit),
-                belief=answered(problem, belief, visible.given, state.open, answer),
+                belief=update_by_answer(problem, belief, visible.given, state.open, answer),
                 open=None,
                 clips=state.clips | bit,
             )
@@ -99,7 +99,7 @@ def advance(
                 )
             given = state._replace(
                 visible=visible._replace(given=visible.given | messages),
-                belief=told(problem, belief, messages),
+                belief=update_by_messages(problem, belief, messages),
                 open=None,
                 new=messages,
             )

@@ -22,8 +22,8 @@ from xplain.explanation.anybody import Open
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import OPEN, BeliefUpdate, Facts, Independent, Persistent
 from xplain.explanation.habits import Assumed, Habits
-from xplain.explanation.label_table import DENSE, MAX_MESSAGES, LabelTable, joined
-from xplain.explanation.problem import DiscountPer, Problem, each_cost
+from xplain.explanation.label_table import DENSE, MAX_MESSAGES, LabelTable, join_steps
+from xplain.explanation.problem import DiscountPer, Problem, expand_costs
 from xplain.interaction.dialogue import Dialogue, Event
 from xplain.interaction.session import FORMAT, Candidate, Session, plain
 from xplain.solvers.base import LazyPolicy, Solver
@@ -291,17 +291,17 @@ class Explainer:
         steps = max(expected_steps if known else 0, known, 1)
         # Unknown steps are assumed to be explicable to everybody.
         ahead = LabelTable(np.empty((types, 0), np.int64), np.ones((steps - known, 1, types)))
-        table = joined([self.types.label_table(trace), ahead]) if known else ahead
+        table = join_steps([self.types.label_table(trace), ahead]) if known else ahead
         facts, beliefs, wrong = None, self.beliefs, self.types.wrong
         if beliefs.open and wrong is not None:
             everything = self.types.everything(trace) if known else None
             one, about = ahead.of_types([0]), [clip.transition for clip in clips]
-            everything = one if everything is None else joined([everything, one])
+            everything = one if everything is None else join_steps([everything, one])
             asked = self.types.everything(about) if about else None
             facts = Facts(everything, wrong, asked, self.types.new)
         problem = Problem(
             table,
-            message_cost=each_cost(self.message_cost, len(self.types.messages)),
+            message_cost=expand_costs(self.message_cost, len(self.types.messages)),
             inexplicability_cost=self.inexplicability_cost,
             trade_off=self.trade_off,
             discount=self.discount,

@@ -164,7 +164,7 @@ class Session:
     @property
     def explained(self) -> Explained:
         """The messages and labels of this person, for
-        :func:`~xplain.explanation.listening.learned_habits`."""
+        :func:`~xplain.explanation.listening.learn_habits`."""
         answers = tuple(np.array(labels, np.uint8) for labels in self._talk.labels)
         return Explained(self._talk.problem, self._talk.said, answers)
 

@@ -95,7 +95,7 @@ class AnswerModel:
 
     def given(self, question: NDArray[np.int64]) -> NDArray[np.float64]:
         """[P, 2, E] P(y = 1 | f, e) of P questions."""
-        return answered(self.slip[question], self.guess[question])
+        return predict_answers(self.slip[question], self.guess[question])
 
     def wrong(self, question: NDArray[np.int64], person: NDArray[np.int64]) -> float:
         """Share of these answers [P] that differ from the label, if f = 0 and f = 1 are equally
@@ -105,7 +105,7 @@ class AnswerModel:
         return float((slip + rate * (1 - 2 * slip)).mean())
 
 
-def answered(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
+def predict_answers(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
     """[P, 2, E] P(y = 1) of P questions for f = 0, 1 and each error rate."""
     one = np.stack([guess, 1 - slip], axis=-1)[..., None]
     return np.asarray((1 - RATES) * one + RATES * (1 - one))
@@ -129,7 +129,7 @@ class CellAnswers(NamedTuple):
     label: NDArray[np.int64]
 
 
-def learned(
+def learn_answers(
     answers: CellAnswers,
     prior: NDArray[np.float64],
     questions: int,
@@ -160,13 +160,13 @@ def learned(
     rate = np.tile(share, (len(answers.cell), 1))  # [P, E] from the person's other answers
     for _ in range(steps):
         before = np.concatenate([slip, guess, share])
-        one = answered(slip[answers.question], guess[answers.question])
+        one = predict_answers(slip[answers.question], guess[answers.question])
         given = np.where(answers.label[:, None, None] == 1, one, 1 - one)  # [P, 2, E]
         said = np.log((given * rate[:, None, :]).sum(axis=2))
         thought = softmax(log_prior[answers.cell] + _others(said, answers.cell, len(prior)), axis=1)
         heard = np.log((given * thought[:, :, None]).sum(axis=1))
         rate = softmax(np.log(share) + _others(heard, answers.person, people), axis=1)
-        person = softmax(np.log(share) + summed(heard, answers.person, people), axis=1)
+        person = softmax(np.log(share) + sum_by_group(heard, answers.person, people), axis=1)
         share = _population(person)
         weight = thought[:, :, None] * rate[:, None, :] * given
         weight /= weight.sum(axis=(1, 2), keepdims=True)
@@ -176,7 +176,7 @@ def learned(
     return AnswerModel(slip, guess, np.vstack([person, share]))
 
 
-def summed(
+def sum_by_group(
     values: NDArray[np.float64], group: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
     """[count, …] sums of ``values`` [N, …] by group [N]."""
@@ -189,7 +189,7 @@ def _others(
     values: NDArray[np.float64], group: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
     """[P, K] for each row, the sum of the other rows of its group."""
-    return np.asarray(summed(values, group, count)[group] - values)
+    return np.asarray(sum_by_group(values, group, count)[group] - values)
 
 
 def _population(person: NDArray[np.float64]) -> NDArray[np.float64]:

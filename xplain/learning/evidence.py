@@ -64,9 +64,9 @@ class Evidence:
     @property
     def trust(self) -> NDArray[np.float64]:
         """[N] weight of the hypotheses of each type; labels alone have the remaining weight. It is
-        1, or the weight of :func:`stacked` if the hypotheses are doubted."""
+        1, or the weight of :func:`stacking_weight` if the hypotheses are doubted."""
         types = (np.flatnonzero(self.of_type == t) for t in range(len(self.doubt)))
-        weight = [stacked(self.hypotheses[own], self.labels[own]) for own in types]
+        weight = [stacking_weight(self.hypotheses[own], self.labels[own]) for own in types]
         return np.where(self.doubt > DOUBTED, weight, 1.0)
 
     @property
@@ -111,7 +111,7 @@ class Evidence:
         )
 
 
-def stacked(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+def stacking_weight(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     """The weight w in [LEAST, 1] that maximises Σ log(w P₁ + (1 − w) P₂) + BEFORE log w. ``first``
     and ``second`` [Q] are log P₁ and log P₂ of the answers (Yao et al. 2018, "Using stacking to
     average Bayesian predictive distributions")."""
@@ -127,7 +127,7 @@ def stacked(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     return LEAST if slope(LEAST) <= 0 else float(brentq(slope, LEAST, 1.0))
 
 
-def foretold(
+def predict_in_order(
     dataset: Dataset, assignment: NDArray[np.int64], ways: tuple[Predict, ...]
 ) -> tuple[NDArray[Any], ...]:
     """Predicts the answers of a dataset, one type at a time.
@@ -140,7 +140,7 @@ def foretold(
     Returns:
         The rows of the predicted answers [Q], and their log P [Q] by each method.
     """
-    part, kind = parts(dataset.observer), assignment[dataset.observer]
+    part, kind = number_parts(dataset.observer), assignment[dataset.observer]
     found: list[tuple[NDArray[Any], ...]] = [(np.zeros(0, np.int64), *[np.zeros(0)] * len(ways))]
     for number in range(1, PARTS):
         for one in np.unique(kind).tolist():
@@ -153,7 +153,7 @@ def foretold(
     return tuple(np.concatenate(column) for column in zip(*found, strict=True))
 
 
-def parts(observer: NDArray[np.int64]) -> NDArray[np.int64]:
+def number_parts(observer: NDArray[np.int64]) -> NDArray[np.int64]:
     """[P] part of each answer within its observer's answers, 0 to PARTS − 1."""
     order, count = np.argsort(observer, kind="stable"), np.bincount(observer)
     rank = np.empty(len(observer), dtype=np.int64)

@@ -92,7 +92,7 @@ class Landing:
         return np.asarray(expit(logit(result) + self.repeats * self.surprise[who, transition]))
 
 
-def learned_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landing | None:
+def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landing | None:
     """Learns how often messages are accepted.
 
     Args:

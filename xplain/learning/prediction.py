@@ -23,7 +23,7 @@ SURE = 1.96
 """Standard errors in half a 95 % interval."""
 
 
-def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[np.float64]:
+def predict(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[np.float64]:
     """[P] P(answer 1) of each row of ``questions``.
 
     The first method that applies is used:
@@ -185,11 +185,11 @@ def held_out(dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed
 def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[np.float64]:
     """[P] log P of each label of ``test``, by the types that were found in ``train``. If labelers
     tell what people think, or if answers after messages are predicted from earlier ones,
-    :func:`predicted` predicts. Otherwise the clustering's own predictions are used, if it makes
+    :func:`predict` predicts. Otherwise the clustering's own predictions are used, if it makes
     any, or the labeler of the observer's type."""
     found, rows = types.clustering, np.arange(len(test))
     if types.landing is not None or all(one.means_truth for one in types.labelers):
-        one = predicted(train, types, test)
+        one = predict(train, types, test)
     elif found.expected is not None:
         one = found.expected[test.observer, test.transition]
     else:

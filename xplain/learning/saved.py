@@ -21,7 +21,7 @@ from xplain.explanation.belief import OPEN, fact_sets
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.data.dataset import Dataset, places
-from xplain.learning.data.label_file import MAX_MASK, encoded
+from xplain.learning.data.label_file import MAX_MASK, encode_transition
 from xplain.learning.labelers import FittedLabeler, Labeler, MeasuredLabeler
 from xplain.learning.user_types import UserTypes, label_table
 
@@ -174,7 +174,7 @@ class LearnedTypes:
         Raises:
             InputError: a column is missing or unknown, or has a text that no labelled row has.
         """
-        return encoded(transition, self.feature_names)
+        return encode_transition(transition, self.feature_names)
 
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
         """P(label is 1 | type, message set) of T rows of features.

@@ -27,13 +27,13 @@ from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import user_type
 from xplain.errors import DomainError, InputError, XplainError
 from xplain.explanation.habits import PAPER, Habits
-from xplain.explanation.label_table import DENSE, LabelTable, stacked
+from xplain.explanation.label_table import DENSE, LabelTable, stack_types
 from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence
 from xplain.learning.labelers import Labeler, LabelerTrainer, fresh_accuracy
-from xplain.learning.landing import Landing, learned_landing
+from xplain.learning.landing import Landing, learn_landing
 from xplain.learning.types import Clustering, KnownTypes, TraceTables, unless_too_large
 
 log = logging.getLogger(__name__)
@@ -95,7 +95,7 @@ class Clusterer(ABC):
         trainer = self.labeler.given(observed)  # once: the trainer caches results about its task
         clustering = replace(self, labeler=trainer).cluster(observed, seed)
         types = learn_types(observed.dataset, clustering, trainer, seed)
-        landing = learned_landing(observed.dataset, trainer.thoughts(observed.dataset))
+        landing = learn_landing(observed.dataset, trainer.thoughts(observed.dataset))
         types = replace(types, landing=landing)
         if types.evidence is not None and types.evidence.lost:
             log.warning("%s", types.evidence)
@@ -185,7 +185,7 @@ def label_table(
     Raises:
         TooLargeError: a labeler tests too many messages on these transitions.
     """
-    return stacked([labeler.table(features, transitions) for labeler in labelers])
+    return stack_types([labeler.table(features, transitions) for labeler in labelers])
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class AskedOnce:
         transitions: NDArray[np.int64],
     ) -> LabelTable:
         """See :func:`label_table`. The labelers must live as long as this object."""
-        return stacked([self._of(labeler, features, transitions) for labeler in labelers])
+        return stack_types([self._of(labeler, features, transitions) for labeler in labelers])
 
     def _of(
         self, labeler: Labeler, features: NDArray[np.float64], transitions: NDArray[np.int64]

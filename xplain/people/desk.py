@@ -31,7 +31,7 @@ MOST_BATCHES = 20
 """Number of batches of invitations that can be shown again."""
 
 
-def signed_in(visit: Visiting) -> Visit:
+def require_login(visit: Visiting) -> Visit:
     """A request of a logged-in researcher, with a valid form token.
 
     Raises:
@@ -42,7 +42,7 @@ def signed_in(visit: Visiting) -> Visit:
     return visit
 
 
-Signed = Annotated[Visit, Depends(signed_in)]
+Signed = Annotated[Visit, Depends(require_login)]
 
 
 def moment(at: float) -> str:

@@ -26,7 +26,7 @@ _NUMBER = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 
 
-def replayed(flow: Flow[Any, S], people: Iterable[Participant[S]]) -> list[str]:
+def find_differences(flow: Flow[Any, S], people: Iterable[Participant[S]]) -> list[str]:
     """Replays the events of everybody. Returns a sentence for each difference between a stored
     state and the state that the same events lead to now."""
     differences = []
@@ -60,7 +60,7 @@ def codebook(package: str) -> list[dict[str, str]]:
     return [row for lines in texts for row in csv.DictReader(lines)]
 
 
-def described(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.DataFrame:
+def order_columns(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.DataFrame:
     """Makes a table of rows with the columns of its codebook, in that order. Columns that one entry
     represents (:data:`OTHERS`) come last, in their own order.
 
@@ -81,7 +81,7 @@ def described(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.Data
     return pd.DataFrame(rows, columns=[*fixed, *others])
 
 
-def defused(cell: Any) -> Any:
+def defuse(cell: Any) -> Any:
     """Puts an apostrophe before a text that a spreadsheet would run as a formula. Numbers stay
     unchanged."""
     if not isinstance(cell, str) or cell[:1] not in _FORMULAS or _NUMBER.fullmatch(cell):
@@ -89,7 +89,7 @@ def defused(cell: Any) -> Any:
     return f"'{cell}"
 
 
-def seconds(first: Event, last: Event) -> tuple[float | None, str]:
+def measure_seconds(first: Event, last: Event) -> tuple[float | None, str]:
     """Measures the time from an event to a later one. Returns it with the name of the server's
     clock: the monotonic clock, or the wall clock if the machine restarted in between. The time is
     None if the wall clock was set back."""
@@ -122,8 +122,8 @@ def write(
     folder.mkdir(parents=True, exist_ok=True)
     for name in rows:
         columns = [row["column"] for row in book if row["table"] == name]
-        table = described(name, rows[name], columns)
-        table.map(defused).to_csv(folder / f"{name}.csv", index=False)
+        table = order_columns(name, rows[name], columns)
+        table.map(defuse).to_csv(folder / f"{name}.csv", index=False)
         table.to_parquet(folder / f"{name}.parquet", index=False)
     text = json.dumps(json.loads(plan.text), indent=1, ensure_ascii=False)
     (folder / "plan.json").write_text(f"{text}\n", encoding="utf-8")
@@ -142,4 +142,4 @@ def write_identifiers(people: Iterable[Participant[Any]], file: Path) -> None:
         | one.identity.get("kept", {})
         for one in people
     ]
-    pd.DataFrame(rows).map(defused).to_csv(file, index=False)
+    pd.DataFrame(rows).map(defuse).to_csv(file, index=False)

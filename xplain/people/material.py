@@ -316,7 +316,7 @@ def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
     return in_words
 
 
-def worded(
+def reword_parameters(
     told: Sequence[Parameter], facts: Mapping[str, Mapping[str, str]], in_words: InWords
 ) -> tuple[Parameter, ...]:
     """Gives parameters the lab's own sentences.
@@ -337,14 +337,14 @@ def worded(
     )
 
 
-def named(scene: Scene, in_words: InWords) -> Scene:
+def name_items(scene: Scene, in_words: InWords) -> Scene:
     """The map with its items' names in words. Items that show the value of a parameter are left
     out, because a participant may believe another value."""
     kept = [replace(item, name=in_words(item.name)) for item in scene.items if not item.shows]
     return replace(scene, items=tuple(kept))
 
 
-def fixed(cfg: DictConfig) -> dict[str, Any]:
+def select_plan_keys(cfg: DictConfig) -> dict[str, Any]:
     """The resolved keys that belong to the plan."""
     plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     return {key: value for key, value in plain.items() if key not in NOT_OF_THE_PLAN}
@@ -376,7 +376,7 @@ def ahead_of(step: Mapping[str, Any], scene: Scene | None, in_words: InWords) ->
     return Ahead(tuple(map(in_words, step["steps"])), way)
 
 
-def parts(
+def make_plan_fields(
     kind: str, config: Mapping[str, Any], wording: Mapping[str, Any], task: Material, does: str
 ) -> tuple[dict[str, Any], InWords]:
     """Makes the fields that all plans have, and the function that turns a domain's phrases into
@@ -398,10 +398,10 @@ def parts(
         "seed": config["seed"],
         "config": config,
         "domain": task.name,
-        "facts": worded(task.facts, wording["facts"], in_words),
+        "facts": reword_parameters(task.facts, wording["facts"], in_words),
         "texts": texts_of(kind, wording, in_words),
         "ahead": wording["ahead"]
         and ahead_of(wording["ahead"], scene, lambda phrase: does.format(phrase=in_words(phrase))),
-        "scene": scene and named(scene, in_words),
+        "scene": scene and name_items(scene, in_words),
         "icons": {in_words(name): path for name, path in wording["icons"].items()},
     }, in_words

@@ -184,7 +184,7 @@ _NO_TEXT = dict.fromkeys({*range(32)} - {*map(ord, "\t\n")})
 """Control characters such as NUL, at which some programs cut a text; they are removed."""
 
 
-def typed(kind: type[T], key: str, given: Mapping[str, Any]) -> T:
+def make_typed(kind: type[T], key: str, given: Mapping[str, Any]) -> T:
     """Makes a value of a class whose fields pydantic checks strictly.
 
     Raises:
@@ -213,7 +213,7 @@ def lab_questions(*given: Sequence[Mapping[str, Any]]) -> list[tuple[LabQuestion
         InputError: an invalid question, or two questions with one name (an answer would be lost).
     """
     pages = [
-        tuple(typed(LabQuestion, f"questions.{one.get('name')}", one) for one in page)
+        tuple(make_typed(LabQuestion, f"questions.{one.get('name')}", one) for one in page)
         for page in given
     ]
     names = [question.name for page in pages for question in page]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from xplain.errors import InputError, Refused, XplainError, one_of
-from xplain.people.export import replayed
+from xplain.people.export import find_differences
 from xplain.people.flow import STREAMS, Conflict, Flow, Participant, People, State
 from xplain.people.log import OVERWRITTEN, Clock, Log, letters
 
@@ -59,7 +59,7 @@ class Store(Log[Any]):
                 self.append("", "server", "plan", {"plan": flow.plan.text})
         if self.plan != flow.plan.text:
             raise InputError("database", str(self.path), "another one: it belongs to another plan")
-        if differences := replayed(flow, self.everybody()[-LATEST:]):
+        if differences := find_differences(flow, self.everybody()[-LATEST:]):
             raise XplainError(
                 "database: this version of xplain decides differently from the one that started "
                 f"{flow.plan.OF} in it; go on and replay with that version, or start again in "

@@ -22,7 +22,7 @@ from xplain.errors import Count, InputError, Range, TooLargeError, checks, whole
 from xplain.explanation.message_sets import indices, subsets
 from xplain.learning.data.dataset import places
 from xplain.learning.data.queries import Answer, Answered, asked_in_order, expected_visits
-from xplain.learning.mixture.likelihood import grown
+from xplain.learning.mixture.likelihood import grow
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed, stream
 
@@ -275,7 +275,7 @@ class Adaptive:
             found = over(known).posterior
             return np.asarray(found / found.sum())
 
-        return over(grown(questions.hypotheses, posterior))
+        return over(grow(questions.hypotheses, posterior))
 
 
 @dataclass(frozen=True)

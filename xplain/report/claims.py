@@ -22,7 +22,7 @@ import pandas as pd
 
 from xplain.interaction.statistics import Estimate, Range, clustered_mean, clustered_share
 from xplain.report import compare
-from xplain.report.compare import paired
+from xplain.report.compare import pair_episodes
 from xplain.report.frame import Summary
 from xplain.report.paper import NAMES, group_title, title
 from xplain.report.table import Table, cell, interval, number, table_of
@@ -101,9 +101,9 @@ def claims(summary: Summary) -> list[Claim]:
     """Every claim that a sweep's solvers allow, tested in each group of columns and domain."""
     _, grouping, _ = compare.layout(summary)
     found = []
-    for group, frame in compare.grouped(summary, grouping):
+    for group, frame in compare.group_episodes(summary, grouping):
         name = group_title(group, compare.label(group))
-        own = compare.where(
+        own = compare.select_rows(
             summary.data_sets, {k: v for k, v in group.items() if k in summary.settings}
         )
         found += claims_of(frame, own, name, summary.pool)
@@ -140,7 +140,7 @@ def _orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested]:
     groups: Any = episodes.groupby("lambda")
     for trade_off, own in groups:
         for less, more in (("qmdp", "pomcp_paper"), *ORDER):
-            both = paired(own, ["solver"], [more], [less], on)
+            both = pair_episodes(own, ["solver"], [more], [less], on)
             if not len(both):
                 continue
             names, limits = [SHORT[name] for name in (less, more)], (0.0, math.inf)
@@ -239,7 +239,7 @@ def decomposition(summary: Summary) -> Table:
     the learned types and labels, with the true ones, as the oracle, and as the clairvoyant."""
     rows = []
     keys = [key for key in ("domain", "solver", *summary.shown) if key != "lambda"]
-    for values, frame in compare.grouped(summary, [*dict.fromkeys((*keys, "lambda"))]):
+    for values, frame in compare.group_episodes(summary, [*dict.fromkeys((*keys, "lambda"))]):
         own = frame.dropna(subset=["oracle", "clairvoyant", "true_labels"])
         if len(own):
             heads = {compare.heading(k): compare.value_title(k, v) for k, v in values.items()}

@@ -62,7 +62,9 @@ def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate:
     return estimate(summary, frame.dropna(subset=[name]).drop_duplicates(problem), name)
 
 
-def grouped(summary: Summary, keys: Sequence[str]) -> list[tuple[dict[str, Value], pd.DataFrame]]:
+def group_episodes(
+    summary: Summary, keys: Sequence[str]
+) -> list[tuple[dict[str, Value], pd.DataFrame]]:
     """Yields (values, episodes) for every combination of these keys, in the order of the values."""
     if not keys:
         return [({}, summary.episodes)]
@@ -74,14 +76,14 @@ def grouped(summary: Summary, keys: Sequence[str]) -> list[tuple[dict[str, Value
     return sorted(groups, key=lambda group: [order[key][group[0][key]] for key in keys])
 
 
-def where(frame: pd.DataFrame, values: Mapping[str, Value]) -> pd.DataFrame:
+def select_rows(frame: pd.DataFrame, values: Mapping[str, Value]) -> pd.DataFrame:
     """The rows with these values."""
     for key, value in values.items():
         frame = frame[frame[key] == value]
     return frame
 
 
-def paired(
+def pair_episodes(
     frame: pd.DataFrame,
     by: Sequence[str],
     one: Sequence[Value],
@@ -98,7 +100,7 @@ def paired(
         one, two: their values in the two ways.
         on: columns that are equal in a pair.
     """
-    left, right = (where(frame, dict(zip(by, way, strict=True))) for way in (one, two))
+    left, right = (select_rows(frame, dict(zip(by, way, strict=True))) for way in (one, two))
     both = left.merge(right, on=[*on], suffixes=("", "_other"), validate="one_to_one")
     return both.assign(difference=both["cost"] - both["cost_other"])
 
@@ -108,7 +110,7 @@ def difference(
 ) -> Estimate:
     """Cost of one way minus that of another, on the same traces and users; NaN if they share
     none."""
-    both = paired(frame, by, one, two, [*summary.pool, "seed", "trace", "type"])
+    both = pair_episodes(frame, by, one, two, [*summary.pool, "seed", "trace", "type"])
     if not len(both):
         return UNKNOWN
     return clustered_mean(both["difference"], both[summary.replicate])
@@ -138,7 +140,7 @@ class Ranked:
         return self.behind.low > 0
 
 
-def shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
+def select_shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     """The episodes on traces and users that every way in the frame has. If jobs are missing, means
     over all episodes would compare different problems."""
     known = frame.dropna(subset=[summary.measure.name])
@@ -147,10 +149,10 @@ def shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataF
     return known[ways.groupby(problem).transform("nunique") == ways.nunique()]
 
 
-def ranked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ranked]:
+def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ranked]:
     """Ways to solve the problem of these episodes, by ascending cost; none if they share no trace
     and user."""
-    frame = shared(summary, frame, by)
+    frame = select_shared(summary, frame, by)
     groups: Any = frame.groupby([*by], sort=False)
     measure = summary.measure.name
     order = sorted(groups, key=lambda item: round(float(item[1][measure].mean()), 9))
@@ -172,8 +174,8 @@ def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
     requested measure is not fair."""
     if not summary.results or not summary.ways or not summary.measure.fair:
         return []
-    groups = grouped(summary, summary.posed)
-    found = [(values, ranked(summary, frame, summary.ways)) for values, frame in groups]
+    groups = group_episodes(summary, summary.posed)
+    found = [(values, rank_ways(summary, frame, summary.ways)) for values, frame in groups]
     return [one for one in found if len(one[1]) > 1]
 
 
@@ -208,23 +210,25 @@ def table(summary: Summary) -> Table:
     measure, rows = summary.measure.name, list[dict[tuple[str, str], str]]()
     known = [name for name in _references(summary) if summary.episodes[name].notna().any()]
     is_beside = is_beside_paper(summary)
-    groups, ways = ([own for own, _ in grouped(summary, keys)] for keys in (grouping, across))
-    for values, frame in grouped(summary, down):
+    groups, ways = (
+        [own for own, _ in group_episodes(summary, keys)] for keys in (grouping, across)
+    )
+    for values, frame in group_episodes(summary, down):
         row = {("", heading(key)): value_title(key, value) for key, value in values.items()}
         at = str(frame["domain"].iloc[0]), float(frame["lambda"].iloc[0])
         published = paper.table1().get(at, {}) if is_beside else {}
         for group in groups:
-            own, title = where(frame, group), paper.group_title(group, label(group))
+            own, title = select_rows(frame, group), paper.group_title(group, label(group))
             mark = NO_REFERENCE if is_unreliable(own) else ""
             for name in known:
                 place = ("" if name == "clairvoyant" else title, TITLES[name])
                 after = _after(mark if name == "oracle" else "", published.get(name))
                 row[place] = cell(reference(summary, own, name), after, "", bool(grouping))
-            found = {one.way: one for one in ranked(summary, own, across)}
+            found = {one.way: one for one in rank_ways(summary, own, across)}
             best = next(iter(found.values()), None)
             for way in ways:
                 one, solver = found.get(tuple(way.values())), str(way.get("solver"))
-                alone = where(own, way)
+                alone = select_rows(own, way)
                 shown = estimate(summary, alone, measure) if one is None else one.estimate
                 cost = alone["cost"].mean() if one is None else one.cost
                 below = "" if grouping or measure == "cost" else f"cost {number(cost)}"
@@ -241,14 +245,16 @@ def _list(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
     measures = [summary.measure.name, "cost", *_references(summary)]
     shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *questions])
     frame = summary.episodes
-    order = ranked(summary, frame, keys) if compete else []
-    frame = shared(summary, frame, keys) if order else frame
+    order = rank_ways(summary, frame, keys) if compete else []
+    frame = select_shared(summary, frame, keys) if order else frame
     found = {one.way: one for one in order}
-    ways = dict.fromkeys([*found, *(tuple(own.values()) for own, _ in grouped(summary, keys))])
+    ways = dict.fromkeys(
+        [*found, *(tuple(own.values()) for own, _ in group_episodes(summary, keys))]
+    )
     rows = []
     for way in ways:
         values = dict(zip(keys, way, strict=True))
-        own = where(frame, values)
+        own = select_rows(frame, values)
         mark = NO_REFERENCE if is_unreliable(own) else ""
         row = {heading(key): value_title(key, value) or "–" for key, value in values.items()}
         for name in shown:
@@ -441,7 +447,7 @@ def regret_csv(summary: Summary) -> str:
     keys = [*dict.fromkeys(["solver", "lambda", *summary.keys])]
     asks = summary.episodes["questions"].any()
     names, rows = [name for name in TITLES if name != "questions" or asks], []
-    for values, frame in grouped(summary, keys):
+    for values, frame in group_episodes(summary, keys):
         row: dict[str, object] = {key: plain_text(value) for key, value in values.items()}
         for name in names:
             ends = vars(estimate(summary, frame, name)).items()
@@ -465,10 +471,10 @@ def differences_csv(summary: Summary) -> str:
         tuple(way.values()): " ".join(
             plain_text(v) if k == "solver" else f"{k}={plain_text(v)}" for k, v in way.items() if v
         )
-        for way, _ in grouped(summary, by)
+        for way, _ in group_episodes(summary, by)
     }
     rows = []
-    for values, frame in grouped(summary, posed):
+    for values, frame in group_episodes(summary, posed):
         for other, method in itertools.combinations(ways, 2):
             found = difference(summary, frame, by, method, other)
             if not math.isnan(found.mean):

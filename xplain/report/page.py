@@ -14,7 +14,7 @@ from xplain.report import claims, plots, trace
 from xplain.report.compare import differences_csv, heading, regret_csv, table, value_title
 from xplain.report.frame import TITLES, Summary, rank
 from xplain.report.paper import title
-from xplain.report.ratios import ratios
+from xplain.report.ratios import compute_ratios
 from xplain.report.table import Table, counted, number, table_of
 from xplain.storage import write_text
 
@@ -49,7 +49,7 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
         if summary.is_table1:
             tables["claims"] = claims.claims_table(summary)
         if "explainee" in summary.posed:
-            tables["ratios"] = ratios(summary)
+            tables["ratios"] = compute_ratios(summary)
         tables["learning"] = learning_table(summary)
         tables["decomposition"] = claims.decomposition(summary)
         tables = {name: own for name, own in tables.items() if len(own.frame)}

@@ -24,18 +24,18 @@ from xplain.learning.prediction import Tenth
 from xplain.learning.types import Clustering
 from xplain.report.compare import (
     estimate,
-    grouped,
+    group_episodes,
     heading,
     is_beside_paper,
     label,
     layout,
     main_key,
+    select_rows,
     value_title,
-    where,
 )
 from xplain.report.frame import TITLES, Summary, Value
 from xplain.report.paper import group_title, table1, title
-from xplain.storage import written_whole
+from xplain.storage import open_atomic
 
 # Okabe and Ito's palette, with grey instead of yellow.
 COLOURS = (
@@ -170,7 +170,7 @@ def _panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.DataFra
     """(name, episodes) of each panel."""
     _, grouping, _ = layout(summary)
     found = []
-    for values, frame in grouped(summary, keys)[:MOST_PANELS]:
+    for values, frame in group_episodes(summary, keys)[:MOST_PANELS]:
         group = {key: values[key] for key in grouping if key in values}
         rest = {key: value for key, value in values.items() if key not in group}
         name = [label(rest), group_title(group, label(group))]
@@ -192,9 +192,9 @@ def against_main_key(summary: Summary, measure: str) -> Figure | None:
         return None
     rows = []
     for panel, frame in _panels(summary, panels):
-        for line, _ in grouped(summary, lines):
+        for line, _ in group_episodes(summary, lines):
             for at in summary.values(x):
-                own = where(where(frame, line), {x: at})
+                own = select_rows(select_rows(frame, line), {x: at})
                 found = estimate(summary, own, measure)
                 if not np.isnan(found.mean):
                     problem = str(own["domain"].iloc[0]), float(own["lambda"].iloc[0])
@@ -215,11 +215,11 @@ def belief_over_steps(summary: Summary) -> Figure | None:
     if x is not None:
         values = summary.values(x)
         fixed = {x: 1.0 if x == "lambda" and 1.0 in values else values[len(values) // 2]}
-    steps, rows = where(summary.steps, fixed), []
+    steps, rows = select_rows(summary.steps, fixed), []
     for panel, frame in _panels(summary, panels):
         at = {key: frame[key].iloc[0] for key in panels}
-        for line, _ in grouped(summary, lines):
-            own = where(where(steps, at), line)
+        for line, _ in group_episodes(summary, lines):
+            own = select_rows(select_rows(steps, at), line)
             if line.get("solver") != "baseline" and len(own):  # the baseline has no belief
                 sums = own.assign(belief=own["belief"] * own["episodes"]).groupby("step").sum(True)
                 for step, mean in (sums["belief"] / sums["episodes"]).items():
@@ -312,5 +312,5 @@ def save(figure: Figure, path: Path) -> None:
     """
     # Without dates and random ids the same figure is the same file.
     metadata = {"Date": None} if path.suffix == ".svg" else None
-    with written_whole(path, "wb") as file:
+    with open_atomic(path, "wb") as file:
         figure.savefig(file, format=path.suffix[1:], metadata=metadata)

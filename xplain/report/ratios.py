@@ -9,27 +9,34 @@ import numpy as np
 import pandas as pd
 
 from xplain.interaction.statistics import clustered_ratio
-from xplain.report.compare import grouped, heading, label, paired, plain_text, where
+from xplain.report.compare import (
+    group_episodes,
+    heading,
+    label,
+    pair_episodes,
+    plain_text,
+    select_rows,
+)
 from xplain.report.frame import Summary
 from xplain.report.table import Table
 
 
-def ratios(summary: Summary) -> Table:
+def compute_ratios(summary: Summary) -> Table:
     """A row for each problem, a column for each way to explain; the last rows are geometric means
     over the kinds of people. A ratio above 1 means that another way of the sweep costs less."""
     by, posed = summary.ways or ["solver"], summary.posed
-    names = {tuple(values.values()): label(values) for values, _ in grouped(summary, by)}
+    names = {tuple(values.values()): label(values) for values, _ in group_episodes(summary, by)}
     rows = list[dict[str, str]]()
     logs: dict[tuple[str, ...], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    for values, frame in grouped(summary, posed):
+    for values, frame in group_episodes(summary, posed):
         words = {heading(key): plain_text(value) for key, value in values.items()}
-        every = {way: where(frame, dict(zip(by, way, strict=True)))["cost"] for way in names}
+        every = {way: select_rows(frame, dict(zip(by, way, strict=True)))["cost"] for way in names}
         means = {way: float(cost.mean()) for way, cost in every.items() if len(cost)}
         cells = dict.fromkeys(names.values(), "")
         rest = tuple(word for key, word in words.items() if not key.startswith("explainee"))
         for way in names:
             best = min((one for one in means if one != way), key=lambda one: means[one])
-            both = paired(frame, by, way, best, [*summary.pool, "seed", "trace", "type"])
+            both = pair_episodes(frame, by, way, best, [*summary.pool, "seed", "trace", "type"])
             if len(both) and means[best] > 0:
                 cost, other = both["cost"], both["cost_other"]
                 found = clustered_ratio(cost, other, both[summary.replicate])

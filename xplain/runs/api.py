@@ -35,7 +35,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from xplain.errors import InputError, XplainError, one_of, quoted
+from xplain.errors import InputError, XplainError, one_of, quote
 from xplain.experiment.config import (
     CONF,
     GROUPS,
@@ -302,7 +302,7 @@ def _composing(
             if config_dir is not None:
                 if not Path(config_dir).is_dir():
                     raise InputError("config_dir", config_dir, "a folder with choices of your own")
-                where = [f"hydra.searchpath=[{quoted(f'file://{Path(config_dir).absolute()}')}]"]
+                where = [f"hydra.searchpath=[{quote(f'file://{Path(config_dir).absolute()}')}]"]
             register()
             with initialize_config_dir(str(CONF), version_base="1.3"):
                 known = [*map(str, compose(of, where)), "sweeps", "hydra"]

@@ -94,9 +94,9 @@ class SweepEnd(Callback):
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         """Ends the process with exit code 1 if a job has no result."""
-        from xplain.runs.sweep import collected, finish
+        from xplain.runs.sweep import find_ended, finish
 
-        folder = None if config.dry_run else collected(config)
+        folder = None if config.dry_run else find_ended(config)
         if folder is None:
             return
         outputs = Path(config.outputs).absolute()

@@ -24,7 +24,7 @@ from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import read_questions, read_table
 from xplain.learning.data.observers import Observed
 from xplain.learning.paper import smallest
-from xplain.learning.prediction import HeldOut, held_out, predicted
+from xplain.learning.prediction import HeldOut, held_out, predict
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.user_types import UserTypes
 from xplain.randomness import run_seed
@@ -194,7 +194,7 @@ def discovery(cfg: DictConfig) -> Discovery:
     answers = None
     if asked is not None:
         table, questions = asked
-        answers = table.assign(p=predicted(dataset, types, questions))
+        answers = table.assign(p=predict(dataset, types, questions))
     return Discovery(dataset, types, unseen, sentences, answers, time.perf_counter() - began)
 
 

@@ -22,7 +22,7 @@ from xplain.storage import write_text
 Row = dict[str, Any]
 
 
-def observed(cfg: DictConfig) -> Row:
+def write_labels(cfg: DictConfig) -> Row:
     """Writes labels of simulated observers, and their true types in a second file. Returns both
     paths and their numbers.
 
@@ -59,7 +59,7 @@ def observed(cfg: DictConfig) -> Row:
     }
 
 
-def listed_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
+def write_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
     """Writes the questions to ask. Returns a row for each, and a summary.
 
     Args:

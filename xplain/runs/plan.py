@@ -116,7 +116,7 @@ class Plan:
         check([job.config for job in todo.values()])
         about = {"name": name, "command": command(config), "pool": file.pool}
         about["report"] = file.report
-        return cls(folder, listed([*rows.values()]), todo, finished, config, about)
+        return cls(folder, label_jobs([*rows.values()]), todo, finished, config, about)
 
     def batches(self) -> list[list[Job]]:
         """The jobs to run, by worker. Jobs of one data set are in the same batch, because the
@@ -146,7 +146,7 @@ class _File:
         self.settings, self.pool, self.report = settings, list(pool or ()), report
 
 
-def listed(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
+def label_jobs(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
     """Reduces the values and labels of jobs to the swept keys: those that differ between jobs, or
     that some jobs lack."""
     keys = dict.fromkeys(key for job in jobs for key in job.values)

@@ -28,7 +28,7 @@ from xplain.report.folder import FAILURE, SWEEP, Listed, SweepFolder
 from xplain.report.stages import stages
 from xplain.runs.folder import Disk, alone, attempted, without_passwords
 from xplain.runs.job import Job, failing_into, save_batch
-from xplain.runs.plan import Plan, command, listed, values_of
+from xplain.runs.plan import Plan, command, label_jobs, values_of
 from xplain.runs.signals import CAME
 from xplain.storage import write_text
 
@@ -161,14 +161,14 @@ def list_job(job: Job, overrides: Sequence[str], folder: Path) -> None:
     write_text(folder / LISTED, text + "\n")
 
 
-def collected(config: DictConfig) -> SweepFolder | None:
+def find_ended(config: DictConfig) -> SweepFolder | None:
     """The sweep that ended: from our sweeper's plan, or from the descriptions that another
     sweeper's jobs wrote. None if nothing ran."""
     folder = SweepFolder(Path(config.hydra.sweep.dir).absolute())
     paths = sorted(folder.path.glob(f"jobs/*/{LISTED}"), key=lambda path: path.stat().st_mtime_ns)
     if rows := [Listed(**json.loads(path.read_text(encoding="utf-8"))) for path in paths]:
         about = {"name": "multirun", "command": command(config)}
-        save_sweep(folder.path, listed(rows), Path(config.outputs).absolute(), about)
+        save_sweep(folder.path, label_jobs(rows), Path(config.outputs).absolute(), about)
     return folder if (folder.path / SWEEP).exists() else None
 
 

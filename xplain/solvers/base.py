@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
 from xplain.explanation.actions import Action, AskQuestion, GiveMessages, VisibleState, give
-from xplain.explanation.belief import rounded
+from xplain.explanation.belief import round_belief
 from xplain.explanation.problem import Problem
 
 log = logging.getLogger(__name__)
@@ -146,7 +146,7 @@ class CachedPolicy:
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
         """See :class:`xplain.solvers.base.Policy`. The policy receives the rounded belief, so the
         order of two beliefs that differ by rounding does not matter."""
-        belief = rounded(belief)
+        belief = round_belief(belief)
         key = visible, belief.tobytes()
         if key not in self.decisions:
             before = time.perf_counter()

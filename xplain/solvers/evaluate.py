@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.actions import AskQuestion, VisibleState
-from xplain.explanation.belief import rounded
+from xplain.explanation.belief import round_belief
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.randomness import stream
@@ -125,7 +125,7 @@ def _walk(
 
 
 def _add(layer: Layer, visible: VisibleState, weight: NDArray[np.float64]) -> None:
-    key = visible, rounded(weight / weight.sum()).tobytes()
+    key = visible, round_belief(weight / weight.sum()).tobytes()
     layer[key] = layer.get(key, 0.0) + weight
 
 

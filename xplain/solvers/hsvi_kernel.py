@@ -28,7 +28,14 @@ from numba import njit, uint64
 from numpy.typing import NDArray
 
 from xplain.numba_kernels import GOLDEN, borrow, first_bit, kernel, part, splitmix64
-from xplain.solvers.parts import NO_NEWS, SearchModel, find_cell, forget, give, rank_questions
+from xplain.solvers.search_model import (
+    NO_NEWS,
+    SearchModel,
+    find_cell,
+    forget,
+    give,
+    rank_questions,
+)
 
 NODE = np.dtype(
     [
@@ -257,7 +264,7 @@ def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[n
 def make_root(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
     """Makes the first node."""
     tables, store = borrow((tables, store))
-    _node_of(tables, store, step, given, belief, asked)
+    _get_node(tables, store, step, given, belief, asked)
 
 
 @part
@@ -365,7 +372,7 @@ def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
     row = store.places[node.step, node.given].row
     for i in range(min(store.published[row, 0], KEPT) if row >= 0 else 0):
         value = min(_dot(belief, store.vector[row, i]), node.upper)
-        if value > node.lower and _asked_alike(store, index, store.source[row, i, 0]):
+        if value > node.lower and _have_same_questions(store, index, store.source[row, i, 0]):
             messages, begin = store.by[row, i], node.first_action
             if begin < 0 or _credit(store, begin, begin + node.n_actions, messages, value):
                 node.lower, node.earned_by = value, messages
@@ -373,7 +380,7 @@ def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
     known = tables.model.value[node.step]
     first = node.given * tables.width
     for i in range(min(store.published[row, 1], KEPT) if row >= 0 else 0):
-        if not _asked_alike(store, index, store.source[row, i, 1]):
+        if not _have_same_questions(store, index, store.source[row, i, 1]):
             continue
         share = 1.0
         for s in range(len(belief)):
@@ -401,7 +408,7 @@ def _credit(store, begin, end, messages, value):  # type: ignore[no-untyped-def]
 
 
 @part
-def _asked_alike(store, index, other):  # type: ignore[no-untyped-def]
+def _have_same_questions(store, index, other):  # type: ignore[no-untyped-def]
     """Returns True if the same questions were asked on the way to two nodes. Bounds hold only for
     nodes with the same remaining questions."""
     alike = True
@@ -460,7 +467,7 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
             for s in range(len(alpha)):
                 scratch.after[s] = tables.plans[-1, step + 1, shown * tables.width + s]
         if missed is not None and action.messages >= 0:
-            _expect_forgetting(tables, scratch.after)
+            _average_over_forgetting(tables, scratch.after)
         for s in range(len(alpha)):
             alpha[s] += discount * store.likelihood[o, s] * scratch.after[s]
     for s in range(len(alpha)):
@@ -468,7 +475,7 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
             alpha[s] = tables.floor[step]
     if action.messages >= 0:
         if missed is not None:
-            _expect_giving(tables, action.messages, alpha)
+            _average_over_giving(tables, action.messages, alpha)
         for s in range(len(alpha)):
             alpha[s] = tables.factor[action.messages] * alpha[s] - tables.price[action.messages]
     for s in range(len(alpha)):
@@ -491,7 +498,7 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
     for c in range(place.first_set, place.first_set + place.n_sets):
         upper = _dot(belief, store.over[c])
         # The best is kept even where rounding puts it below the lower bound.
-        if upper > best or not _below(upper, lower):
+        if upper > best or not _is_below(upper, lower):
             action = store.actions[end]
             action.messages, action.upper = store.sets[c], upper
             action.base, action.later = _dot(belief, store.base[c]), tables.model.discount
@@ -514,7 +521,7 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
         least = _dot_cells(tables, belief, tables.plans[plan, node.step], node.given)
         most -= tables.model.question_cost
         most += HAIR * (1.0 - most)  # bounds from elsewhere may be above it by rounding
-        if not _below(most, lower):
+        if not _is_below(most, lower):
             _rank_questions(tables, store, scratch, index)
             for q in range(len(tables.model.asked_answered)):
                 if scratch.news[q] > NO_NEWS or ~q == node.earned_by:
@@ -532,7 +539,7 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
         action = store.actions[a]
         # Some messages, or none, are always among them, because a node may have no questions left.
         spoken = action.messages >= 0 and action.upper == said
-        if not _below(action.upper, lower) or action.upper == best or spoken:
+        if not _is_below(action.upper, lower) or action.upper == best or spoken:
             store.actions[kept] = action
             store.actions[kept].first_answer = NONE
             kept += 1
@@ -565,14 +572,14 @@ def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-
             under[s] = tables.plans[-1, step, shown + s]
         if missed is not None:
             for vector in (base, over, under):
-                _expect_giving(tables, chosen, vector)
+                _average_over_giving(tables, chosen, vector)
         factor, price = tables.factor[chosen], tables.price[chosen]
         for vector in (base, over, under):
             for s in range(states):
                 vector[s] = factor * vector[s] - price
-        useful, left = chosen == 0 or not _dominated(over, scratch.under[0]), chosen
+        useful, left = chosen == 0 or not _is_dominated(over, scratch.under[0]), chosen
         while left and useful:
-            useful = not _dominated(over, scratch.under[chosen ^ (left & -left)])
+            useful = not _is_dominated(over, scratch.under[chosen ^ (left & -left)])
             left &= left - 1
         if useful:
             _copy(under, store.under[end])
@@ -590,7 +597,7 @@ def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-
 
 
 @part
-def _dominated(over, under):  # type: ignore[no-untyped-def]
+def _is_dominated(over, under):  # type: ignore[no-untyped-def]
     """Returns True if one vector is at most the other in every state."""
     dominated = True
     for s in range(len(over)):
@@ -655,7 +662,7 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
                     scratch.after[s] /= total
                 if missed is not None and messages >= 0:
                     forget(tables.model.forget, scratch.after)
-                after = _node_of(tables, store, step, given, scratch.after, scratch.asked)
+                after = _get_node(tables, store, step, given, scratch.after, scratch.asked)
                 store.answers[end].node = after
             end += 1
     store.used[ANSWERS] = end
@@ -679,7 +686,7 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
         like[0, s] = 1.0 if belief[s] > 0.0 else 0.0
         scratch.tail[s] = 0.0
     for i in range(step + 1):
-        size = _kind_size(tables, step, i, first, belief)
+        size = _count_kind(tables, step, i, first, belief)
         if size == 0 or count < 0:
             continue
         for s in range(states):
@@ -707,7 +714,7 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
 
 
 @part
-def _kind_size(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
+def _count_kind(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
     """Counts the labels of a step with the same column as label i. Returns 0 if i is not the first
     of these labels, or if all possible states answer it alike."""
     size, news, one = 0, False, -1
@@ -747,7 +754,7 @@ def _rank_questions(tables, store, scratch, index):  # type: ignore[no-untyped-d
 
 
 @njit(nogil=True)
-def _node_of(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
+def _get_node(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
     """Returns the node of a belief. A new node is made with its first bounds."""
     slot = _find(store, step, given, belief, asked)
     index = np.int64(store.table[slot])
@@ -829,7 +836,7 @@ def _give_all(tables, messages, belief):  # type: ignore[no-untyped-def]
 
 
 @part
-def _expect_giving(tables, messages, values):  # type: ignore[no-untyped-def]
+def _average_over_giving(tables, messages, values):  # type: ignore[no-untyped-def]
     """Replaces values v by E[v(s') | s], where s' is the state after these messages."""
     left = messages
     while left:
@@ -841,7 +848,7 @@ def _expect_giving(tables, messages, values):  # type: ignore[no-untyped-def]
 
 
 @part
-def _expect_forgetting(tables, values):  # type: ignore[no-untyped-def]
+def _average_over_forgetting(tables, values):  # type: ignore[no-untyped-def]
     """Replaces values v by E[v(s') | s], where s' is the state after facts were forgotten."""
     types = len(tables.model.forget)
     bit = types
@@ -878,6 +885,6 @@ def _copy(source, target):  # type: ignore[no-untyped-def]
 
 
 @part
-def _below(upper, lower):  # type: ignore[no-untyped-def]
+def _is_below(upper, lower):  # type: ignore[no-untyped-def]
     """Returns True if an upper bound is below a lower bound by more than rounding."""
     return upper < lower - HAIR * (1.0 + abs(lower))

@@ -46,13 +46,12 @@ from xplain.explanation.actions import (
     VisibleState,
     give,
 )
-from xplain.explanation.belief import rounded
+from xplain.explanation.belief import round_belief
 from xplain.explanation.label_table import NONE
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Knowledge, Policy, best_action, check_memory, messages_of
-from xplain.solvers.parts import SearchModel
 from xplain.solvers.pomcp_kernel import (
     COLUMN,
     EDGE,
@@ -76,6 +75,7 @@ from xplain.solvers.process import (
     known_values,
     make_process,
 )
+from xplain.solvers.search_model import SearchModel
 
 # Positions are the kernel's numbers.
 DepthUnit = Literal["steps", "actions"]
@@ -193,7 +193,7 @@ class Search:
     def search(self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]) -> Tree:
         """Runs all simulations of a search; returns its tree."""
         process, said = self.process, before_step(self.process, visible.given) | chosen
-        belief = rounded(np.ascontiguousarray(belief, dtype=np.float64))
+        belief = round_belief(np.ascontiguousarray(belief, dtype=np.float64))
         seed = self.stream(visible, said, belief)
         budget = max(self.simulations, process.n_messages + 1 + _slots(process))
         tree = make_tree(process, budget, seed)
@@ -247,7 +247,8 @@ def search_model(process: Process, known: KnownValues, searches: bool = True) ->
 
 
 def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
-    """Computes ``wanted`` of :class:`~xplain.solvers.parts.SearchModel`, if messages land."""
+    """Computes ``wanted`` of :class:`~xplain.solvers.search_model.SearchModel`. Messages must
+    land."""
     steps, types = process.n_steps, process.n_types
     wanted = np.zeros(known.explain.shape, np.int64)
     for bit, own in enumerate(process.own.T):

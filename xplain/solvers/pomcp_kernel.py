@@ -31,7 +31,7 @@ from xplain.numba_kernels import (
     part,
     splitmix64,
 )
-from xplain.solvers.parts import NO_NEWS, find_cell, forget, give, rank_questions
+from xplain.solvers.search_model import NO_NEWS, find_cell, forget, give, rank_questions
 
 NODE = np.dtype(
     [
@@ -206,7 +206,7 @@ def _select(model, tree, options, missed, node, log_root, inverse_root):  # type
             belief = tree.beliefs[record.base if missed is None else node]
             _find_cells(model.value_stride, tree, record.given)
             messages = actions & ((1 << len(model.price)) - 1)
-            _, action, _ = _qmdp(model, tree, missed, record.step, messages, belief, 0.0)
+            _, action, _ = _evaluate_qmdp(model, tree, missed, record.step, messages, belief, 0.0)
         else:
             action = nth_bit(untried, next_below(tree.counter, count_bits(untried)))
         record.untried = untried & ~(1 << action)
@@ -233,13 +233,13 @@ def _expand(model, tree, missed, asks, node, edge, action, state):  # type: igno
         said |= 1 << action
         parent, code = ~base, uint64(said)
         if missed is not None:
-            state = _told(model, tree, state, action)
+            state = _draw_after_message(model, tree, state, action)
     elif action == n:
         if step + 1 == len(model.explain_cost):
             return np.int64(END), False, state
         parent, code = node, _draw_labels(model, tree, missed, step, said, state)
         if missed is not None:
-            state = _forgetful(model, tree, state)
+            state = _draw_after_step(model, tree, state)
     else:
         parent, code = node, uint64(0)
         if asks is not None:
@@ -292,15 +292,15 @@ def _evaluate(model, tree, options, missed, node, is_new, state):  # type: ignor
     step, said = np.int64(record.step), record.given
     belief = tree.beliefs[record.base if missed is None else node]
     if missed is None and (is_new or options.backup == MAX):
-        value = _roll_qmdp(model, tree, missed, step, said, state, belief)
+        value = _roll_out(model, tree, missed, step, said, state, belief)
         return record.value + (value - record.value) / (record.visits + 1)
     if np.isnan(record.leaf):
         _find_cells(model.value_stride, tree, said)
         if missed is None:
-            messages = max(_wanted(model, tree, step, said), 0)
+            messages = max(_find_wanted(model, tree, step, said), 0)
         else:
-            messages = _matters(model, belief) & ~said
-        record.leaf = _qmdp(model, tree, missed, step, messages, belief, 0.0)[0]
+            messages = _find_relevant(model, belief) & ~said
+        record.leaf = _evaluate_qmdp(model, tree, missed, step, messages, belief, 0.0)[0]
     return record.leaf
 
 
@@ -414,7 +414,7 @@ def _open(model, tree, missed, asks, node):  # type: ignore[no-untyped-def]
     questions = 0
     if asks is not None and record.base == node:
         questions = _find_questions(model, tree, node, record.step, record.given, belief)
-    record.actions = _matters(model, belief) & ~record.given | ((2 << questions) - 1) << n
+    record.actions = _find_relevant(model, belief) & ~record.given | ((2 << questions) - 1) << n
     record.untried = record.actions
     record.edges = tree.used[EDGES]
     tree.used[EDGES] += count_bits(record.actions)
@@ -432,7 +432,7 @@ def _open(model, tree, missed, asks, node):  # type: ignore[no-untyped-def]
 
 
 @part
-def _matters(model, belief):  # type: ignore[no-untyped-def]
+def _find_relevant(model, belief):  # type: ignore[no-untyped-def]
     """Returns the bitmask of the messages that have an effect on a possible state."""
     messages = np.int64(0)
     for s in range(len(belief)):
@@ -449,7 +449,7 @@ def _find_cells(stride, tree, said):  # type: ignore[no-untyped-def]
 
 
 @part
-def _wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
+def _find_wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
     """Returns the bitmask of the messages that some state needs next, or SETTLED, at the cells in
     ``tree.cells``."""
     mask, settled = np.int64(0), True
@@ -462,13 +462,13 @@ def _wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
 
 
 @part
-def _qmdp(model, tree, missed, step, messages, belief, patience):  # type: ignore[no-untyped-def]
+def _evaluate_qmdp(model, tree, missed, step, messages, belief, patience):  # type: ignore[no-untyped-def]
     """Evaluates QMDP at a belief: max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages.
 
     Returns the maximum, its action (n is *explain*), and Σ_s b(s) V(k, v, s). ``tree.cells`` has
     the cells of v. A message changes the value only in the states that it has an effect on;
     ``tree.gain`` sums over these. ``patience`` is that of
-    :class:`~xplain.solvers.parts.SearchModel`, or 0.
+    :class:`~xplain.solvers.search_model.SearchModel`, or 0.
     """
     best, base, action, likeliest = 0.0, 0.0, len(model.price), 0.0
     for s in range(len(belief)):
@@ -516,12 +516,12 @@ def roll(model, tree, missed, step, said, belief, states, weights, seeds):  # ty
     total = 0.0
     for i in range(len(states)):
         tree.counter[0] = seeds[i]
-        total += weights[i] * _roll_qmdp(model, tree, missed, step, said, states[i], belief)
+        total += weights[i] * _roll_out(model, tree, missed, step, said, states[i], belief)
     return total
 
 
 @part
-def _roll_qmdp(model, tree, missed, step, said, state, belief):  # type: ignore[no-untyped-def]
+def _roll_out(model, tree, missed, step, said, state, belief):  # type: ignore[no-untyped-def]
     """Simulates QMDP with exact beliefs for a user in this state; returns the estimated return.
 
     The estimate is the value of the known state minus the expected loss of each decision, which
@@ -536,14 +536,14 @@ def _roll_qmdp(model, tree, missed, step, said, state, belief):  # type: ignore[
         value += belief[s] * model.value[step, tree.cells[s]]
     while step < steps:
         if missed is None:
-            wanted = _wanted(model, tree, step, said)
+            wanted = _find_wanted(model, tree, step, said)
             if tree.belief[state] > CERTAIN or wanted == SETTLED:
                 break
         else:
-            wanted = _matters(model, tree.belief) & ~said
+            wanted = _find_relevant(model, tree.belief) & ~said
         action = n
         if wanted != 0:
-            best, action, sure = _qmdp(
+            best, action, sure = _evaluate_qmdp(
                 model, tree, missed, step, wanted, tree.belief, model.patience
             )
             value -= scale * (sure - best)
@@ -554,7 +554,7 @@ def _roll_qmdp(model, tree, missed, step, said, state, belief):  # type: ignore[
                 tree.cells[s] += model.value_stride[action, s]
             if missed is not None:
                 give(model.jump[action], model.accept, tree.belief)
-                state = _told(model, tree, state, action)
+                state = _draw_after_message(model, tree, state, action)
         else:
             scale *= model.discount
             step += 1
@@ -563,7 +563,7 @@ def _roll_qmdp(model, tree, missed, step, said, state, belief):  # type: ignore[
                 _update_belief(model, tree, missed, step - 1, said, state, code, tree.belief)
                 if missed is not None:
                     forget(model.forget, tree.belief)
-                    state = _forgetful(model, tree, state)
+                    state = _draw_after_step(model, tree, state)
                     said = 0
                     _find_cells(model.value_stride, tree, said)
     return value
@@ -578,7 +578,7 @@ def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped
     the code is read from a table. Otherwise ``tree.zero`` is filled, and a new u is drawn after
     each unlikely answer.
     """
-    at = _place(model, tree, missed, said)
+    at = _find_place(model, tree, missed, said)
     code, count = uint64(0), tree.labels[at, step].informative
     if count > 0:
         u = next_uniform(tree.counter)
@@ -603,7 +603,7 @@ def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped
 def _update_belief(model, tree, missed, step, said, state, code, belief):  # type: ignore[no-untyped-def]
     """Updates a belief [S] by the labels that were just drawn for a user in this state. The
     likelihoods of an observation are kept for the next time that it occurs."""
-    at = _place(model, tree, missed, said)
+    at = _find_place(model, tree, missed, said)
     count = tree.labels[at, step].informative
     if count > 0:
         shown = said if missed is None else 0
@@ -629,7 +629,7 @@ def _update_belief(model, tree, missed, step, said, state, code, belief):  # typ
 
 
 @part
-def _place(model, tree, missed, said):  # type: ignore[no-untyped-def]
+def _find_place(model, tree, missed, said):  # type: ignore[no-untyped-def]
     """Returns the place where the labels at v are coded. Message sets with the same hash share a
     place; the set that is needed now replaces the other one."""
     shown = said if missed is None else np.int64(0)
@@ -673,7 +673,7 @@ def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
 
 
 @part
-def _told(model, tree, state, message):  # type: ignore[no-untyped-def]
+def _draw_after_message(model, tree, state, message):  # type: ignore[no-untyped-def]
     """Draws the state of a user after a message was given once."""
     jump = model.jump[message, state]
     if jump > 0 and next_uniform(tree.counter) < model.accept[state]:
@@ -682,7 +682,7 @@ def _told(model, tree, state, message):  # type: ignore[no-untyped-def]
 
 
 @part
-def _forgetful(model, tree, state):  # type: ignore[no-untyped-def]
+def _draw_after_step(model, tree, state):  # type: ignore[no-untyped-def]
     """Draws the state of a user after a step, at whose end known facts may be forgotten."""
     types = len(model.forget)
     lost, bit = model.forget[state % types], types

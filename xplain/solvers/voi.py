@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from xplain.explanation.actions import Action, AskQuestion, VisibleState
 from xplain.randomness import derived_seed
 from xplain.solvers.base import TIE, Policy
-from xplain.solvers.parts import NO_NEWS, SearchModel, rank_questions
 from xplain.solvers.pomcp import make_tree, search_model
 from xplain.solvers.pomcp_kernel import Tree, roll
 from xplain.solvers.process import KnownValues, Process, before_step, hear_answer
+from xplain.solvers.search_model import NO_NEWS, SearchModel, rank_questions
 
 LOOKED_INTO = 12
 """Number of most informative questions that are evaluated at a decision."""
@@ -45,7 +45,7 @@ def telling_questions(
     process: Process, visible: VisibleState, belief: NDArray[np.float64], most: int | None = None
 ) -> tuple[list[int], list[float]]:
     """Lists the possible questions that are informative, most informative first, with the
-    information of their answers in nats (:func:`~xplain.solvers.parts.rank_questions`)."""
+    information of their answers in nats (:func:`~xplain.solvers.search_model.rank_questions`)."""
     questions, asked = process.questions, visible.asked
     if asked.bit_count() >= questions.most or (questions.first and (visible.step or visible.given)):
         return [], []

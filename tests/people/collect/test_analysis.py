@@ -13,7 +13,7 @@ from tests.people.bare_flow import answer, observe
 from tests.people.collect.stand_in import FAULTLESS, street_collection
 from xplain.errors import InputError
 from xplain.learning.data.label_file import read_table, write_table
-from xplain.people.collect.asking import ATTENTION, CollectState, shared
+from xplain.people.collect.asking import ATTENTION, CollectState, mean_posterior
 from xplain.people.collect.bot import Habits, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import (
@@ -200,7 +200,7 @@ def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
     store = Store(path, COLLECTION)
     states = [store.participant(who).state for who in everybody]
     assert states[0].others == {}
-    assert states[1].others == shared([states[0].belief])
+    assert states[1].others == mean_posterior([states[0].belief])
     (token,) = store.invite(1, "bot")
     bot = store.enter_invited(token)
     text = COLLECTION.plan.texts.consent_hash

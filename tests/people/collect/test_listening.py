@@ -18,7 +18,7 @@ from xplain.cli.main import main
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits, habits_of
-from xplain.explanation.listening import PRIOR_PEOPLE, learned_habits
+from xplain.explanation.listening import PRIOR_PEOPLE, learn_habits
 from xplain.explanation.message_sets import indices
 from xplain.people.collect import bot
 from xplain.people.collect.asking import (
@@ -26,7 +26,7 @@ from xplain.people.collect.asking import (
     QUESTION,
     AskedClip,
     CollectState,
-    shared,
+    mean_posterior,
 )
 from xplain.people.collect.bot import Observer
 from xplain.people.collect.tables import Asked, asked_of, listeners_in
@@ -144,9 +144,9 @@ def test_rates_of_simulated_people_are_found_again(accept: float, forget: float,
         role = COLLECTION.plan.roles[number % len(COLLECTION.plan.roles)]
         rng = np.random.default_rng([seed, number])
         person = Observer(COLLECTION.plan, role.held, habits, rng)
-        others = shared([state.belief for state in states[-10:]])
+        others = mean_posterior([state.belief for state in states[-10:]])
         states.append(observe(COLLECTION, person, number, others))
-    found = learned_habits([asked_of(COLLECTION.plan, state) for state in states])
+    found = learn_habits([asked_of(COLLECTION.plan, state) for state in states])
     pull = PRIOR_PEOPLE / (people / 2 + PRIOR_PEOPLE)
     rates, stays = {"accept": accept, "forget": forget}, (1 - forget) ** MESSAGES
     noise = {"accept": (accept, 1.0, 1.0), "forget": (stays, 3 * (1 - forget) ** 2, accept)}

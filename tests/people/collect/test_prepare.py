@@ -13,7 +13,7 @@ from sklearn.metrics import adjusted_rand_score
 from tests.people.bare_flow import crowd, truth_of
 from tests.people.collect.stand_in import street_plan
 from xplain.cli.main import main
-from xplain.cli.people import configured
+from xplain.cli.people import load_config
 from xplain.errors import InputError
 from xplain.experiment.config import CONF
 from xplain.explanation.message_sets import mask_of
@@ -133,8 +133,8 @@ attention: The robot waits for an hour before a wall.
 @pytest.mark.parametrize("more", [[], ["domain=null"]])
 def test_of_ones_own_table_no_domain_s_words_are_told(folder: Path, more: list[str]) -> None:
     table = [f"transitions={folder / 'own.csv'}", f"facts={folder / 'facts.csv'}", *more]
-    task = configured("collect", ["domain=rescue"]).wording.introduction
-    own = configured("collect", table).wording
+    task = load_config("collect", ["domain=rescue"]).wording.introduction
+    own = load_config("collect", table).wording
     assert own.introduction != task
     assert "rescue" not in str(own)
     assert not own.icons
@@ -143,7 +143,7 @@ def test_of_ones_own_table_no_domain_s_words_are_told(folder: Path, more: list[s
     (folder / "collect" / "texts" / "ours.yaml").write_text(english + OWN_TEXTS)
     ours = [f"hydra.searchpath=[{folder}]", "collect/texts@wording=ours"]
     for arguments in ([*table, *ours], ["domain=rescue", *ours]):
-        said = configured("collect", arguments).wording
+        said = load_config("collect", arguments).wording
         assert said.introduction == ["A delivery robot drives through our house."]
         assert said.attention == "The robot waits for an hour before a wall."
 
@@ -153,7 +153,7 @@ def test_of_ones_own_table_no_domain_s_words_are_told(folder: Path, more: list[s
 )
 def test_a_task_is_either_a_domain_or_a_table(arguments: list[str]) -> None:
     with pytest.raises(InputError, match="domain="):
-        configured("collect", arguments)
+        load_config("collect", arguments)
 
 
 def rand_index(plan: CollectPlan, people: int, error: float, seed: int) -> float:
@@ -177,12 +177,12 @@ def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> N
     """What the docs say: 5 % wrong answers, adjusted Rand index at least .95."""
     from hydra.utils import instantiate
 
-    from xplain.experiment.config import composed
+    from xplain.experiment.config import compose_config
     from xplain.people.collect.prepare import material_of
-    from xplain.people.material import fixed
+    from xplain.people.material import select_plan_keys
 
-    cfg = composed("collect", [f"domain={domain}"])
-    config: dict[str, Any] = fixed(cfg)
+    cfg = compose_config("collect", [f"domain={domain}"])
+    config: dict[str, Any] = select_plan_keys(cfg)
     rules = CollectRules(points=config["points"], **config["rules"])
     plan = assemble(material_of(cfg), instantiate(cfg.queries), rules, config)
     assert len(plan.roles) == types

@@ -22,7 +22,7 @@ from xplain.people import web as application
 from xplain.people.bots import Page
 from xplain.people.export import write_identifiers
 from xplain.people.log import backup
-from xplain.people.plan import typed
+from xplain.people.plan import make_typed
 from xplain.people.server import Server
 from xplain.people.store import Store
 from xplain.people.study.tables import export
@@ -97,11 +97,11 @@ def test_a_platform_signs_with_a_key_of_which_the_lab_has_the_public_half(
 
 def test_a_paid_person_never_becomes_a_pilot_by_a_wrong_link() -> None:
     with pytest.raises(InputError, match=r"server\.entry"):
-        typed(Server, "server", {"entry": ["platform", "open"], "studies": ["ours"]})
+        make_typed(Server, "server", {"entry": ["platform", "open"], "studies": ["ours"]})
     with pytest.raises(InputError, match=r"server\.signed_by"):
-        typed(Server, "server", {"entry": ["signed"]})
+        make_typed(Server, "server", {"entry": ["signed"]})
     with pytest.raises(InputError, match=r"server\.entri"):
-        typed(Server, "server", {"entri": ["invitation"]})
+        make_typed(Server, "server", {"entri": ["invitation"]})
 
 
 def test_a_browser_without_cookies_is_told_so(store: Store) -> None:

@@ -18,7 +18,7 @@ from xplain.errors import InputError, Refused
 from xplain.people.bots import Page
 from xplain.people.flow import Conflict
 from xplain.people.log import backup, read_plan
-from xplain.people.plan import LabQuestion, typed
+from xplain.people.plan import LabQuestion, make_typed
 from xplain.people.server import Server
 from xplain.people.site import Site, Visit, direction
 from xplain.people.store import Store
@@ -108,8 +108,8 @@ def test_numbers_come_in_the_digits_of_any_script(typed_in: str) -> None:
 
 def test_a_code_for_an_ending_that_there_is_not_is_refused() -> None:
     with pytest.raises(InputError, match=r"server\.codes"):
-        typed(Server, "server", {"codes": {"screendout": "S1"}})
-    assert typed(Server, "server", {"codes": {"full": "F1"}}).codes["full"] == "F1"
+        make_typed(Server, "server", {"codes": {"screendout": "S1"}})
+    assert make_typed(Server, "server", {"codes": {"full": "F1"}}).codes["full"] == "F1"
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from tests.people.study.stand_in import FAULTLESS, street_plan
 from tests.people.visitors import GENEROUS, Visitor, consent, enter, field, pages, query
 from xplain.errors import InputError
 from xplain.people.bots import Page
-from xplain.people.plan import typed
+from xplain.people.plan import make_typed
 from xplain.people.server import Server
 from xplain.people.site import Site
 from xplain.people.store import Store
@@ -115,7 +115,7 @@ def test_entry_is_as_configured(store: Store) -> None:
     for wrong in ({"id_PROLIFIC_PID": "p" * 101}, {"id_PROLIFIC_PID": ""}, {"id_SESSION_ID": ""}):
         assert closed.post("/enter", data=ids | wrong | {"token": visitor}).status_code == 403
     with pytest.raises(InputError, match=r"server\.entry"):
-        typed(Server, "server", {"entry": ["anybody"]})
+        make_typed(Server, "server", {"entry": ["anybody"]})
 
 
 def test_without_a_map_the_page_lists_what_each_step_changed(

@@ -15,8 +15,8 @@ from tests.people.study.stand_in import street_study
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.errors import InputError
 from xplain.people.bots import Page
-from xplain.people.export import defused
-from xplain.people.plan import LabQuestion, lab_questions, typed
+from xplain.people.export import defuse
+from xplain.people.plan import LabQuestion, lab_questions, make_typed
 from xplain.people.server import Server
 from xplain.people.store import Store
 from xplain.people.web import create_app
@@ -48,14 +48,14 @@ def test_a_refused_form_keeps_what_was_filled_in(tmp_path: Path) -> None:
 def test_a_truth_value_is_no_choice() -> None:
     asked = {"name": "q", "label": "Q", "kind": "choice", "choices": [True, False]}
     with pytest.raises(InputError, match="questions"):
-        typed(LabQuestion, "questions", asked)
+        make_typed(LabQuestion, "questions", asked)
 
 
 def test_numbers_stay_numbers_in_tables() -> None:
     for text in ("-3", "+2.5", "-1e-9"):
-        assert defused(text) == text
+        assert defuse(text) == text
     for text in ("=1+1", "-3+cmd", "@x", "-", "+A1", "-١"):
-        assert defused(text) == f"'{text}"
+        assert defuse(text) == f"'{text}"
 
 
 def test_listed_ids_are_lines_as_they_are_written(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from xplain.people.plan import Ahead
 from xplain.people.study.bot import Habits
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.prepare import conditions_of, drafted
+from xplain.people.study.prepare import conditions_of, make_draft
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
 """Of a participant who errs, forgets and leaves nowhere."""
@@ -161,7 +161,7 @@ def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
         told = [*material.clips]
         told[rows[0]] = replace(told[rows[0]], situation=("Qthen <Qso> & Qso.",))
         material, clips = replace(material, clips=tuple(told)), (rows, LabelTable.dense(p))
-    plan = drafted(material, rows, LabelTable.dense(p), config, asks=clips)
+    plan = make_draft(material, rows, LabelTable.dense(p), config, asks=clips)
     return StudyPlan.from_text(replace(plan, ahead=AHEAD if map_shown else None).text)
 
 

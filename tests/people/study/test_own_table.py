@@ -18,7 +18,7 @@ from tests.people.client import Client
 from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor, differences, pages
 from xplain import Explainer
-from xplain.cli.people import configured
+from xplain.cli.people import load_config
 from xplain.errors import InputError
 from xplain.explanation.anybody import Open
 from xplain.explanation.belief import NO_FIT
@@ -100,7 +100,7 @@ def save_types(
 
 def plan_of(**changes: Any) -> StudyPlan:
     given = {key: value for key, value in {**GIVEN, **changes}.items() if value is not None}
-    return study_plan(configured("study", [f"{key}={value}" for key, value in given.items()]))
+    return study_plan(load_config("study", [f"{key}={value}" for key, value in given.items()]))
 
 
 def test_the_plan_is_what_the_table_says(lab: Path) -> None:

@@ -16,20 +16,20 @@ from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.domains.base import cell_name
 from xplain.errors import InputError
-from xplain.experiment.config import composed
+from xplain.experiment.config import compose_config
 from xplain.explanation.belief import Persistent
 from xplain.people.bots import visit
-from xplain.people.material import Material, named, phrases_of
+from xplain.people.material import Material, name_items, phrases_of
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.study.prepare import needed, study_plan, traces_of
+from xplain.people.study.prepare import find_needed, study_plan, traces_of
 from xplain.people.web import create_app
 
 
 def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
 
-    cfg = composed("study", ["seed=0", "trace.candidates=40"])
+    cfg = compose_config("study", ["seed=0", "trace.candidates=40"])
     plan = study_plan(cfg)
     assert study_plan(cfg).hash == plan.hash  # same configuration, same study
     assert Study.of(plan).belief == Persistent("learned")
@@ -53,21 +53,21 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
 @pytest.mark.parametrize("name", ["four_rooms", "rescue"])
 def test_no_map_on_the_pages_depends_on_what_a_participant_may_believe(name: str) -> None:
     """The domain of a robot for which an incorrect value is the right one has the same map."""
-    cfg = composed("study", [f"domain={name}"])
+    cfg = compose_config("study", [f"domain={name}"])
     maps = []
     for key in [None, *cfg.domain.parameters]:
         own = OmegaConf.merge(cfg.domain, {})
         if key:
             swapped, before = own.parameters[key], cfg.domain.parameters[key]
             swapped.accurate, swapped.inaccurate = before.inaccurate, before.accurate
-        maps.append(named(instantiate(own).scene, str))
+        maps.append(name_items(instantiate(own).scene, str))
     assert all(one == maps[0] for one in maps)
     assert maps[0].walls
 
 
 def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) -> None:
 
-    cfg = composed(
+    cfg = compose_config(
         "study",
         ["seed=0", "domain=four_rooms", "observers.points=150", "trace.candidates=60"],
     )
@@ -93,7 +93,10 @@ def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
     setting = setting_of("domain=four_rooms", "users.count=3")
     ranked = traces_of(Material.of(setting), trace_rules(candidates=80), 40, 0)
     facts = [
-        sum(needed(of_type).bit_count() for of_type in setting.label_table(setting.reachable[one]))
+        sum(
+            find_needed(of_type).bit_count()
+            for of_type in setting.label_table(setting.reachable[one])
+        )
         for one in ranked
     ]
     assert facts == sorted(facts, reverse=True)
@@ -106,7 +109,7 @@ def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
 def test_a_study_whose_conditions_are_alike_is_refused() -> None:
     with pytest.raises(InputError, match=r"conditions=.*differ by a message"):
         study_plan(
-            composed(
+            compose_config(
                 "study",
                 [
                     *("seed=0", "observers.points=50", "trace.candidates=5"),

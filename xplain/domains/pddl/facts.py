@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from xplain.domains.pddl.task import Item, Items, Source, Task, changed, read_text, write
+from xplain.domains.pddl.task import Item, Items, Source, Task, apply_changes, read_text, write
 from xplain.errors import InputError, Range, number, one_of
 
 Atom = tuple[str, ...]
@@ -195,7 +195,7 @@ def read_changes(key: str, value: Any, task: Task, other: Items) -> Items:
                 "function with value"
             )
             raise InputError(key, change, allowed)
-        present = replace(task, items=changed(task.items, made))
+        present = replace(task, items=apply_changes(task.items, made))
         made |= _read_change(key, kind, change, present, other)
     return made
 

@@ -28,7 +28,7 @@ from xplain.domains.pddl.task import (
     Items,
     Signature,
     Task,
-    changed,
+    apply_changes,
     instantiate,
     lifted,
     reach,
@@ -374,7 +374,7 @@ class BelievedTask:
         return states, source, variant, successor
 
     def _items(self, wrong: Wrong) -> Items:
-        return changed(self._task.items, *(self._facts[j] for j in sorted(wrong)))
+        return apply_changes(self._task.items, *(self._facts[j] for j in sorted(wrong)))
 
     def count(self, condition: str, wrong: Wrong) -> NDArray[np.int64]:
         """[S] number of instances of a condition that hold in each state in this belief."""

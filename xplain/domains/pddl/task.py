@@ -69,7 +69,7 @@ class Task:
     items: Items
 
 
-def changed(items: Items, *changes: Items) -> dict[Item, Any]:
+def apply_changes(items: Items, *changes: Items) -> dict[Item, Any]:
     """Applies changes to items; later changes override earlier ones."""
     result = dict(items)
     for change in changes:
@@ -248,7 +248,9 @@ def read_task(
             raise domain.refusal(f"two actions are called {name}; rename one of them", at)
         items[Item("action", name)] = sign(action.parameters)
         items[Item("cost", name)] = _value(cost, numbers) if found.use_min_cost_metric else 1.0
-        items |= {Item("precondition", name, write(x)): x for x in conjuncts(action.precondition)}
+        items |= {
+            Item("precondition", name, write(x)): x for x in split_conjunction(action.precondition)
+        }
         items |= {Item("effect", name, write(x)): x for x in action.effects}
         conditions += [(domain, name, x.condition) for x in action.effects]
         conditions.append((domain, name, action.precondition))
@@ -264,7 +266,7 @@ def read_task(
             items |= {Item("initial", "", write(x)): x} if x.predicate != "=" else {}
         elif x.fluent.symbol != "total-cost":
             items[Item("function", "", str(_value(x.fluent, {})))] = _value(x.expression, numbers)
-    items |= {Item("goal", "", write(x)): x for x in conjuncts(found.goal)}
+    items |= {Item("goal", "", write(x)): x for x in split_conjunction(found.goal)}
     return Task(
         found,
         sign(found.objects),
@@ -274,7 +276,7 @@ def read_task(
     )
 
 
-def conjuncts(condition: Any) -> list[Any]:
+def split_conjunction(condition: Any) -> list[Any]:
     """The parts of a condition that must all hold, sorted."""
     whole = condition.simplified()
     parts = whole.parts if isinstance(whole, lifted.Conjunction | lifted.Truth) else [whole]
@@ -343,7 +345,9 @@ def read_text(task: Task, signature: Signature, source: Source, effect: bool = F
         domain, problem, action = (lisp_parser.parse_nested_list([text]) for text in texts)
         added = [":effect", nested] if effect else [":precondition", nested, ":effect", ["done@"]]
         actions = parsing_functions.parse_task([*domain, [*action, *added]], problem).actions
-    found = [x for y in actions for x in (y.effects if effect else conjuncts(y.precondition))]
+    found = [
+        x for y in actions for x in (y.effects if effect else split_conjunction(y.precondition))
+    ]
     if len(found) != 1:
         raise InputError(source.key, source.value, "one literal such as (on ?x b)")
     _refuse_universal(found[0].condition if effect else found[0], source)

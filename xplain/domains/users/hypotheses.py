@@ -30,7 +30,7 @@ from xplain.domains.users.inaccurate_values import (
 from xplain.domains.users.setting import MAX_MODELS, Setting, UserType
 from xplain.errors import InputError, TooLargeError, whole_number
 from xplain.explanation.message_sets import names_of
-from xplain.storage import written_whole
+from xplain.storage import open_atomic
 
 SUM = 1e-6
 """Tolerance of a prior's sum."""
@@ -238,7 +238,7 @@ class Hypotheses:
             for key, value in given.items()
             if value is not None and len(value)
         }
-        with written_whole(Path(path), "wb") as file:
+        with open_atomic(Path(path), "wb") as file:
             np.savez_compressed(file, **arrays)
 
     def with_sets(self, facts: NDArray[np.int64]) -> Hypotheses:

@@ -63,15 +63,15 @@ class Dataset:
         )
 
 
-def numbered(rows: ArrayLike) -> dict[bytes, int]:
+def number_rows(rows: ArrayLike) -> dict[bytes, int]:
     """Maps each row of distinct rows [U, F] to its index. 0 and −0 are equal."""
     return {row.tobytes(): u for u, row in enumerate(np.asarray(rows, np.float64) + 0.0)}
 
 
 def places(rows: ArrayLike, known: ArrayLike | Mapping[bytes, int]) -> NDArray[np.int64]:
     """[P] the index of each row of features [P, F] among known rows [U, F] (or in a map of
-    :func:`numbered`); −1 if missing."""
-    number = known if isinstance(known, Mapping) else numbered(known)
+    :func:`number_rows`); −1 if missing."""
+    number = known if isinstance(known, Mapping) else number_rows(known)
     found = [number.get(row.tobytes(), -1) for row in np.asarray(rows, np.float64) + 0.0]
     return np.array(found, dtype=np.int64)
 

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, first_line, one_of, quoted
+from xplain.errors import InputError, first_line, one_of, quote
 from xplain.explanation.message_sets import mask_of, names_of
 from xplain.learning.data.dataset import Dataset, query_index
 
@@ -198,7 +198,7 @@ def put_in_order(
     return features[..., [names.index(name) for name in like]]
 
 
-def encoded(
+def encode_transition(
     transition: Mapping[str, float | str], feature_names: Sequence[str]
 ) -> tuple[float, ...]:
     """Returns the F features of a transition, in order.
@@ -444,7 +444,7 @@ def option(key: str, name: str, *values: str) -> str:
 def _quote(value: str) -> str:
     """Quotes a text for Hydra; a word needs no quotation marks."""
     word = re.fullmatch(r"(?!(?i:null|true|false|nan|inf)$)[A-Za-z_]\w*", value, re.ASCII)
-    return value if word else quoted(value, '"')
+    return value if word else quote(value, '"')
 
 
 def _require(

@@ -22,7 +22,7 @@ REACH = 64
 
 
 @njit(nogil=True)
-def packed(subsets, z, mask):  # type: ignore[no-untyped-def]
+def pack(subsets, z, mask):  # type: ignore[no-untyped-def]
     """Packs the bits of ``mask`` at the positions of subset z into the lowest bits."""
     packed = 0
     for i in range(subsets.shape[1]):
@@ -59,7 +59,7 @@ def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
     facts = state.facts[o]
     for p in range(answers.start[o], answers.start[o + 1]):
         t = transition[p]
-        count[t, packed(subsets, subset[t], facts) & ~given[p], label[p]] += sign
+        count[t, pack(subsets, subset[t], facts) & ~given[p], label[p]] += sign
 
 
 @njit(nogil=True)
@@ -232,8 +232,8 @@ def _choose(t, z, e, held, answers, subsets, state):  # type: ignore[no-untyped-
         counts[t, c, 1] = 0
     for i in range(answers.transition_start[t], answers.transition_start[t + 1]):
         p = rows[i]
-        counts[t, packed(subsets, z, held[p]), label[p]] += 1
-        messages_given[p] = packed(subsets, z, given[p])
+        counts[t, pack(subsets, z, held[p]), label[p]] += 1
+        messages_given[p] = pack(subsets, z, given[p])
 
 
 BLOCK = 8
@@ -366,7 +366,7 @@ def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # ty
                     count[t, held & ~messages_given[p], label[p]] -= 1
                 by_cell[held] = value
             for i in range(len(masks)):
-                values[i] += by_cell[packed(subsets, z, masks[i])]
+                values[i] += by_cell[pack(subsets, z, masks[i])]
         begin = end
 
 

@@ -26,7 +26,7 @@ from xplain.explanation.message_sets import bits_of, indices, names_of, subsets
 from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
-from xplain.learning.evidence import DOUBTED, Evidence, foretold
+from xplain.learning.evidence import DOUBTED, Evidence, predict_in_order
 from xplain.learning.labelers import (
     Labeler,
     LabelerTrainer,
@@ -44,7 +44,7 @@ from xplain.learning.mixture.likelihood import (
     KnownTransitions,
     by_level,
     cell_posterior,
-    scaled,
+    scale_errors,
 )
 from xplain.learning.mixture.partition import Partition, errors_of, partition
 from xplain.learning.prediction import log_likelihood
@@ -339,7 +339,7 @@ class KnownAnswers:
         def by_labels(train: Dataset, test: Dataset) -> NDArray[np.float64]:
             return log_likelihood(cheap().fit(train, 0), test)
 
-        rows, own, alone = foretold(data, assignment, (by_hypotheses, by_labels))
+        rows, own, alone = predict_in_order(data, assignment, (by_hypotheses, by_labels))
         members = (np.flatnonzero(assignment == t) for t in range(int(assignment.max()) + 1))
         types = [self._learned(data.of(people)) for people in members]
         doubt, unwritten = np.array([(one.doubt, one.unwritten) for one in types]).T
@@ -451,7 +451,7 @@ class HypothesisTrainer(LabelerTrainer):
         own = asked.dataset
         if self.answers is not None:
             label = own.label.astype(np.int64)
-            given = scaled(self.answers.log_given(own.transition, own.observer, label), label)
+            given = scale_errors(self.answers.log_given(own.transition, own.observer, label), label)
         if self.evidence is not None and self.types is not None:
             trust = float(self.evidence.trust[self.types[own.observer]].mean())
         trainer = self._alone if dataset.n_messages <= DENSE else cheap()

@@ -32,8 +32,8 @@ from scipy.special import expit, logit, logsumexp
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import DomainError, TooLargeError
-from xplain.learning.answers import summed
-from xplain.learning.data.dataset import numbered, places
+from xplain.learning.answers import sum_by_group
+from xplain.learning.data.dataset import number_rows, places
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ LIKELY = 0.2
 further fact that was never asked about."""
 
 
-def grown(
+def grow(
     hypotheses: Hypotheses, posterior: Callable[[Hypotheses], NDArray[np.float64]]
 ) -> Hypotheses:
     """Adds all neighbours of likely sets, until every neighbour of a likely set is a candidate.
@@ -170,7 +170,7 @@ class KnownTransitions:
 
     def grown(self, answers: Answers) -> KnownTransitions:
         """Adds the candidates that the answers of one type make likely, and their neighbours."""
-        found = grown(self.hypotheses, lambda known: self._posterior(known, answers))
+        found = grow(self.hypotheses, lambda known: self._posterior(known, answers))
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
     def with_sets(self, facts: NDArray[np.int64]) -> KnownTransitions:
@@ -252,7 +252,7 @@ class KnownTransitions:
         states, rows = self.hypotheses.states, self.hypotheses.features
         if states is None or rows is None:
             return {}
-        return numbered(np.hstack([states, rows.astype(np.float32)]))
+        return number_rows(np.hstack([states, rows.astype(np.float32)]))
 
     def find_exactly(
         self, features: NDArray[np.float64], states: NDArray[np.int64]
@@ -263,7 +263,7 @@ class KnownTransitions:
 
     @cached_property
     def _place(self) -> dict[bytes, int]:
-        return numbered(self.features)
+        return number_rows(self.features)
 
     def find(self, features: NDArray[np.floating]) -> NDArray[np.int64]:
         """[P] indices of rows of features [P, F]; −1 for rows that the hypotheses do not
@@ -322,7 +322,7 @@ SCALE = np.array([0.05, 0.15, 0.4, 1.0, 2.0])
 contradictions in a cell are then explained by f rather than by slips if f fits as well."""
 
 
-def scaled(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArray[np.float64]:
+def scale_errors(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArray[np.float64]:
     """[P, 2, E] log P(answer | f) of answers [P], with error rates multiplied by each level of
     :data:`SCALE`; ``given`` [P, 2] holds the values without a factor."""
     right = label[:, None] == np.arange(2)
@@ -362,11 +362,11 @@ class Cells:
         """[2, N, 1, 1, E] log P(answers in the cell | f) for f = 0 and 1 and E error levels, from
         log P(answer | f) ``given`` [P, 2, E]."""
         every = np.tile(given, (len(self.where), 1, 1))
-        total = summed(every, self.where.ravel(), len(self.key))
+        total = sum_by_group(every, self.where.ravel(), len(self.key))
         return np.moveaxis(total, 1, 0)[:, :, None, None]
 
     def log_likelihood(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
         """[R, 1 + V, D, E] log P(answers | R, variant, δ, level), from log P(answer | f) ``given``
         [P, 2, E]."""
         value = log_cell(self.one[..., None], *self.given(given))
-        return summed(value, self.which, len(self.where))
+        return sum_by_group(value, self.which, len(self.where))

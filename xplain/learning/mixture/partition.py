@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp, softmax
 
 from xplain.learning import answers as answer_model
-from xplain.learning.answers import AnswerModel, CellAnswers, summed
+from xplain.learning.answers import AnswerModel, CellAnswers, sum_by_group
 from xplain.learning.mixture.likelihood import (
     ERROR,
     Answers,
@@ -74,22 +74,22 @@ def mixture(
     made: AnswerModel | float = level
     for turn in range(ROUNDS):
         log_each = log_cell(one, *given.T[:, :, None, None])
-        joint = summed(log_each, person, people) + np.log(share)
+        joint = sum_by_group(log_each, person, people) + np.log(share)
         weight = softmax(joint, axis=(1, 2))  # [O, R, (1 + V) D]
         share = (weight.sum(axis=0) + prior) / (people + 1)
         others = softmax(joint[person] - log_each, axis=(1, 2))
         f = (others * one).sum(axis=(1, 2))  # of each answer, from the person's other answers
-        made = answer_model.learned(each, f, questions, people, made, STEPS)
+        made = answer_model.learn_answers(each, f, questions, people, made, STEPS)
         given = made.log_given(*about)
         said = weight[person] * np.diff(given)[:, :, None]  # for f = 1, by the person's types
         if turn >= AS_SAID:  # … and from all other answers in its cell
-            total = summed(said.reshape(len(group), -1), group, len(cells.key))
+            total = sum_by_group(said.reshape(len(group), -1), group, len(cells.key))
             one = cell_posterior(before, total[group].reshape(said.shape) - said)
     assert isinstance(made, AnswerModel)
     if answers.message_set.any():
         return weight.sum(axis=2), made, None
     key = known.hypotheses.row(facts) * questions + np.arange(questions)[:, None]
-    said = summed(said, answers.transition, questions)
+    said = sum_by_group(said, answers.transition, questions)
     f = cell_posterior(known.truth(key).reshape(said.shape), said)
     zero, both = made.given(np.arange(questions))[:, :, 0].T[:, :, None, None]  # of rate 0
     one = ((1 - f) * zero + f * both).reshape(questions, -1)
@@ -195,7 +195,7 @@ class _Search:
             count += len(cells.key)
         about = CellAnswers(cell, self.every.transition, self.person, self.every.label)
         sizes = self.known.share.shape[2], len(self.rows)
-        made = answer_model.learned(about, np.concatenate(priors), *sizes, self.level)
+        made = answer_model.learn_answers(about, np.concatenate(priors), *sizes, self.level)
         self.heed(made)
         return made
 

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, Range, TooLargeError, checks
-from xplain.learning.answers import AnswerModel, CellAnswers, learned
+from xplain.learning.answers import AnswerModel, CellAnswers, learn_answers
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.mixture.classes import answer_classes
@@ -504,4 +504,4 @@ def _errors(dataset: Dataset, prior: Prior, state: ChainState) -> AnswerModel:
     kind = (matters > 0).astype(np.int64)
     ones = np.bincount(kind, label, 2) / np.bincount(kind, minlength=2).clip(1)
     one = ((ones - wrong) / (1 - 2 * wrong)).clip(0.02, 0.98)[(cells[1] > 0).astype(np.int64)]
-    return learned(about, one, len(dataset.features), len(dataset.observers), wrong)
+    return learn_answers(about, one, len(dataset.features), len(dataset.observers), wrong)

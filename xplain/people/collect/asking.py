@@ -154,7 +154,7 @@ def schedule(plan: CollectPlan, number: int) -> tuple[ClipTask, ...]:
     return (*tasks, *rounds)
 
 
-def shared(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def mean_posterior(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """The mean posterior of earlier participants, as a prior for the next one. It is rounded, so it
     does not depend on their order."""
     total: dict[str, float] = {}

@@ -186,7 +186,7 @@ class Collection(Flow[CollectPlan, CollectState]):
             if self.plan.design.from_others and not one.state.left_out
         }
         number = person.number
-        shared = asking.shared([*kept.values()])
+        shared = asking.mean_posterior([*kept.values()])
         consent = {"number": number, "role": None, "after": [*kept], "others": shared}
         if not self.plan.assigned:
             return consent

@@ -19,7 +19,7 @@ from xplain.people.collect.plan import (
     CollectRules,
     Example,
 )
-from xplain.people.material import Material, fixed, own_table, parts
+from xplain.people.material import Material, make_plan_fields, own_table, select_plan_keys
 from xplain.people.plan import lab_questions
 from xplain.questions.designs import Adaptive, Battery, battery
 from xplain.randomness import derived_seed, run_seed
@@ -32,7 +32,7 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
         XplainError: the configuration cannot be used; the text says what to change.
     """
     run_seed(cfg.seed)
-    config = fixed(cfg)
+    config = select_plan_keys(cfg)
     rules = CollectRules(points=config["points"], **config["rules"])  # errors come early
     design = instantiate(cfg.queries)
     if not isinstance(design, Adaptive | Battery):
@@ -72,7 +72,7 @@ def assemble(
         most = f"at most one message a fact: {len(material.facts)}"
         raise InputError("rules.listening", rules.listening, most)
     subject = wording["words"]["robot"] if material.transitions is not None else ""
-    own, in_words = parts("collect", config, wording, material, f"{subject} {{phrase}}")
+    own, in_words = make_plan_fields("collect", config, wording, material, f"{subject} {{phrase}}")
     known = replace(known, phrases=tuple(map(in_words, known.phrases)))
     listed: tuple[tuple[int, int], ...] = ()
     if isinstance(design, Battery):

@@ -31,7 +31,7 @@ from xplain.learning.user_types import NOISY
 from xplain.people.collect.asking import ATTENTION, HEEDED, STATED, AskedClip, CollectState, prior
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.export import Row, seconds, write
+from xplain.people.export import Row, measure_seconds, write
 from xplain.people.flow import CANNOT_TELL, STREAMS, Event, Participant, People
 from xplain.people.log import read
 
@@ -270,10 +270,10 @@ def _observer(plan: CollectPlan, one: Person) -> Row:
     each = [
         took / len(answer.payload["labels"])
         for answer, shown in timed
-        if shown and (took := seconds(shown, answer)[0]) is not None
+        if shown and (took := measure_seconds(shown, answer)[0]) is not None
     ]
     begun = timed[0][1] if timed else None
-    took, clock = seconds(begun, timed[-1][0]) if begun else (None, None)
+    took, clock = measure_seconds(begun, timed[-1][0]) if begun else (None, None)
     stated = {} if withdrawn else dict(enumerate(state.stated))
     given = [] if withdrawn else [event.payload for event in one.answers("answers")]
     return {
@@ -321,7 +321,7 @@ def _clips(plan: CollectPlan, one: Person) -> Iterator[Row]:
             "messages": ";".join(names_of(clip.told, known.messages)),
             "labels": ";".join(map(str, clip.labels)),
             "bits": clip.bits,
-            "seconds": seconds(shown, answer)[0] if shown else None,
+            "seconds": measure_seconds(shown, answer)[0] if shown else None,
             "browser_ms": answer.browser,
         }
 

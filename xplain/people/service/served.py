@@ -159,7 +159,7 @@ class Served:
         }
 
 
-def served(cfg: DictConfig) -> Served:
+def make_served(cfg: DictConfig) -> Served:
     """Makes the task of a configuration (conf/serve.yaml).
 
     Raises:

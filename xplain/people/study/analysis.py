@@ -114,7 +114,7 @@ def exclusions(path: Path | None) -> dict[str, str]:
         return {row["participant"]: row["reason"] for row in rows}
 
 
-def analyses(
+def analyse_all(
     data: pd.DataFrame, stream: str, excluded: Mapping[str, str], seed: int = 0
 ) -> dict[str, Analysis]:
     """Applies :func:`analyse` to the paper's two conditions, and to asking if the study asks; by

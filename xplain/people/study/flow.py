@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from xplain.errors import Refused
-from xplain.explanation.label_table import LabelTable, joined
+from xplain.explanation.label_table import LabelTable, join_steps
 from xplain.interaction.episode import Episode, explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.people.flow import (
@@ -320,7 +320,7 @@ class Study(Explaining):
         plan, found = self.plan, {}
         of_clips = () if plan.clip_labels is None else (plan.clip_labels,)
         tables = [
-            joined([LabelTable.dense(one[None]), *(clips.of_types([i]) for clips in of_clips)])
+            join_steps([LabelTable.dense(one[None]), *(clips.of_types([i]) for clips in of_clips)])
             for i, one in enumerate(plan.true_labels)
         ]
         for condition, policy in self.policies.items():

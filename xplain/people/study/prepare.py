@@ -25,7 +25,14 @@ from xplain.explanation.message_sets import indices
 from xplain.learning.data.queries import sample_trace
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.user_types import Perfect, label_table
-from xplain.people.material import Material, Transitions, fixed, learned_types, own_table, parts
+from xplain.people.material import (
+    Material,
+    Transitions,
+    learned_types,
+    make_plan_fields,
+    own_table,
+    select_plan_keys,
+)
 from xplain.people.plan import lab_questions
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import (
@@ -75,7 +82,7 @@ def roles_of(
                 wrong,
                 tuple(f.belief if j in wrong else f.message for j, f in enumerate(facts)),
                 _eligibility(facts, user_type, wording),
-                _quiz(facts, known, wrong, needed(labels[t]), t),
+                _quiz(facts, known, wrong, find_needed(labels[t]), t),
             )
         )
     return tuple(roles)
@@ -91,7 +98,7 @@ def natural_role(
         facts, known: of the plan.
         labels: [M, m, 2^n] true labels of the trace, for each kind of simulated people.
     """
-    need = int(np.bitwise_or.reduce([needed(of_kind) for of_kind in labels]))
+    need = int(np.bitwise_or.reduce([find_needed(of_kind) for of_kind in labels]))
     return StudyRole(NATURAL, (), (), (), _quiz(facts, known, (), need, 0))
 
 
@@ -174,7 +181,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     if cfg.seed is None:
         cfg = cfg.copy()
         cfg.seed = secrets.randbelow(2**31)
-    config = fixed(cfg)
+    config = select_plan_keys(cfg)
     StudyRules(**config["rules"])  # errors come before the expensive work
     config["conditions"] = conditions_of(config)
     one_of("briefing", config["briefing"], ("assigned", "none"))
@@ -185,7 +192,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
         if ASKING in config["conditions"]:
             asked = may_ask(material, types, trace, config["ask"]["clips"])
         clips = None if asked is None else (asked, learned_table(material, types, asked))
-        plan = drafted(material, trace, table, config, types, clips)
+        plan = make_draft(material, trace, table, config, types, clips)
         gaps.append(Study.of(plan).difference())
         if gaps[-1] >= LEAST_DIFFERENCE:
             # The stored plan is the one that runs, also for the first participant.
@@ -318,7 +325,7 @@ def traces_of(
         raise InputError("trace.min_steps", least, f"{longest} steps or fewer here")
 
     def worth(trace: Transitions) -> tuple[int, int]:
-        facts = sum(needed(of_type).bit_count() for of_type in material.labels(trace))
+        facts = sum(find_needed(of_type).bit_count() for of_type in material.labels(trace))
         return facts, -len(trace)
 
     return sorted(long.values(), key=worth, reverse=True)
@@ -358,7 +365,7 @@ def _drawn(
     return found
 
 
-def drafted(
+def make_draft(
     material: Material,
     trace: Transitions,
     table: LabelTable,
@@ -383,7 +390,9 @@ def drafted(
     types, natural = material.types, config["briefing"] == "none"
     table_of_ones_own = config.get("transitions") is not None
     wording = _worded(config["wording"], natural, table_of_ones_own, asks is not None)
-    own, in_words = parts("study", config, wording, material, wording["words"]["robot_does"])
+    own, in_words = make_plan_fields(
+        "study", config, wording, material, wording["words"]["robot_does"]
+    )
     costs = Costs(config["lambda"], **{key: config[key] for key in COSTS})
     # Roles and types have the same names; without a briefing any found types are possible.
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names
@@ -445,7 +454,7 @@ def _worded(
     return {**wording, **told}
 
 
-def needed(labels: NDArray[np.uint8]) -> int:
+def find_needed(labels: NDArray[np.uint8]) -> int:
     """The smallest message set with which a type finds the whole trace explicable.
 
     Args:

@@ -15,7 +15,7 @@ from xplain.errors import InputError, one_of
 from xplain.explanation.belief import NO_FIT
 from xplain.explanation.listening import Explained
 from xplain.explanation.message_sets import names_of
-from xplain.people.export import Row, seconds, write
+from xplain.people.export import Row, measure_seconds, write
 from xplain.people.flow import CANNOT_TELL, STREAMS, Event, Participant, People
 from xplain.people.log import read
 from xplain.people.study.evaluation import EVALUATING
@@ -254,10 +254,10 @@ def _quiz(plan: StudyPlan, one: Person) -> Iterator[Row]:
 def interaction(events: Sequence[Event]) -> Row:
     """The duration of one participant's evaluation: columns of the participants' table.
 
-    ``interaction_time_s`` is measured by the server, from the first rendering of the first step to
-    the last accepted label; ``clock`` says by which clock (:func:`xplain.people.export.seconds`).
-    None if it is unknown. ``visible_time_s``, the secondary measure, is None without the browser's
-    events (no scripts).
+    The server measures ``interaction_time_s`` from the first rendering of the first step to the
+    last accepted label; ``clock`` names the clock (:func:`xplain.people.export.measure_seconds`).
+    The time is None if it is unknown. ``visible_time_s``, the secondary measure, is None without
+    the browser's events (no scripts).
 
     Args:
         events: the participant's events, in order; none if nothing is known.
@@ -266,7 +266,7 @@ def interaction(events: Sequence[Event]) -> Row:
     evaluated = [e for e in events if e.kind == "shown" and e.payload["stage"] in EVALUATING]
     labels = [e for e in events if e.kind == "labels" and e.source == "protocol"]
     if evaluated and labels:
-        (took, clock), away = seconds(evaluated[0], labels[-1]), hidden(events)
+        (took, clock), away = measure_seconds(evaluated[0], labels[-1]), hidden(events)
     visible = None if took is None or away is None else max(0.0, took - away)
     return {
         "interaction_time_s": took,
@@ -290,7 +290,7 @@ def pages(events: Sequence[Event]) -> list[Row]:
                 "stage": stage,
                 "step": step if stage in EVALUATING else None,
                 "shown": event.wall,
-                "seconds": seconds(event, answer)[0] if answer else None,
+                "seconds": measure_seconds(event, answer)[0] if answer else None,
                 "browser_ms": answer.browser if answer else None,
             }
         )
@@ -326,7 +326,7 @@ def hidden(events: Sequence[Event]) -> float | None:
             continue
         if since is not None:
             same = since.source == page
-            total += max(_passed(since, event)) if same else seconds(since, event)[0] or 0.0
+            total += max(_passed(since, event)) if same else measure_seconds(since, event)[0] or 0.0
             since = None
         if began and event.payload["what"] not in EVALUATING:
             break  # the quiz: the evaluation is over

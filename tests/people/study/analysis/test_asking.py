@@ -16,7 +16,7 @@ from tests.people.visitors import GENEROUS, Visitor
 from xplain.cli.main import main
 from xplain.people.bots import visit
 from xplain.people.store import Store
-from xplain.people.study.analysis import MEASURES, analyses, document
+from xplain.people.study.analysis import MEASURES, analyse_all, document
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.web import create_app
 
@@ -97,7 +97,7 @@ def with_asking(n: int) -> pd.DataFrame:
 
 def test_asking_is_compared_with_personalized_and_the_paper_s_table_stays() -> None:
     data = with_asking(20)
-    found, before = analyses(data, "person", {}), analyses(completed(20), "person", {})
+    found, before = analyse_all(data, "person", {}), analyse_all(completed(20), "person", {})
     assert [*found] == ["table2", "asking"]
     assert [*before] == ["table2"]
     as_before = found["table2"].measures.loc[before["table2"].measures.index]

@@ -13,7 +13,7 @@ from tests.people.study.protocol.test_machine import at_evaluation
 from tests.people.study.stand_in import ASK, CONFIG, street_plan, street_study
 from xplain.errors import InputError
 from xplain.explanation.belief import Independent, Persistent
-from xplain.explanation.label_table import LabelTable, joined
+from xplain.explanation.label_table import LabelTable, join_steps
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Slips
 from xplain.people.study.flow import Study
@@ -52,7 +52,7 @@ def test_people_are_asked_what_the_offline_experiment_asks(
     same = np.array([*range(4), *range(4)])  # the clips are the trace's own steps
     for seed, user_type in product(range(6), range(3)):
         of_trace = LabelTable.dense(plan.true_labels[[user_type]])
-        labels = joined([of_trace, plan.clip_labels.of_types([user_type])])
+        labels = join_steps([of_trace, plan.clip_labels.of_types([user_type])])
         offline_person, person = (people.meet(labels, same, seed) for _ in range(2))
         offline = explain(plan.problem, study.policies["asking"], offline_person, study.belief)
         state, pages = at_evaluation(study, user_type, "asking"), []

@@ -8,8 +8,8 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from tests.people.study.stand_in import TYPES
-from xplain.experiment.config import composed
-from xplain.people.material import worded
+from xplain.experiment.config import compose_config
+from xplain.people.material import reword_parameters
 from xplain.people.study import prepare as content
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
@@ -18,7 +18,7 @@ from xplain.people.study.plan import StudyPlan
 def test_needed_messages_are_smallest(study: Study) -> None:
     plan = study.plan
     for labels in plan.true_labels:
-        mask = content.needed(labels)
+        mask = content.find_needed(labels)
         assert labels[:, mask].all()
         smaller = [m for m in range(16) if m.bit_count() < mask.bit_count()]
         assert not any(labels[:, m].all() for m in smaller)
@@ -54,11 +54,11 @@ def test_no_word_of_the_quiz_gives_the_answers_away() -> None:
     on the rescue task, whose facts are all good news."""
     from hydra.utils import instantiate
 
-    cfg = composed("study", ["seed=0"])
+    cfg = compose_config("study", ["seed=0"])
     domain = instantiate(cfg.domain)
     types = instantiate(cfg.users).types(domain, np.random.default_rng(0))
     wording = OmegaConf.to_container(cfg.wording, resolve=True)
-    parameters = worded(domain.parameters, wording["facts"], lambda text: text)
+    parameters = reword_parameters(domain.parameters, wording["facts"], lambda text: text)
     # As on the study's trace, every type has to have both of its facts corrected.
     labels = np.zeros((5, 1, 64), dtype=np.uint8)
     for t, user_type in enumerate(types):

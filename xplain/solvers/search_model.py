@@ -1,4 +1,5 @@
-"""The parts that both compiled searches use: the process of one problem, inside a kernel."""
+"""The model that both compiled searches read: the process of one problem as arrays, with the
+kernels that they share."""
 
 from __future__ import annotations
 
