@@ -1,4 +1,5 @@
-"""What messages that are missed or forgotten cost (docs/people-who-err.md), with a picture.
+"""Measures the cost of messages that are missed or forgotten (docs/people-who-err.md), with a
+picture.
 
 python benchmarks/again.py            the jobs of sweeps=again, its table and picture
 python benchmarks/again.py --quick    a smoke run
@@ -25,12 +26,12 @@ WAYS = {
     "learned": ("weighs how often they do not", "#0072B2", "o-"),
     "seen": ("sees type and knowledge", "#666666", "d:"),
 }
-"""Explainers of the picture: name, colour, line."""
+"""Explainers in the picture: name, colour and line."""
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "again.png"
 
 
 def messages(quick: bool) -> None:
-    """The table and the picture of messages that do not land, from ``sweeps=again``."""
+    """Makes the table and the picture of messages that are missed, from ``sweeps=again``."""
     few = ("seed=0,1", "traces=1", "explainee=heedless", "explainee.forget=0.03,0.15")
     rows = xplain.sweep("sweeps=again", "tracking=none", *(few if quick else ())).frame()
     rows["way"] = np.where(rows["belief"] == "told", "told", "paper")
@@ -63,7 +64,7 @@ def messages(quick: bool) -> None:
 
 
 def picture(costs: pd.DataFrame) -> Figure:
-    """Cost against how many messages are missed, by how often facts are forgotten."""
+    """Draws the cost against the share of missed messages, by the rate of forgetting."""
     lost = sorted(set(costs.loc[costs["explainee.accept"] == 1, "explainee.forget"]))
     figure = Figure(figsize=(9.6, 6.2), layout="constrained")
     axes = figure.subplots(len(DOMAINS), len(lost), sharex=True, sharey="row")

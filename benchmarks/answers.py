@@ -1,24 +1,24 @@
-"""Answers of real people that were left out, predicted: `xplain discover … predict=` beside others.
+"""Predicts left-out answers of real people, with `xplain discover … predict=` and other methods.
 
     python benchmarks/answers.py --data FOLDER   every NAME.csv in it (observer, item, label)
     python benchmarks/answers.py --examinees     an adaptive test of simulated examinees
     python benchmarks/answers.py --quick         simulated pupils, one split; few examinees
 
-A fifth of the answers is left out, by chance, in each of three splits. All methods see the same
-answers, and have no options but these: `discover, hypotheses` also knows the skills of each item
-(labeler=hypotheses); `question's mean` smooths by one answer of either kind;
-`Rasch` is a logistic regression on persons and items; `DINA` (Junker & Sijtsma 2001) takes the
-skills of NAME_items.csv (item, inexplicable_if: skills joined by `;`), with slips and guesses by
-item and shares of the 2^n profiles by expectation maximisation; `classes` are StepMix's latent
-classes, their number by BIC (needs `pip install 'xplain-hri[bench]'`); `mixture k` has k classes
-drawn to the question's mean with the weight of five answers.
+In each of three random splits a fifth of the answers is left out. All methods see the same answers,
+and have only these options: `discover, hypotheses` also knows the skills of each item
+(labeler=hypotheses); `question's mean` smooths by one answer of either kind; `Rasch` is a logistic
+regression on persons and items; `DINA` (Junker & Sijtsma 2001) takes the skills of NAME_items.csv
+(item, inexplicable_if: skills joined by `;`), with slips and guesses by item and shares of the 2^n
+profiles by expectation maximisation; `classes` are StepMix's latent classes, their number by BIC
+(needs `pip install 'xplain-hri[bench]'`); `mixture k` has k classes, shrunk to the question's mean
+with the weight of five answers.
 
-Where a table has answers before and after messages (column `messages`), all answers after them of a
-third of the people are left out, beside the question's mean, question x the person's own earlier
-answer, and a logistic regression on question, own earlier answer and earlier score.
+If a table has answers before and after messages (column `messages`), the later answers of a third
+of the people are left out. The other methods are then the question's mean, question x the person's
+own earlier answer, and a logistic regression on question, own earlier answer and earlier score.
 
-Tables of others stay out of the repository. Measured with it: fractions, K. Tatsuoka's data as in
-the R package CDM (data.fraction1); skateboard, of SUCCESS-MURI/psiturk-machine-teaching on GitHub.
+Other people's tables are not in the repository. Measured were: fractions, K. Tatsuoka's data in the
+R package CDM (data.fraction1); skateboard, from SUCCESS-MURI/psiturk-machine-teaching on GitHub.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ from xplain import Hypotheses, Questionnaire
 from xplain.learning.prediction import Tenth, calibration
 
 Table = NDArray[np.float64]
-"""[O, T] answers, NaN where none was given, or was left out."""
+"""[O, T] answers; NaN if an answer is missing or left out."""
 Method = Callable[[Table, Table | None], Table]
-"""P(answer 1) [O, T], by the answers and the skills of each item."""
+"""Returns P(answer 1) [O, T] from the answers and the skills of each item."""
 WEIGHT = 5.0
 
 
 def mean(answers: Table, _: Table | None) -> Table:
-    """The question's mean."""
+    """Predicts the question's mean."""
     asked = ~np.isnan(answers)
     value = (np.nansum(answers, axis=0) + 1) / (asked.sum(axis=0) + 2)
     return np.broadcast_to(value, answers.shape)
 
 
 def rasch(answers: Table, _: Table | None) -> Table:
-    """Ability and difficulty, each drawn to 0 by a normal prior of variance 1."""
+    """Fits ability and difficulty, each with a normal prior of variance 1."""
     o, t = np.nonzero(~np.isnan(answers))
     both = np.hstack([np.eye(len(answers))[o], np.eye(answers.shape[1])[t]])
     model = LogisticRegression(C=1.0, max_iter=1000).fit(both, answers[o, t])
@@ -64,7 +64,7 @@ def rasch(answers: Table, _: Table | None) -> Table:
 
 
 def mixture(k: int, seed: int = 0) -> Method:
-    """k classes, the best of three starts."""
+    """Fits k classes, the best of three starts."""
 
     def expected(answers: Table, _: Table | None) -> Table:
         asked, centre = ~np.isnan(answers), mean(answers, None)[0]
@@ -126,8 +126,8 @@ def classes(answers: Table, _: Table | None) -> Table:
 
 
 def discovered(answers: Table, needed: Table | None, labels: Table, folder: Path) -> Table:
-    """``xplain discover``, as a user runs it: [O, T], NaN but where answers were left out. Where
-    skills are given, people lack some, and the items that need one of these are answered 0."""
+    """Runs ``xplain discover`` as a user does: [O, T], NaN except for left-out answers. If skills
+    are given, people lack some of them, and answer 0 to the items that need one of these."""
     given, left = np.nonzero(~np.isnan(answers)), np.nonzero(np.isnan(answers) & ~np.isnan(labels))
     names = {"observer": [f"p{o:05d}" for o in given[0]], "item": given[1]}
     told = pd.DataFrame(names | {"label": answers[given].astype(int)})
@@ -140,8 +140,8 @@ def discovered(answers: Table, needed: Table | None, labels: Table, folder: Path
 def predicted(
     told: pd.DataFrame, asked: pd.DataFrame, needed: Table | None, folder: Path
 ) -> NDArray[np.float64]:
-    """``xplain discover``'s P(answer 1) of the rows ``asked``; skills ``needed`` [T, n] are named
-    skill_0, skill_1, …, as in the tables' messages."""
+    """Returns the P(answer 1) that ``xplain discover`` predicts for the rows ``asked``. Skills
+    ``needed`` [T, n] have the names skill_0, skill_1, …, as in the tables' messages."""
     told.to_csv(folder / "given.csv", index=False)
     asked.to_csv(folder / "left.csv", index=False)
     command = [sys.executable, "-m", "xplain", "discover", "data=given.csv", "predict=left.csv"]
@@ -162,13 +162,13 @@ def predicted(
 
 
 def nats(one: Table, labels: Table, left: NDArray[np.bool_]) -> float:
-    """A left-out answer."""
+    """Computes the nats per left-out answer."""
     p = np.clip(one[left], 1e-6, 1 - 1e-6)
     return float(-np.log(np.where(labels[left] == 1, p, 1 - p)).mean())
 
 
 def table_of(path: Path) -> tuple[Table, Table | None]:
-    """Answers, and the skills of each item where the file beside says them."""
+    """Reads the answers, and the skills of each item if there is a file of them."""
     wide = pd.read_csv(path).pivot_table("label", "observer", "item", aggfunc="first")
     items = path.with_name(f"{path.stem}_items.csv")
     if not items.exists():
@@ -180,7 +180,7 @@ def table_of(path: Path) -> tuple[Table, Table | None]:
 
 
 def skills_of(path: Path) -> list[str]:
-    """The skills in the file beside a table; none where there is no such file."""
+    """Reads the skills in the file beside a table; None without such a file."""
     items = path.with_name(f"{path.stem}_items.csv")
     if not items.exists():
         return []
@@ -251,7 +251,7 @@ def compare(name: str, labels: Table, needed: Table | None, splits: int) -> None
 
 
 def own_earlier(before: Table, after: Table) -> Table:
-    """The mean of people who gave the same earlier answer to the question."""
+    """Predicts the mean of people with the same earlier answer to the question."""
     taught, result = ~np.isnan(after[:, 0]), np.empty(before.shape)
     for answer in (0, 1):
         same = (before == answer) & taught[:, None]
@@ -261,7 +261,8 @@ def own_earlier(before: Table, after: Table) -> Table:
 
 
 def by_score(before: Table, after: Table) -> Table:
-    """A logistic regression on the question, the earlier answer to it and the earlier score."""
+    """Fits a logistic regression on the question, the earlier answer to it and the earlier
+    score."""
     o, t = np.indices(before.shape).reshape(2, -1)
     known = ~np.isnan(after[o, t])
     inputs = np.column_stack([np.eye(before.shape[1])[t], before[o, t], before.mean(axis=1)[o]])
@@ -270,8 +271,8 @@ def by_score(before: Table, after: Table) -> Table:
 
 
 def after_teaching(path: Path, splits: int) -> None:
-    """Prints how well answers after messages are predicted, where a table has both: those of a
-    third of the people who were told something are left out."""
+    """Prints how well answers after messages are predicted if a table has answers before and after.
+    The later answers of a third of these people are left out."""
     every, needed = pd.read_csv(path).fillna({"messages": ""}), table_of(path)[1]
     names = {"": "", **{skill: f"skill_{j}" for j, skill in enumerate(skills_of(path))}}
     joined = [";".join(names[m] for m in own.split(";")) for own in every["messages"]]
@@ -309,13 +310,14 @@ def after_teaching(path: Path, splits: int) -> None:
 
 
 def worst(tenths: tuple[Tenth, ...]) -> float:
-    """The largest difference in a tenth."""
+    """Returns the largest difference in a tenth of the predictions."""
     return max(abs(one.said - one.ones) for one in tenths)
 
 
 def examinees(banks: int, people: int) -> None:
-    """An adaptive test with known slips and guesses: five skills, drawn anew for each examinee; 300
-    items a bank, each of one to three skills, slips and guesses from .05 to .15."""
+    """Simulates an adaptive test with known slips and guesses. Each examinee has five random
+    skills; a bank has 300 items with one to three skills each, and slips and guesses from 0.05 to
+    0.15."""
     right: dict[int, list[bool]] = {5: [], 10: [], 15: []}
     until = []
     for bank in range(banks):

@@ -1,12 +1,13 @@
-"""Explaining to people nobody assumed (docs/people-nobody-assumed.md).
+"""Measures explanations to people nobody assumed (docs/people-nobody-assumed.md).
 
     python benchmarks/anybody.py true       every kind of people, with true types and labels
     python benchmarks/anybody.py learned    the same, with types learned from 20 labels, 5 % wrong
     python benchmarks/anybody.py --quick    a smoke run
 
-Maps are drawn by the generators of benchmarks/questions.py, a new one a seed; the default discount,
-costs by what people truly think. A ratio compares ``belief=open`` with the best of ``belief=
-independent``, conformant and say all for that kind of people; its standard error is over maps.
+The generators of benchmarks/questions.py draw a new map for each seed. The discount is the default,
+and costs count what people truly think. A ratio compares ``belief=open`` with the best of
+``belief=independent``, conformant and say all for that kind of people; its standard error is over
+maps.
 """
 
 from __future__ import annotations
@@ -86,11 +87,11 @@ POLICIES: dict[str, tuple[BeliefUpdate, Solver]] = {
 
 
 class Told(NamedTuple):
-    """One episode: of which world, λ, kind, policy, trace and user it is.
+    """One episode with its world, λ, kind of people, policy, trace and user.
 
     Attributes:
-        right: [N] whether each type found thinks as the user did, of all that this user was shown:
-            no answer tells the two apart.
+        right: [N] True if a found type thinks as the user did about everything that this user was
+            shown, so that no answer separates them.
     """
 
     seed: int
@@ -104,7 +105,7 @@ class Told(NamedTuple):
 
 
 def of_kinds(world: World, name: str, people: dict[str, Explainee]) -> dict[str, Prepared]:
-    """The world with users of each kind, where its task has any."""
+    """Yields the world with users of each kind that its task has."""
     domain = f"domain={'rescue' if 'rescue' in name else 'four_rooms'}"
     made = components_of(compose_config("config", [domain, f"seed={world.seed}"]))
     components, found = replace(made, domain=domain_of(name, world.seed)), {}
@@ -121,7 +122,7 @@ def of_kinds(world: World, name: str, people: dict[str, Explainee]) -> dict[str,
 
 def episodes(name: str, seeds: Iterable[int], trade_offs: Iterable[float], *overrides: str,
              traces: int = TRACES) -> Iterator[Told]:  # fmt: skip
-    """Every explainer explains every trace to everybody."""
+    """Lets every explainer explain every trace to all users."""
     people = KINDS
     for world in worlds(name, seeds, traces, *overrides, "discount=0.95"):
         users = of_kinds(world, name, people)
@@ -143,7 +144,7 @@ def episodes(name: str, seeds: Iterable[int], trade_offs: Iterable[float], *over
 
 
 def thought_alike(prepared: Prepared, case: Case, episode: Episode) -> NDArray[np.bool_]:
-    """[N] whether each learned type's true labels are what the user thought at every step."""
+    """[N] True if a learned type's true labels are what the user thought at every step."""
     own = [np.flatnonzero(prepared.distinct == one)[0] for one in prepared.matched_true_type]
     given, alike = 0, np.ones(len(own), np.bool_)
     for k, (said, thoughts) in enumerate(zip(episode.messages, episode.thoughts, strict=True)):
@@ -154,7 +155,8 @@ def thought_alike(prepared: Prepared, case: Case, episode: Episode) -> NDArray[n
 
 
 def ratio(over: NDArray[np.float64], under: NDArray[np.float64]) -> tuple[float, float]:
-    """Of the sums of two costs by world, and its standard error; of two zeros it is 1."""
+    """Returns the ratio of two costs summed over worlds, with its standard error; the ratio of two
+    zeros is 1."""
     if not under.any():
         return (np.inf if over.any() else 1.0), 0.0
     found = over.sum() / under.sum()
@@ -198,8 +200,8 @@ def table(
 
 
 def calibration(opened: dict[str, list[Told]]) -> None:
-    """Prints how often a high fit and a high belief are right, where half of the people are as
-    assumed and half of another kind."""
+    """Prints how often a high fit and a high belief are right if half of the people are as assumed
+    and half of another kind."""
     print("| half as assumed, half | mean fit | fit ≥ 0.95 | of a found type | belief ≥ 0.997 "
           "| right |\n|---|---|---|---|---|---|")  # fmt: skip
     found = {}

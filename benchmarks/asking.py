@@ -1,4 +1,5 @@
-"""Asking before explaining (docs/asking.md): what it wins, for whom, and how quickly it is decided.
+"""Measures questions before explanations (docs/asking.md): what they save, for which people, and
+the time of a decision.
 
     python benchmarks/asking.py table     cost against the price of a question, by solver
     python benchmarks/asking.py learned   with types learned from 20 chosen questions, 5 % wrong
@@ -7,7 +8,8 @@
     python benchmarks/asking.py speed     milliseconds of a decision with 150 clips
     python benchmarks/asking.py --quick   a smoke run
 
-λ = 1, no discount, clips of all that the robot can do; costs by what users truly think.
+λ is 1, without discount; clips show everything that the robot can do; costs count what users truly
+think.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ from xplain.solvers.simple import QHR, AskFirst
 
 PRICES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
 TRACES = {"rescue": 5, "four_rooms": 6}
-"""Of seed 0: their optimum with all questions before the first step was worked out elsewhere."""
+"""Cases of seed 0 whose optimum with all questions before the first step is known from another
+computation."""
 SOLVERS: Mapping[str, Solver] = {
     "certified": Certified(),
     "qmdp": QMDP(),
@@ -53,11 +56,11 @@ AGAIN = ((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1)
 """α and φ."""
 MAPS = (*DOMAINS, "random rescue", "random rooms")
 FRESH = 9400
-"""The first seed of people and traces that no setting was chosen on."""
+"""The first seed of people and traces; no setting was chosen on it or later ones."""
 
 
 def world(name: str, seed: int, traces: int, *source: str, clips: int = 150) -> World:
-    """A map's types, traces and clips."""
+    """Makes a map's types, traces and clips."""
     domain = "rescue" if "rescue" in name else "four_rooms"
     fixed = (f"domain={domain}", "discount=1", f"traces={traces}", f"seed={seed}")
     cfg = compose_config("config", [*fixed, "ask=clips", f"ask.clips={clips}", *source])
@@ -68,23 +71,23 @@ def world(name: str, seed: int, traces: int, *source: str, clips: int = 150) -> 
 
 
 def at(world_: World, price: float, when: When = "anytime") -> World:
-    """The same, where a question costs so much."""
+    """Returns the same world with this cost of a question."""
     return world_._replace(costs=replace(world_.costs, asking=Limits(price, when=when)))
 
 
 def silent(world_: World) -> World:
-    """The same, where nothing is asked."""
+    """Returns the same world without questions."""
     cases = tuple(replace(case, questions=None) for case in world_.prepared.cases)
     return world_._replace(prepared=replace(world_.prepared, cases=cases))
 
 
 def asked(records: list[Record]) -> float:
-    """Mean questions of an episode."""
+    """Returns the mean number of questions in an episode."""
     return float(np.mean([record.episode.n_questions for record in records]))
 
 
 def table(seeds: Iterable[int] = (0,), traces: Mapping[str, int] = TRACES) -> None:
-    """Cost by κ and solver, with the mean number of questions."""
+    """Prints the cost by κ and solver, with the mean number of questions."""
     head = " | ".join(f"{price:g}" for price in PRICES)
     print(f"| solver | never | {head} |\n|{'---|' * (len(PRICES) + 2)}")
     for domain in DOMAINS:
@@ -99,7 +102,7 @@ def table(seeds: Iterable[int] = (0,), traces: Mapping[str, int] = TRACES) -> No
 
 
 def figures(worlds: list[World], solver: Solver, explainee: Explainee, price: float | None) -> str:
-    """Mean cost, and how many questions were asked."""
+    """Formats the mean cost and the mean number of questions."""
     asks = [silent(w) if price is None else at(w, price) for w in worlds]
     records = [w.meets(explainee, Independent(), solver) for w in asks]
     said = f"{np.mean([cost(r) for r in records]):.3f}"
@@ -107,7 +110,8 @@ def figures(worlds: list[World], solver: Solver, explainee: Explainee, price: fl
 
 
 def learned(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> None:
-    """Types learned from 20 questions a person, 5 % of the answers wrong; κ = .1."""
+    """Prints the costs with types learned from 20 questions to each person, 5 % of the answers
+    wrong; κ = 0.1."""
     print("| map | never | asking | type known | never / known | asking / known | questions |")
     print("|---|---|---|---|---|---|---|")
     for name in maps:
@@ -125,7 +129,8 @@ def learned(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> No
 
 
 def errors(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> None:
-    """One answer in ten wrong; κ = .1; true types and labels, the rate told or learned."""
+    """Prints the costs if one answer in ten is wrong; κ = 0.1, true types and labels, the rate
+    known or learned."""
     ways = ("never", "first", "anytime")
     print("| map | users err | rate | never | first | anytime | never − anytime | questions |")
     print("|---|---|---|---|---|---|---|---|")
@@ -149,14 +154,15 @@ def errors(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> Non
 
 
 def meets(here: World, way: str, explainee: Explainee, update: BeliefUpdate) -> list[Record]:
-    """Episodes of QMDP that asks never, first, or anytime."""
+    """Runs episodes of QMDP that asks never, first, or anytime."""
     if way == "never":
         return silent(here).meets(explainee, update, QMDP())
     return at(here, 0.1, "first" if way == "first" else "anytime").meets(explainee, update, QMDP())
 
 
 def again(seeds: Iterable[int], traces: int) -> None:
-    """Messages that may be missed (α) or forgotten (φ), rates told; κ = .1, true labels."""
+    """Prints the costs if messages may be missed (α) or forgotten (φ) at known rates; κ = 0.1, true
+    labels."""
     print(
         "| α, φ | never | asking | never − asking | questions | POMCP, asking | type and K seen |"
     )
@@ -183,7 +189,8 @@ def again(seeds: Iterable[int], traces: int) -> None:
 
 
 def speed(seeds: Iterable[int], traces: int) -> None:
-    """Milliseconds of a step's decision, questions and messages, where 150 clips are open."""
+    """Prints the milliseconds of a step's decision about questions and messages with 150 possible
+    clips."""
     print("| solver | clips | mean of a step | longest |\n|---|---|---|---|")
     for name in ("qmdp", "pomcp", "certified"):
         for error in (0.0, 0.1)[: 1 if name == "certified" else 2]:  # it would take minutes

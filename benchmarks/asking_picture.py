@@ -1,5 +1,5 @@
-"""Draws what asking saves into docs/pictures/asking.png, and prints the table of docs/asking.md, of
-``python -m xplain sweeps=asking``, which is run where it was not.
+"""Draws docs/pictures/asking.png and prints the table of docs/asking.md, from ``python -m xplain
+sweeps=asking``, which it runs if needed.
 
     python benchmarks/asking_picture.py
     python benchmarks/asking_picture.py --quick    a smoke run
@@ -27,7 +27,7 @@ POLICIES = {
     "asks at any time, QMDP": ("qmdp", "clips", "anytime"),
     "asks at any time, certified optimum": ("certified", "clips", "anytime"),
 }
-"""What the table has: the solver, ``ask`` and ``ask.when``."""
+"""The rows of the table: the solver, ``ask`` and ``ask.when``."""
 DRAWN: dict[str, dict[str, Any]] = {
     "never asks, certified optimum": {"color": COLOURS[7], "linewidth": 3},
     "asks at any time, certified optimum": {"color": COLOURS[5], "linewidth": 7, "alpha": 0.6},
@@ -67,7 +67,7 @@ def of(frame: pd.DataFrame, policy: str) -> pd.DataFrame:
 
 
 def draw(axes: Axes, frame: pd.DataFrame) -> None:
-    """Cost against κ, one domain."""
+    """Draws the cost against κ in one domain."""
     for policy, style in DRAWN.items():
         own = of(frame, policy)
         axes.plot(own.index, own["cost_mean"], label=policy, **style)
@@ -81,7 +81,7 @@ def draw(axes: Axes, frame: pd.DataFrame) -> None:
 
 
 def table(frame: pd.DataFrame) -> str:
-    """Costs, with the questions asked in brackets, in Markdown."""
+    """Writes the costs, with the number of questions in parentheses, in Markdown."""
     costs = sorted({float(cost) for cost in frame["ask.cost"]})
     lines = [
         f"| domain | policy | {' | '.join(f'κ = {cost:g}' for cost in costs)} |",

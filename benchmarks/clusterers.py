@@ -4,9 +4,10 @@
     python benchmarks/clusterers.py --quick      1 seed of one setting, few labels
     python benchmarks/clusterers.py --methods kmeans --noise 0 --seeds 40 --first 100
 
-The domains' own numbers of labels and types (four rooms: 2, 3 and 4), three observers a type.
-``right`` counts the data sets whose adjusted Rand index (ARI) to the behaviourally distinct true
-types is 1, ``k`` those with the right number of types; ``rules`` says what chose that number.
+Numbers of labels and types are those of the domains (four rooms: 2, 3 and 4 types), with three
+observers of each type. ``right`` counts the data sets whose adjusted Rand index (ARI) to the
+behaviourally distinct true types is 1, ``k`` those with the right number of types; ``rules`` names
+the rules that chose this number.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ Row = dict[str, Any]
 def found(
     setting: str, queries: str, noise: float, method: str, seed: int, points: int | None
 ) -> Row:
-    """What a clusterer makes of one data set."""
+    """Returns the result of a clusterer on one data set."""
     few = () if points is None else (f"points={points}",)
     choices = (*SETTINGS[setting], f"queries={queries}", f"observers.label_noise={noise}", *few)
     cfg = compose_config("observe", choices)

@@ -1,18 +1,18 @@
-"""How well the types of simulated observers are found again, by method and kind of data.
+"""Measures how well methods find the types of simulated observers, by kind of data.
 
-    python benchmarks/discovery.py goals         the settings that the project set itself as goals
-    python benchmarks/discovery.py grid          domains × questions × noise × points × types
-    python benchmarks/discovery.py growth        time against observers and labels
-    python benchmarks/discovery.py --quick       a little of each, nothing written
+    python benchmarks/discovery.py goals         the settings with goals of the project python
+    benchmarks/discovery.py grid          domains × questions × noise × points × types python
+    benchmarks/discovery.py growth        time against observers and labels python
+    benchmarks/discovery.py --quick       a little of each, nothing written
 
 Every method has one setting for all rows (conf/clusterer/<method>.yaml). Seeds from 5000 on are
-kept for this benchmark; methods were made and tuned on others. The truth: types that label all
-reachable questions alike are one. The held-out log-likelihood (nats a label) is of paper's trees
-fitted to the clusters found, on a held-out quarter of the distinct questions; the clusters
-themselves were found from all labels. Times are CPU seconds of finding the types.
+kept for this benchmark; methods were made and tuned on others. Types with the same labels for all
+reachable questions count as one. The held-out log-likelihood (nats per label) is that of the
+paper's trees, fitted to the clusters found, on a held-out quarter of the distinct questions; the
+clusters were found from all labels. Times are CPU seconds to find the types.
 
-Results go to benchmarks/results/. The grid is long: its rows are kept one by one in
-outputs/benchmarks/, and a run that was stopped goes on where it was.
+Results go to benchmarks/results/. The grid takes long: each row is saved in outputs/benchmarks/,
+and a stopped run continues there.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ GOALS = [  # domain, types, questions, points, noise, goal
 
 @lru_cache(maxsize=8)
 def setting_of(domain: str, types: int | None, seed: int) -> Setting:
-    """The domain's own types, or so many drawn at random."""
+    """Returns the domain's own types, or this number of random types."""
     cfg = compose_config("observe", [f"domain={domain}"])
     made = instantiate(cfg.domain)
     source = instantiate(cfg.users) if types is None else RandomCover(types)
@@ -86,13 +86,13 @@ def setting_of(domain: str, types: int | None, seed: int) -> Setting:
 
 @cache
 def clusterer(method: str) -> Any:
-    """As conf/clusterer/<method>.yaml says."""
+    """Makes the clusterer of conf/clusterer/<method>.yaml."""
     return instantiate(compose_config("discover", [f"clusterer={method}"]).clusterer)
 
 
 @dataclass(frozen=True)
 class Found:
-    """What one method made of one data set."""
+    """The result of one method on one data set."""
 
     setting: Setting
     dataset: Dataset
@@ -104,7 +104,7 @@ class Found:
 def find(
     domain: str, types: int | None, queries: str, points: int, noise: float, method: str, seed: int
 ) -> Found:
-    """One data set, one method."""
+    """Finds the types in one data set with one method."""
     setting = setting_of(domain, types, seed)
     observers = SimulatedObservers(points=points, label_noise=noise)
     observed = observers.collect(setting, QUERIES[queries], seed)
@@ -135,7 +135,8 @@ def find(
 
 
 def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
-    """Mean cost above the oracle's of QMDP (λ = 1) with the types found, and with the true ones."""
+    """Returns QMDP's mean cost above the oracle's (λ = 1) with the types found, and with the true
+    types."""
     setting, dataset, trainer = found.setting, found.dataset, LabelerTrainer()
 
     def learned(clustering: Clustering) -> UserTypes:
@@ -170,7 +171,7 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
 
 
 def goals(seeds: int, traces: int, jobs: int, methods: Sequence[str]) -> pd.DataFrame:
-    """One row a goal, method and seed."""
+    """Measures one row for each goal, method and seed."""
 
     def one(goal: Any, method: str, seed: int) -> dict[str, Any]:
         domain, types, queries, points, noise, wanted = goal
@@ -187,9 +188,10 @@ def goals(seeds: int, traces: int, jobs: int, methods: Sequence[str]) -> pd.Data
 def grid(
     seeds: int, jobs: int, quick: bool, domains: Sequence[str], methods: Sequence[str]
 ) -> pd.DataFrame:
-    """Domains × questions × noise × points × types × methods; a row done before is not made again.
+    """Measures domains × questions × noise × points × types × methods, without rows that are
+    already saved.
 
-    Seed by seed, so that every cell has as many whenever it is stopped.
+    It goes seed by seed, so that all cells have equally many rows if it is stopped.
     """
     cells = product(
         range(FIRST_SEED, FIRST_SEED + seeds),
@@ -224,7 +226,8 @@ def grid(
 
 @cache
 def meaning(domain: str, method: str) -> str:
-    """Changes with the values of the domain and of the method: rows of other values are stale."""
+    """A digest of the values of the domain and the method: rows with another digest are out of
+    date."""
     cfg = compose_config("observe", [f"domain={domain}"]).domain
     chosen = compose_config("discover", [f"clusterer={method}"]).clusterer
     text = OmegaConf.to_yaml(cfg) + OmegaConf.to_yaml(chosen)
@@ -232,7 +235,7 @@ def meaning(domain: str, method: str) -> str:
 
 
 def growth(quick: bool) -> pd.DataFrame:
-    """Time and success of whole discoveries, by the number of observers."""
+    """Measures time and success of whole discoveries, by the number of observers."""
     setting = setting_of("rescue", None, 0)
     rows = []
     for observers in (30, 100) if quick else (100, 1000, 10_000):
@@ -257,13 +260,13 @@ def growth(quick: bool) -> pd.DataFrame:
 
 
 def score(truth: NDArray[np.int64], assignment: NDArray[np.int64]) -> float:
-    """Adjusted Rand index: 1 where the partitions are the same, 0 on average by chance."""
+    """Returns the adjusted Rand index: 1 for equal partitions, 0 on average by chance."""
     return float(adjusted_rand_score(truth, assignment))
 
 
 def picture(rows: pd.DataFrame) -> Figure:
-    """Adjusted Rand index by points (above; lines: noise, mean over types) and by number of types
-    (below; lines: points, mean over noise), mean over seeds with its 95 % interval."""
+    """Draws the adjusted Rand index by points (above; lines: noise, mean over types) and by number
+    of types (below; lines: points, mean over noise), as means over seeds with 95 % intervals."""
     panels = list(product(("rescue", "four_rooms"), ("shared", "independent")))
     figure, axes = plt.subplots(
         2, len(panels), figsize=(12, 6.4), sharey=True, layout="constrained"
@@ -302,14 +305,15 @@ def picture(rows: pd.DataFrame) -> Figure:
 
 
 def interval(values: pd.Series) -> str:
-    """Mean and, of more than one, half of its 95 % interval."""
+    """Returns the mean and, if there are several values, half of its 95 % interval."""
     if len(values) == 1:
         return f"{values.mean():.3f}"
     return f"{values.mean():.3f} ± {1.96 * values.std() / len(values) ** 0.5:.3f}"
 
 
 def by_cell(rows: pd.DataFrame) -> pd.DataFrame:
-    """One row a cell of the grid: means over its seeds, and half the 95 % interval of the score."""
+    """Returns one row for each cell of the grid: means over its seeds, and half of the score's 95 %
+    interval."""
     cells = rows.groupby([*DATA, "method"])
     table = cells[FIGURES].mean()
     table.insert(0, "seeds", cells.size())
@@ -318,7 +322,7 @@ def by_cell(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def shown(rows: pd.DataFrame, by: list[str], measures: list[str]) -> str:
-    """Means with intervals, as a table in Markdown."""
+    """Writes means with intervals as a table in Markdown."""
     table = rows.groupby(by, sort=False)[measures].agg(interval).reset_index()
     head = [*by, *measures]
     lines = [" | ".join(head), " | ".join("---" for _ in head)]

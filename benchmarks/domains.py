@@ -1,4 +1,5 @@
-"""What makes the domains real tasks, measured; and how rescue's map was drawn (docs/domains.md).
+"""Measures the properties that make the domains real tasks, and draws rescue's map
+(docs/domains.md).
 
     python benchmarks/domains.py            the table of properties, in Markdown
     python benchmarks/domains.py --draw     draws random maps up to the first with all properties
@@ -44,13 +45,13 @@ from xplain.report.trace import draw_trace
 DOMAINS = ("four_rooms", "rescue", "taxi", "cliff_walking", "frozen_lake")
 PICTURES = Path(__file__).parent.parent / "docs" / "pictures"
 TYPE_COUNTS = (2, 3, 4)
-"""Of domains whose types are drawn: figures are means over these and the seeds."""
+"""Numbers of types, for domains with random types: figures are means over these and the seeds."""
 SEEDS = 10
 TRACES = 200
 
 
 def settings_of(domain: str, seeds: int = SEEDS) -> list[Setting]:
-    """The domain with its types; where these are drawn at random, one of each count and seed."""
+    """Yields the domain with its types; if these are random, once for each count and seed."""
     cfg = compose_config("observe", [f"domain={domain}"])
     made = instantiate(cfg.domain)
     if "count" not in cfg.users:
@@ -62,12 +63,12 @@ def settings_of(domain: str, seeds: int = SEEDS) -> list[Setting]:
 
 
 def sampled(setting: Setting) -> list[Trace]:
-    """The traces that figures are taken over."""
+    """Draws the traces of the figures."""
     return on_policy_traces(setting, TRACES, stream(0, "domain properties"))
 
 
 def properties(domain: str, seeds: int = SEEDS) -> dict[str, str]:
-    """The column of a domain."""
+    """Returns the column of a domain."""
     settings = settings_of(domain, seeds)
     first = settings[0]
     number, traces = count_traces(first), sampled(first)
@@ -101,7 +102,7 @@ def properties(domain: str, seeds: int = SEEDS) -> dict[str, str]:
 
 
 def has_all(setting: Setting) -> bool:
-    """Whether a rescue task has the properties that its map must have (docs/choices.md)."""
+    """Returns True if a rescue task has the required properties of its map (docs/choices.md)."""
     traces = sampled(setting)
     found = problems(setting, traces)
     return bool(
@@ -115,8 +116,8 @@ def has_all(setting: Setting) -> bool:
 
 
 def draws() -> Iterator[tuple[str, bool | None]]:
-    """Random maps, one after the other, and whether they have all properties; None where something
-    has no way to the shelter."""
+    """Yields random maps, with True if they have all properties; None if something has no way to
+    the shelter."""
     cfg = compose_config("observe", ["domain=rescue"])
     node: Any = OmegaConf.to_container(cfg.domain, resolve=True)
     fixed = {key: value for key, value in node.items() if not key.startswith("_")}
@@ -134,7 +135,7 @@ def draws() -> Iterator[tuple[str, bool | None]]:
 
 
 def draw(most: int) -> None:
-    """Prints the first map with all properties, and how many were drawn."""
+    """Prints the first map with all properties, and the number of maps drawn."""
     usable = 0
     for number, (drawn, chosen) in enumerate(islice(draws(), most), 1):
         usable += chosen is not None
@@ -145,8 +146,8 @@ def draw(most: int) -> None:
 
 
 def picture(domain: str, folder: Path) -> None:
-    """Draws the sampled trace that passes most doors (in rescue: the longest), labelled by a user
-    of the first type to whom nothing is said."""
+    """Draws the sampled trace through the most doors (in rescue: the longest), labelled by a user
+    of the first type without messages."""
     setting = settings_of(domain, 1)[0]
     traces = sampled(setting)
 

@@ -1,17 +1,18 @@
-"""Hypotheses against labels alone: who gains when hypotheses are guesses.
+"""Compares hypotheses with labels alone if hypotheses are guesses.
 
     python benchmarks/evidence.py                            measures, and keeps each data set
     python benchmarks/evidence.py --table                    the table of those kept
     python benchmarks/evidence.py --first 7300 --seeds 101   the same of other seeds
     python benchmarks/evidence.py --quick                    one data set, nothing written
 
-Nothing was chosen on the seeds from 7500 on; those below were looked at, with the code of then.
+Nothing was tuned on the seeds from 7500 on; smaller seeds were used during development.
 
-Maps and people are those of questions.py, 40 labels a person, one in twenty wrong. Three ways:
-*weighed*, as shipped (queries=adaptive labeler=hypotheses: hypotheses are weighed, and given up
-where labels alone predict better), *believed* (the same, but hypotheses are believed come what
-may), and *labels alone* (queries=independent labeler=practice). Costs of QMDP at λ = 1, five
-traces. *scrambled* people have hypotheses that give each transition the labels of another.
+Maps and people are those of questions.py, with 40 labels for each person, one in twenty wrong.
+There are three ways: *weighed*, the default (queries=adaptive labeler=hypotheses: hypotheses are
+weighed, and given up if labels alone predict better), *believed* (the same, but hypotheses are
+always believed), and *labels alone* (queries=independent labeler=practice). Costs are QMDP's at λ =
+1 on five traces. *scrambled* people have hypotheses that give each transition the labels of
+another.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ KEY = ["map", "people", "seed"]
 
 @contextmanager
 def believing() -> Iterator[None]:
-    """Hypotheses are never doubted or beaten."""
+    """Makes hypotheses that are never doubted or replaced."""
     never = [
         (evidence, "BEATEN", np.inf),
         (hypothesis_labeler, "DOUBTED", 1.0),
@@ -70,7 +71,7 @@ def believing() -> Iterator[None]:
 
 
 def learned(way: str, setting: Setting, path: str | None, seed: int) -> Any:
-    """The types that a way finds."""
+    """Finds the types in one of the ways."""
     name = "practice" if way == "labels alone" else "hypotheses"
     trainer = instantiate(compose_config("discover", [f"labeler={name}"]).labeler)
     clusterer = instantiate(
@@ -86,7 +87,7 @@ def learned(way: str, setting: Setting, path: str | None, seed: int) -> Any:
 
 
 def costs(setting: Setting, types: Any, traces: int, seed: int) -> tuple[float, float]:
-    """Mean costs with what was learned, and with true labels."""
+    """Returns mean costs with learned labels, and with true labels."""
     found, n = [], setting.n_messages
     for index in range(traces):
         trace = draw_trace(setting, 40, seed, index)
@@ -124,7 +125,8 @@ def row_of(name: str, people: str, seed: int, traces: int) -> dict[str, Any]:
 
 
 def table(rows: pd.DataFrame) -> str:
-    """By people: means, and the gate with 95 % of its bootstrap over data sets."""
+    """Returns means by people, and the ratio to the better way with the 95 % interval of its
+    bootstrap over data sets."""
     lines = ["| people | data sets | weighed / true | believed / true | labels alone / true | "
              "weighed / better of both | warned | given up |", "|---" * 8 + "|"]  # fmt: skip
     for people in (one for one in PEOPLE if one in set(rows["people"])):

@@ -1,4 +1,4 @@
-"""Explaining to people who err, miss messages or forget them (docs/people-who-err.md).
+"""Measures explanations to people who err, miss messages or forget them (docs/people-who-err.md).
 
     python benchmarks/explainees.py errors     answers that are the opposite of what is thought
     python benchmarks/explainees.py learned    the same, with types and rates learned from answers
@@ -7,9 +7,9 @@
     python benchmarks/explainees.py optimum    what nobody can do better than, proven
     python benchmarks/explainees.py --quick    a smoke run
 
-True types and labels (but in "learned" and "found"), no discount, λ = 1, both of the paper's
-domains; costs by what users truly think. Every row meets the same people, and differences are
-paired by seed.
+Types and labels are true (except in "learned" and "found"), λ = 1 without discount, in both of the
+paper's domains; costs count what users truly think. Every row has the same people, and differences
+are paired by seed.
 """
 
 from __future__ import annotations
@@ -45,21 +45,20 @@ from xplain.solvers.lookahead import Lookahead
 DOMAINS = ("rescue", "four_rooms")
 SEEDS = range(9300, 9312)
 POINTS = (0.8, 0.0), (0.8, 0.1)
-"""α and φ of people who miss messages, and of who forget them, too."""
+"""α and φ of people who miss messages, and of people who also forget them."""
 FLOOR = 0.002
-"""The least probability of an answer, where an explainer knows nothing of errors but that they
-are."""
+"""The minimum probability of an answer if an explainer knows only that errors exist."""
 
 
 @dataclass(frozen=True)
 class Halves(Explainee):
-    """Half of the people never err, half at a rate."""
+    """People of whom half never err and half err at a rate."""
 
     rate: float
     repeats: bool
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """Every other seed's person errs."""
+        """Makes a person who errs at every second seed."""
         who: Explainee = Slips(self.rate, self.repeats) if seed % 2 else Exact()
         return who.meet(labels, same, seed)
 
@@ -72,14 +71,14 @@ class World(NamedTuple):
     seed: int
 
     def meets(self, explainee: Explainee, belief: BeliefUpdate, solver: Solver) -> list[Record]:
-        """Episodes of one explainer with these people."""
+        """Runs the episodes of one explainer with these people."""
         own = {"solver": solver}
         return evaluate(self.prepared, self.costs, own, belief, explainee, self.seed)
 
 
 def worlds(name: str, seeds: Iterable[int], traces: int, *overrides: str) -> Iterator[World]:
-    """True types and labels, or what the overrides say, by seed; a domain, or a random map a
-    seed."""
+    """Makes worlds by seed, with true types and labels or other overrides; of a domain, or with a
+    random map for each seed."""
     source = overrides or ("labeler=truth", "clusterer=perfect")
     domain = "rescue" if "rescue" in name else "four_rooms"
     for seed in seeds:
@@ -90,7 +89,7 @@ def worlds(name: str, seeds: Iterable[int], traces: int, *overrides: str) -> Ite
 
 
 def floored(world: World) -> World:
-    """The same, its labels never quite sure."""
+    """Returns the same table without certain labels."""
     cases = tuple(
         replace(case, learned=replace(case.learned, p=case.learned.p.clip(FLOOR, 1 - FLOOR)))
         for case in world.prepared.cases
@@ -99,23 +98,24 @@ def floored(world: World) -> World:
 
 
 def cost(records: list[Record]) -> float:
-    """Mean cost of an episode."""
+    """Returns the mean cost of an episode."""
     return float(np.mean([record.episode.cost for record in records]))
 
 
 def log_score(records: list[Record]) -> float:
-    """Mean log of the final belief in the true type."""
+    """Returns the mean log of the final belief in the true type."""
     return float(np.mean([np.log(max(r.right_belief[-1], 1e-12)) for r in records]))
 
 
 def figure(values: list[float]) -> str:
-    """A mean over seeds, with half of its 95 % interval."""
+    """Formats a mean over seeds, with half of its 95 % interval."""
     found = clustered_mean(values, range(len(values)))
     return f"{found.mean:.2f} ± {(found.high - found.low) / 2:.2f}"
 
 
 def ratio(over: list[float], under: list[float]) -> str:
-    """Of two means, with the upper end of its 95 % interval over resampled seeds."""
+    """Formats the ratio of two means, with the upper end of its 95 % interval over resampled
+    seeds."""
     rng, pairs = np.random.default_rng(0), np.array([over, under])
     drawn = pairs[:, rng.integers(pairs.shape[1], size=(2000, pairs.shape[1]))].mean(axis=2)
     top = np.quantile(drawn[0] / drawn[1], 0.975)
@@ -123,7 +123,7 @@ def ratio(over: list[float], under: list[float]) -> str:
 
 
 def errors(seeds: Iterable[int], traces: int) -> None:
-    """The table of answers that err."""
+    """Prints the table of wrong answers."""
     people: dict[str, tuple[Explainee, Habits]] = {"never": (Exact(), PAPER)}
     for repeats in (False, True):
         how = "the same again" if repeats else "afresh"
@@ -165,7 +165,7 @@ def errors(seeds: Iterable[int], traces: int) -> None:
 
 
 def learned(seeds: Iterable[int], traces: int) -> None:
-    """The table of types from 20 chosen questions, answered with as many errors."""
+    """Prints the table with types from 20 chosen questions, answered at the same error rate."""
     print("| answers wrong | as the paper | told | learned | learned / told | rate learned |")
     print("|---|---|---|---|---|---|")
     for domain in DOMAINS:
@@ -188,7 +188,7 @@ def learned(seeds: Iterable[int], traces: int) -> None:
 
 
 def found(seeds: Iterable[int], traces: int) -> None:
-    """The table of messages that do not land, with types from 20 chosen questions."""
+    """Prints the table of missed messages, with types from 20 chosen questions."""
     print("| α, φ | rates | true types | types found | found / true |\n|---|---|---|---|---|")
     asked = ("labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05")
     ways = "told", "learned"
@@ -209,8 +209,8 @@ def found(seeds: Iterable[int], traces: int) -> None:
 
 
 def earlier(seeds: Iterable[int], traces: int) -> None:
-    """The table of rates learned from those who were explained to before: in the world of the seed
-    before, by an explainer who weighs the rates."""
+    """Prints the table with rates learned from earlier explanations: in the world of the previous
+    seed, by an explainer that weighs the rates."""
     print("| α, φ | told | weighed | learned from people before |", end="")
     print(" weighed / told | learned / told | α, φ, error learned |\n|---|---|---|---|---|---|---|")
     weighs = Independent(0.0, "learned", "learned")
@@ -257,7 +257,7 @@ def earlier(seeds: Iterable[int], traces: int) -> None:
 
 
 def optimum(seeds: Iterable[int], traces: int) -> None:
-    """The table of proven bounds on what an explainer who knows α and φ can expect to pay."""
+    """Prints the table of proven bounds of the expected cost if an explainer knows α and φ."""
     print("| α, φ | as the paper | QMDP | lookahead | optimum: at least | at most |", end="")
     print(" at least / paper | at most / paper |\n|---|---|---|---|---|---|---|---|")
     for domain in DOMAINS:

@@ -1,10 +1,11 @@
-"""How long a robot waits for the explainer: decisions on a trace of 20 steps.
+"""Measures how long a robot waits for the explainer: decisions on a trace of 20 steps.
 
     python benchmarks/explainer.py [--quick]
 
 Goals: a decision (``messages()``) takes at most 5 ms with qmdp and 50 ms with pomcp at its default
-budget. Given are medians and 95th percentiles over the steps of many sessions; the first decision
-of a session, which plans; a new transition and the decision after it; and the belief update.
+budget. The table has medians and 95th percentiles over the steps of many sessions: of the first
+decision of a session, which plans; of later decisions; of a new transition with the decision after
+it; and of the belief update.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ def main() -> None:
 
 
 def explainer(solver: Solver, n: int, seed: int) -> Explainer:
-    """Types that each need two of the messages, on a random trace; labelers 95 % sure."""
+    """Makes types that each need two of the messages, on a random trace, with labelers of
+    confidence 0.95."""
     rng = np.random.default_rng(seed)
     given = np.arange(1 << n)
     about = rng.integers(n, size=STEPS)
@@ -60,7 +62,7 @@ def explainer(solver: Solver, n: int, seed: int) -> Explainer:
 
 
 def play(one: Explainer, taken: dict[str, list[float]]) -> None:
-    """A session whose whole trace is known, and one whose trace grows step by step."""
+    """Plays a session with a known trace, and one whose trace grows step by step."""
     rng = np.random.default_rng(0)
     session = one.session(range(STEPS))
     while not session.finished:

@@ -1,11 +1,11 @@
-"""What the first and every later run cost in processor time, against a bare script.
+"""Compares the processor time of the first run and of later runs with that of a bare script.
 
     python benchmarks/first_minutes.py [--quick]
 
-The bare script is what anybody's experiment pays: it imports scikit-learn and MLflow and logs a run
-into an SQLite store that exists. Later runs and it take turns, so that a machine whose speed drifts
-or is shared favours neither. Given are user + system seconds of whole processes, children included,
-and the imports that cost most. The first run finds no compiled kernels (with ``--quick`` those of
+The bare script does what any experiment does: it imports scikit-learn and MLflow and logs a run
+into an existing SQLite store. It alternates with later runs, so that a machine with a varying speed
+favours neither. The table has user + system seconds of whole processes with their children, and the
+imports that take most time. The first run finds no compiled kernels (with ``--quick`` those of
 others). Goals: a first run at most 5 times the bare script, a later one at most 1.5 times.
 """
 

@@ -1,4 +1,4 @@
-"""What a job of a sweep costs beyond its method, on a worker that has run another one before.
+"""Measures the time of a sweep's job beyond its method, on a worker that ran another job before.
 
     python benchmarks/job.py             CPU seconds a job, stage by stage; means of 8 jobs
     python benchmarks/job.py --quick     of 2 jobs

@@ -1,18 +1,17 @@
-"""Labelers compared at equal budgets: what they predict, how well calibrated, what it costs.
+"""Compares labelers at equal budgets: predictions, calibration, and costs of explanations.
 
     python benchmarks/labelers.py            some minutes
     python benchmarks/labelers.py --quick    some seconds, nothing written
     python benchmarks/labelers.py --maps random --seeds 8
-        what the default was chosen by: maps drawn at random per seed (from 8110), with 2 to 5 types
-        drawn at random; nothing written
+        the comparison that chose the default: random maps for each seed (from 8110), with 2 to 5
+            random types; nothing written
 
-The true types are given (perfect clustering), so that labelers alone differ. Questions differ from
-observer to observer, three observers a type. ``right`` and ``brier`` are of questions asked as the
-training ones were, but with (transition, message set) that no training label has, and without
-noise. ``oracle`` and
-``qmdp`` are the mean costs of explaining (λ = 1) with the type known and unknown, less the cost of
-the clairvoyant, who knows the labels: what not knowing them better costs. Results go to
-benchmarks/results/.
+The true types are given (perfect clustering), so that only labelers differ. There are three
+observers of each type, each with different questions. ``right`` and ``brier`` are measured on
+questions drawn like the training questions, but with a (transition, message set) that no training
+label has, and without noise. ``oracle`` and ``qmdp`` are the mean costs of explanations (λ = 1)
+with the type known and unknown, minus the cost of the clairvoyant, who knows the labels. Results go
+to benchmarks/results/.
 """
 
 from __future__ import annotations
@@ -75,7 +74,8 @@ BINS = np.linspace(0, 1, 11)
 
 
 def unseen(setting: Setting, dataset: Dataset, seed: int) -> tuple[Dataset, np.ndarray]:
-    """Fresh on-policy questions, less those in the dataset; and the true type of who answers."""
+    """Draws fresh on-policy questions that are not in the dataset, with the true type of the
+    observer."""
     observed = SimulatedObservers(1, 1500).collect(setting, queries.Independent(), seed + 10**6)
     fresh, truth = observed.dataset, observed.truth
     asked = {
@@ -92,7 +92,7 @@ def unseen(setting: Setting, dataset: Dataset, seed: int) -> tuple[Dataset, np.n
 
 
 def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[str, float]:
-    """Mean cost above the clairvoyant's."""
+    """Returns mean costs above the clairvoyant's."""
     cost: dict[str, list[float]] = {"oracle": [], "qmdp": [], "clairvoyant": []}
     n = setting.n_messages
     for index in range(traces):
@@ -116,7 +116,8 @@ def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[st
 def measure(
     domain: str, types: int | None, points: int, noise: float, name: str, seed: int, traces: int
 ) -> tuple[dict[str, Any], np.ndarray]:
-    """The figures of one fit, and its reliability: [10, 3] labels, ones, sum of P, by P."""
+    """Returns the figures of one fit, and its reliability: [10, 3] labels, ones, and sum of P, by
+    P."""
     setting = (
         people.setting_of(questions.domain_of(domain, seed), "right", seed)
         if domain.startswith("random")
@@ -151,7 +152,7 @@ def measure(
 
 
 def picture(names: list[str], reliability: dict[str, np.ndarray]) -> Figure:
-    """Share of labels that are 1 against the probability predicted, and how many labels."""
+    """Draws the share of labels 1 against the predicted probability, and the number of labels."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 4))
     axes[0].plot([0, 1], [0, 1], color="0.6", linewidth=1)
     for index, name in enumerate(names):

@@ -1,4 +1,5 @@
-"""The same sweep through every launcher and sweeper that Hydra has: the results are the same.
+"""Runs the same sweep with every launcher and sweeper of Hydra, and checks that the results are the
+same.
 
     python benchmarks/launchers.py [WAY ...] [--quick]
 
@@ -52,7 +53,7 @@ TIMES = ("seconds", "started", "worker")
 
 
 def main() -> int:
-    """Runs the ways; exit code 1 where one gives other results."""
+    """Runs the ways; the exit code is 1 if one gives other results."""
     parser = argparse.ArgumentParser()
     parser.add_argument("ways", nargs="*", choices=[*WAYS, []])
     parser.add_argument("--quick", action="store_true", help="the reference alone")
@@ -76,14 +77,15 @@ def main() -> int:
 
 
 def brought(way: str) -> bool:
-    """Whether the package that has a launcher or sweeper is installed."""
+    """Returns True if the package of a launcher or sweeper is installed."""
     kinds = ("launcher", "sweeper")
     return any(find_spec(f"hydra_plugins.hydra_{way}_{kind}") for kind in kinds)
 
 
 @contextmanager
 def address(way: str) -> Iterator[list[str]]:
-    """Of a Ray cluster with two nodes on this machine; nothing for all other ways."""
+    """A context with the address of a Ray cluster with two nodes on this machine; empty for all
+    other ways."""
     if way != "ray":
         yield []
         return

@@ -1,11 +1,12 @@
-"""Does the paper's learner find the types, and how right are labelers under perfect clustering?
+"""Measures how often the paper's learner finds the types, and the accuracy of labelers under
+perfect clustering.
 
     python benchmarks/learner.py                 20 seeds a setting, minutes
     python benchmarks/learner.py --quick         1 seed of one setting
     python benchmarks/learner.py --first 300 --seeds 100     other seeds, more
 
-Shared queries, the paper's numbers of labels, k-means and the elbow of disagreements. A data set
-counts as found when the adjusted Rand index to the behaviourally distinct true types is 1.
+Queries are shared, with the paper's numbers of labels, k-means and the elbow of disagreements.
+Types count as found if the adjusted Rand index to the behaviourally distinct true types is 1.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ SETTINGS = {
 
 
 def learning(overrides: list[str], seed: int) -> dict[str, float]:
-    """The figures of the learning stage on one data set."""
+    """Returns the figures of the learning stage on one data set."""
     register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("config", [*overrides, f"seed={seed}", "traces=1", "queries=shared"])

@@ -1,13 +1,12 @@
-"""Time and memory against messages, steps and types; tables by type beside dense ones.
+"""Measures time and memory against messages, steps and types, with tables by type and dense tables.
 
     python benchmarks/many_messages.py            some minutes
     python benchmarks/many_messages.py --quick    some seconds
 
-Problems are drawn at random in the shape that the pipeline's have: each of n facts bears on one
-stretch of a few transitions or on none, every type lacks some of them, and its labeler has one
-confidence. Seconds are of CPU time, the least of some repeats in one process, kernels compiled
-before; memory is what Python and numpy allocate at most at a time (tracemalloc), the problem's own
-table not counted.
+Random problems have the form of the pipeline's: each of n facts matters at a few neighbouring
+transitions or at none, every type lacks some facts, and its labeler has one confidence. Seconds are
+CPU time, the minimum of some repeats in one process with compiled kernels. Memory is the peak of
+what Python and numpy allocate (tracemalloc), without the problem's own table.
 """
 
 from __future__ import annotations
@@ -36,7 +35,8 @@ from xplain.solvers.pomcp import POMCP, Search
 def problem_of(
     steps: int, messages: int, types: int, facts: int, seed: int = 0, bearing: int = 3
 ) -> Problem:
-    """Each type lacks ``facts`` of the messages; up to ``bearing`` facts bear on a transition."""
+    """Makes a problem in which each type lacks ``facts`` facts, and up to ``bearing`` facts matter
+    at a transition."""
     rng = np.random.default_rng(seed)
     sets = np.arange(1 << facts)
     most = min(bearing, messages)
@@ -55,7 +55,8 @@ def problem_of(
 
 
 def seconds(work: Callable[[], object], repeats: int) -> float:
-    """CPU seconds of the quickest of so many calls, after one that is not counted."""
+    """Measures the CPU seconds of the fastest of several calls, after one call that is not
+    counted."""
     work()
     times = []
     for _ in range(repeats):
@@ -66,7 +67,7 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
 
 
 def mebibytes(work: Callable[[], object]) -> float:
-    """The most that a call has allocated at a time."""
+    """Measures the peak memory of a call."""
     tracemalloc.start()
     work()
     peak = tracemalloc.get_traced_memory()[1]
@@ -75,7 +76,8 @@ def mebibytes(work: Callable[[], object]) -> float:
 
 
 def cells(solver: Solver, problem: Problem, repeats: int) -> tuple[str, str]:
-    """Milliseconds to plan and take the first decision, and MiB; or that it is refused."""
+    """Formats the milliseconds to plan and take the first decision, and MiB; or that the solver
+    refuses."""
 
     def work() -> Action:
         return solver.plan(problem).decide(VisibleState(), problem.prior)
@@ -87,7 +89,7 @@ def cells(solver: Solver, problem: Problem, repeats: int) -> tuple[str, str]:
 
 
 def growth(quick: bool, repeats: int) -> Table:
-    """QMDP, one size varied at a time; by type, and dense where a dense table fits."""
+    """Measures QMDP while one size varies, by type, and dense if a dense table fits."""
     shown = Table(
         "steps", "messages", "types", "facts", "worth giving", "by type (ms)", "MiB",
         "dense (ms)", "MiB", title="QMDP: plan and first decision",
@@ -110,7 +112,7 @@ def growth(quick: bool, repeats: int) -> Table:
 
 
 def solvers(quick: bool, repeats: int) -> Table:
-    """Every solver of types on the sizes that the project promises something for."""
+    """Measures every solver of types on the sizes with goals of the project."""
     shown = Table(
         "solver", "steps", "messages", "types", "facts", "worth giving", "plan, decide (ms)", "MiB",
         title="solvers",
@@ -129,7 +131,8 @@ def solvers(quick: bool, repeats: int) -> Table:
 
 
 def pomcp_decisions(quick: bool) -> Table:
-    """POMCP, 3,000 simulations: a search, and a decision (a search for each message, and one)."""
+    """Measures POMCP with 3,000 simulations: a search, and a decision (a search for each message,
+    and one more)."""
     shown = Table(
         "facts on a transition", "worth giving", "messages a decision", "search (ms)",
         "decision (ms)", title="POMCP: 60 messages, 20 steps, 8 types of 6 facts, medians",
@@ -157,7 +160,7 @@ def pomcp_decisions(quick: bool) -> Table:
 
 
 def certified(quick: bool) -> Table:
-    """Certified to 1e-2: 40 messages, 12 steps, 5 types of 4 facts."""
+    """Measures the search to a gap of 1e-2: 40 messages, 12 steps, 5 types of 4 facts."""
     shown = Table(
         "facts on a transition", "seed", "worth giving", "gap", "seconds", title="certified to 0.01"
     )

@@ -1,4 +1,4 @@
-"""Seconds and memory from the command line to the first result, against the states of a PDDL task.
+"""Measures seconds and memory of a whole run against the number of states of a PDDL task.
 
     python benchmarks/pddl.py            some minutes
     python benchmarks/pddl.py --quick    the smallest size
@@ -6,8 +6,8 @@
 The task: a courier on a ring of places with a few short cuts delivers parcels, any number at a
 time; ten facts that people believe incorrectly (lengths of roads, roads that are there or not, what
 loading and unloading need, a goal). Three types drawn at random hold five facts each in the mean.
-Each size is one fresh process, `python -m xplain domain=pddl … traces=5 certify.traces=0
-tracking=none`, kernels compiled before.
+Each size is one new process, `python -m xplain domain=pddl … traces=5 certify.traces=0
+tracking=none`, with compiled kernels.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def facts(places: int) -> dict[str, object]:
 
 
 def measured(places: int, parcels: int, starts: str) -> list[str]:
-    """One size: what the table shows of it."""
+    """Measures one size: a row of the table."""
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder, name) for name in ("domain.pddl", "problem.pddl")]
         for file, text in zip(files, (DOMAIN, problem(places, parcels)), strict=True):

@@ -1,4 +1,5 @@
-"""What share of a collection of PDDL tasks is read: the smallest problem of each folder.
+"""Measures the share of PDDL tasks that xplain reads: the smallest problem of each folder of a
+collection.
 
     python benchmarks/pddl_folders.py COLLECTION            an hour for 150 folders
     python benchmarks/pddl_folders.py COLLECTION --only blocks gripper
@@ -35,11 +36,12 @@ from xplain.errors import TooLargeError, XplainError
 
 SHIPPED = Path(pddl_domain.__file__).parent / "tasks"
 UNSUPPORTED = r"a condition with \w+ is not|derived predicates"
-"""Reasons to refuse what is more than STRIPS with types, negation, conditional effects, costs."""
+"""Reasons to refuse tasks with more than STRIPS with types, negation, conditional effects and
+costs."""
 
 
 def find_task(folder: Path) -> tuple[Path, Path] | None:
-    """The domain and the smallest problem of a folder, by the size of the files."""
+    """Finds the domain and the smallest problem of a folder, by the size of the files."""
     problems = []
     for file in folder.glob("*.pddl"):
         text = file.read_bytes().decode("utf-8-sig", errors="replace").lower()
@@ -90,7 +92,7 @@ def plan_cost(domain: Path, problem: Path) -> float | None:
 
 
 def measure(domain: Path, problem: Path, options: argparse.Namespace) -> dict[str, object]:
-    """What comes of a task, within the limits."""
+    """Returns the result of a task within the limits."""
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (options.seconds, options.seconds))
@@ -112,7 +114,7 @@ def measure(domain: Path, problem: Path, options: argparse.Namespace) -> dict[st
 
 
 def classify(result: dict[str, object]) -> str:
-    """One of the rows of the summary."""
+    """Returns the task's row of the summary."""
     if "refused" in result:
         more = re.search(UNSUPPORTED, str(result["refused"]))
         return f"refused: {more[0].removesuffix(' is not')}" if more else "refused: another reason"

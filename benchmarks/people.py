@@ -2,9 +2,9 @@
 
 ``python benchmarks/questions.py labels`` tells how many of their labels differ, by kind.
 
-What is special of a kind is what its user types believe (their own wrong values), what the
-hypotheses leave out, or how people answer; never what a method makes of it. Types are drawn as for
-people who are as assumed, so that kinds of one seed believe the same facts incorrectly.
+Kinds differ in the incorrect values that user types believe, in the facts that hypotheses leave
+out, or in the way people answer; they do not depend on any method. Types are drawn as for people
+who are as assumed, so that all kinds of one seed believe the same facts incorrectly.
 """
 
 from __future__ import annotations
@@ -31,11 +31,12 @@ from xplain.randomness import stream
 
 AS_ASSUMED = "as assumed"
 BY_A_VARIANT = ("half", "double")
-"""Whom a variant of the hypotheses fits exactly, though they are not as assumed."""
+"""Kinds that are not as assumed, but that a variant of the hypotheses fits exactly."""
 OTHER_VALUES = ("half or double", "x .3 to 3", "tenth", "opposite", "half a bonus")
-"""Believe other values than the hypotheses and their variants say."""
+"""Kinds that believe other values than the hypotheses and their variants."""
 OTHERWISE = ("unwritten", "scrambled", "tire", "misread", "misread clips")
-"""Hold a fact wrong that no hypothesis does; hypotheses are of something else; answer otherwise."""
+"""Kinds that believe a fact incorrectly that no hypothesis contains, kinds with unsuitable
+hypotheses, and kinds that answer otherwise."""
 KINDS = (AS_ASSUMED, *BY_A_VARIANT, *OTHER_VALUES, *OTHERWISE)
 IN_WORDS = {
     "half": "half the values",
@@ -50,14 +51,14 @@ IN_WORDS = {
 }
 """For pictures."""
 SIZES = {"half": (0.5,), "double": (2.0,), "tenth": (0.1,), "half or double": (0.5, 2.0)}
-"""What a wrong value that is a number is multiplied by: one of these, drawn for each by itself."""
+"""Factors on incorrect numbers; one is drawn independently for each number."""
 MISREAD, CLIP = 0.15, 4
-"""Share of the questions that are misread; transitions in a row where they are clips."""
+"""Share of misread questions; number of transitions in a clip."""
 
 
 @cache
 def setting_of(domain: Domain, people: str, seed: int) -> Setting:
-    """Two to five types drawn at random; ``people`` says in what their values differ."""
+    """Draws two to five types at random; ``people`` decides how their values differ."""
     rng = stream(seed, "benchmark", "types")
     types = RandomCover(2 + seed % 4).types(domain, rng)
     if people not in (*BY_A_VARIANT, *OTHER_VALUES):
@@ -72,8 +73,8 @@ def setting_of(domain: Domain, people: str, seed: int) -> Setting:
 
 
 def believed(domain: Domain, fact: Parameter, people: str, rng: np.random.Generator) -> Any:
-    """What somebody of this kind believes of a fact: as assumed where that is no number, or the
-    domain refuses the value.
+    """Returns the value that a person of this kind believes: the assumed one if it is no number, or
+    if the domain refuses the other.
 
     The opposite of a wrong value w is as far from the robot's value a on the other side, 2a − w: a
     bonus believed to be a penalty is believed to be a larger bonus, an obstacle to be a bonus. The
@@ -101,7 +102,7 @@ def believed(domain: Domain, fact: Parameter, people: str, rng: np.random.Genera
 
 
 def without_a_fact(domain: Domain, seed: int, folder: Path) -> str:
-    """A file of the hypotheses of somebody who never thought of one of the facts."""
+    """Writes a file of hypotheses without one of the facts."""
     full = hypotheses_of(domain, None)
     fact = int(stream(seed, "benchmark", "unwritten").integers(full.n_messages))
     rows = np.flatnonzero(full.facts >> fact & 1 == 0)
@@ -119,7 +120,7 @@ def without_a_fact(domain: Domain, seed: int, folder: Path) -> str:
 
 
 def scrambled(domain: Domain, seed: int, folder: Path) -> str:
-    """A file of hypotheses that know nothing: each transition has the labels of another one."""
+    """Writes a file of useless hypotheses: each transition has the labels of another one."""
     full = hypotheses_of(domain, None)
     moved = stream(seed, "benchmark", "scrambled").permutation(full.n_transitions)
     path = folder / "hypotheses.npz"
@@ -129,7 +130,7 @@ def scrambled(domain: Domain, seed: int, folder: Path) -> str:
 
 @dataclass(frozen=True)
 class Altered:
-    """Asks through observers whose answers are altered."""
+    """A query design with observers whose answers are altered."""
 
     queries: Queries
     alter: Callable[[Answer], Answer]
@@ -140,7 +141,7 @@ class Altered:
 
 
 def tired(answer: Answer, points: int, seed: int) -> Answer:
-    """Errors rise from 2 to 15 % over an observer's labels."""
+    """Adds errors that rise from 2 to 15 % over an observer's labels."""
     asked: dict[int, int] = {}
 
     def worse(observer: int, transitions: Any, told: Any) -> NDArray[np.uint8]:
@@ -154,8 +155,8 @@ def tired(answer: Answer, points: int, seed: int) -> Answer:
 
 
 def misreading(answer: Answer, setting: Setting, seed: int) -> Answer:
-    """A share of the questions is misread: one message is overlooked, or the label is that of what
-    the robot may do next (at the end: of another way there)."""
+    """Misreads a share of the questions: one message is overlooked, or the label is that of a
+    possible next step (at the end: of another way there)."""
     rng = stream(seed, "misread")
     reachable = setting.reachable
 
@@ -178,8 +179,9 @@ def misreading(answer: Answer, setting: Setting, seed: int) -> Answer:
 
 
 def differing(domain: Domain, people: str, seed: int) -> tuple[float, float]:
-    """Share of the labels of all types, transitions and message sets that differ from what the
-    hypotheses say as assumed, and from what the variant nearest to each type says."""
+    """Returns two shares of the labels of all types, transitions and message sets: those that
+    differ from the hypotheses' labels at the assumed values, and those that differ from the variant
+    nearest to each type."""
     setting, hypotheses = setting_of(domain, people, seed), hypotheses_of(domain, None)
     labels = setting.label_table(setting.reachable)  # [N, T, 2^n]
     told = np.arange(labels.shape[2])

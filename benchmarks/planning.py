@@ -1,12 +1,11 @@
-"""Planning time against the size of the problem, and the certified gap against time.
+"""Measures planning time against the size of the problem, and the certified gap against time.
 
     python benchmarks/planning.py            some minutes
     python benchmarks/planning.py --quick    some seconds
 
-Problems are drawn at random in the shape that the pipeline's have: every type lacks two of n facts,
-a transition is explicable to a type once it knows those of them that bear on it (up to two facts
-bear on a transition), and a type's labeler has one confidence. Times are medians of repeats in one
-process, kernels compiled before.
+Random problems have the form of the pipeline's: every type lacks two of n facts, up to two facts
+matter at a transition, the transition is explicable to a type that knows these facts, and a type's
+labeler has one confidence. Times are medians of repeats in one process with compiled kernels.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from xplain.solvers.process import known_bytes, known_values, make_process
 
 
 def facts_problem(m: int, n: int, types: int, seed: int = 0, trade_off: float = 1.0) -> Problem:
-    """m steps, n messages; see above."""
+    """Makes a problem of m steps and n messages, as described above."""
     rng = np.random.default_rng(seed)
     sets = np.arange(1 << n)
     bearing = [set(rng.choice(n, rng.integers(0, 3), replace=False)) for _ in range(m)]
@@ -45,7 +44,7 @@ def facts_problem(m: int, n: int, types: int, seed: int = 0, trade_off: float = 
 
 
 def median_seconds(work: Callable[[], object], repeats: int) -> float:
-    """Of so many calls."""
+    """Measures the median seconds of several calls."""
     times = []
     for _ in range(repeats):
         began = time.perf_counter()
@@ -55,7 +54,7 @@ def median_seconds(work: Callable[[], object], repeats: int) -> float:
 
 
 def tables(quick: bool, repeats: int) -> Table:
-    """QMDP: tables and one decision, one size varied at a time around (20, 12, 5)."""
+    """Measures QMDP's tables and one decision while one size varies around (20, 12, 5)."""
     shown = Table("steps", "messages", "types", "tables (s)", "GiB", "decision (ms)", title="QMDP")
     sizes = [(20, n, 5) for n in ((4, 8, 12) if quick else (4, 8, 12, 16, 18, 20))]
     sizes += [(m, 12, 5) for m in (5, 10, 40)] + [(20, 12, types) for types in (2, 10, 20)]
@@ -76,7 +75,7 @@ def tables(quick: bool, repeats: int) -> Table:
 
 
 def certified(quick: bool, seeds: int) -> Table:
-    """Time until the gap is closed, over random problems of a size."""
+    """Measures the time until the gap is closed, over random problems of a size."""
     shown = Table(
         "steps", "messages", "types", "gap asked", "closed", "median (s)", "worst (s)",
         title="certified: tables and search, λ ∈ {0.5, 1, 2}",
@@ -101,7 +100,7 @@ def certified(quick: bool, seeds: int) -> Table:
 
 
 def gap_against_time(quick: bool) -> Table:
-    """How the bounds of one hard problem close, and what QMDP earns on it."""
+    """Prints the bounds of one hard problem over time, and QMDP's value."""
     problem = facts_problem(15, 8, 5, seed=2, trade_off=1.0)
     worth = evaluate(problem, QMDP().plan(problem))
     title = f"certified on one hard (15, 8, 5); QMDP earns {worth.value:.4f} ({worth.value_is})"

@@ -1,16 +1,15 @@
-"""POMCP against pomdp-py's POUCT and POMCP, in one run, on the same explanation problem.
+"""Compares POMCP with pomdp-py's POUCT and POMCP, in one run, on the same explanation problem.
 
     python benchmarks/pomcp.py            # some minutes; needs pip install 'xplain-hri[bench]'
     python benchmarks/pomcp.py --quick    # seconds; leaves pomdp-py out where it is not installed
 
-Same problem, depth, actions, discount and exploration constant. Rollouts are uniformly random in
-pomdp-py, and follow QMDP at exact beliefs in ours. The runs are interleaved, so that whatever else
-the machine does meets all of them; printed are medians over the rounds and the median of the
-rounds' ratios. Times are of one core, CPU time, but for the
-start-up's, which is given both ways. pomdp-py gets its model in good faith: one
-black box (transition, observation and reward at once), every state, action and observation made
-once, expected rewards from a table, only labels drawn that carry news. Its rollouts end at the
-depth; ours go on to the end of the trace.
+Problem, depth, actions, discount and exploration constant are the same. Rollouts are uniformly
+random in pomdp-py, and follow QMDP at exact beliefs in ours. The runs are interleaved, so that
+other load on the machine affects all of them equally. The output has medians over the rounds, and
+the median of the rounds' ratios. Times are CPU time of one core; the start-up also has wall time.
+pomdp-py gets an efficient model: one black box (transition, observation and reward together), every
+state, action and observation made once, expected rewards from a table, and only informative labels
+are drawn. Its rollouts end at the depth; ours go on to the end of the trace.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ EXPLORATION = 10.0
 
 
 def problem_of(steps: int = 20, messages: int = 10, types: int = 5, seed: int = 0) -> Problem:
-    """The paper's shape: each type believes two parameters incorrectly, each transition involves
-    some; labels right with 0.98."""
+    """Makes a problem like the paper's: each type believes two parameters incorrectly, each
+    transition involves some of them, and labels are right with probability 0.98."""
     rng = np.random.default_rng(seed)
     sets = np.arange(1 << messages)
     wrong = [rng.choice(messages, 2, replace=False) for _ in range(types)]
@@ -50,7 +49,8 @@ def problem_of(steps: int = 20, messages: int = 10, types: int = 5, seed: int = 
 
 
 def ours(problem: Problem, simulations: int, **settings: Any) -> Callable[[], float]:
-    """CPU seconds of one search, planning excluded (as pomdp-py's model is built beforehand)."""
+    """Measures CPU seconds of one search, without planning (pomdp-py's model is also built
+    before)."""
     policy: Any = POMCP(simulations=simulations, **settings).plan(problem)
     policy.search(VisibleState(), 0, problem.prior)
 
@@ -63,7 +63,7 @@ def ours(problem: Problem, simulations: int, **settings: Any) -> Callable[[], fl
 
 
 def theirs(name: str, problem: Problem, simulations: int, depth: int) -> Callable[[], float]:
-    """The same for a planner of pomdp-py."""
+    """Measures the same for a planner of pomdp-py."""
     import pomdp_py
 
     draw = random.Random(0).random
@@ -179,7 +179,7 @@ def theirs(name: str, problem: Problem, simulations: int, depth: int) -> Callabl
 
 
 def rates(problem: Problem, rounds: int, many: int, few: int, compare: bool) -> None:
-    """Simulations a second at each depth."""
+    """Prints the simulations per second at each depth."""
     print(f"\nsimulations a second ({problem.n_messages + 1} actions, {problem.n_steps} steps)")
     print("depth      paper's setting   our default   pomdp-py POUCT      POMCP   ratio to each")
     for depth in DEPTHS:
@@ -208,7 +208,7 @@ def rates(problem: Problem, rounds: int, many: int, few: int, compare: bool) -> 
 
 
 def short_searches(problem: Problem, rounds: int) -> None:
-    """Whole calls from Python, allocation included."""
+    """Measures whole calls from Python, with allocation."""
     print("\nmilliseconds a search of 2,000 simulations (and of one an action)")
     cases: list[tuple[str, dict[str, Any]]] = [
         (f"depth {d}, paper's setting", {"depth": d, "backup": "mean"}) for d in DEPTHS
@@ -224,7 +224,7 @@ def short_searches(problem: Problem, rounds: int) -> None:
 
 
 def decisions(rounds: int) -> None:
-    """A decision at our default, as `Policy.decide` takes it: a search after each message."""
+    """Measures a decision of `Policy.decide` at our default: a search after each message."""
     print("\nour default: milliseconds to plan (tables), and for the first decision")
     print("messages  steps  types       plan   decision")
     for messages, steps, types in ((6, 10, 5), (6, 20, 5), (10, 20, 5), (10, 20, 8), (14, 20, 5)):
@@ -258,7 +258,7 @@ print(time.perf_counter() - start, time.process_time())
 
 
 def start_up(rounds: int) -> None:
-    """Imports, first plan and first decision in fresh processes whose compile cache is warm."""
+    """Measures imports, first plan and first decision in new processes with compiled kernels."""
     found = []
     for _ in range(rounds + 1):
         done = subprocess.run(

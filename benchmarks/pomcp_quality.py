@@ -1,13 +1,13 @@
-"""How far POMCP's settings are from the certified optimum, on problems of the paper's shape.
+"""Measures the distance of POMCP's settings to the certified optimum, on problems like the paper's.
 
     python benchmarks/pomcp_quality.py                # minutes
     python benchmarks/pomcp_quality.py --problems 2   # a smoke run
 
-The paper's setting has a limit of its own, which more simulations approach: two actions of exact
-expectimax, QMDP's value below (d = 2). The table shows what it leaves to that limit as well.
+With more simulations the paper's setting approaches a limit: two actions of exact expectimax, then
+QMDP's value (d = 2). The table also shows the distance to this limit.
 
-Tune on one --seed, report another: the best of many settings looks better than it is on the
-problems that it was chosen by. Keys of pomcp_paper are set by --set exploration=2 and so on.
+Tune with one --seed and report another: on the problems that chose it, the best of many settings
+looks better than it is. Keys of pomcp_paper are set by --set exploration=2 and so on.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from xplain.solvers.hsvi import Effort
 from xplain.solvers.process import known_values, make_process, matters, outcomes
 
 NEGLIGIBLE = 1e-4
-"""Answers less likely than this are worth what known types are."""
+"""Less likely answers have the value of known types."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """What POMCP with d = 2 actions comes to: expectimax over two actions, QMDP's value below."""
+    """The limit of POMCP with d = 2 actions: expectimax over two actions, then QMDP's value."""
 
     knows: Knowledge = "types"
 
@@ -68,14 +68,14 @@ class LimitPolicy:
             chosen |= new
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Of *explain*, and of each message alone."""
+        """Returns the values of *explain* and of each single message."""
         return self._values(visible.step, visible.given, belief, 1)
 
     def _values(
         self, step: int, said: int, weight: NDArray[np.float64], further: int
     ) -> dict[Action, float]:
-        """With so many further actions before QMDP's value; for weights that sum to less than 1,
-        times that."""
+        """Returns the values with this number of further actions before QMDP's value, multiplied by
+        the sum of the weights."""
         process, known = self.greedy.process, self.greedy.known
         value = -float(weight @ process.explain_cost[step, process.cells.at(said)])
         if step + 1 < process.n_steps:
@@ -98,7 +98,7 @@ class LimitPolicy:
 
 
 def solver_of(choice: str, changes: list[str]) -> Solver:
-    """As conf/solver/ has it, with changes."""
+    """Makes a solver of conf/solver/ with changes."""
     keys = [f"solver={choice}", *(f"solver.{change}" for change in changes)]
     solver: Solver = component(compose_config("config", keys), "solver")
     return solver

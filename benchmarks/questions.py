@@ -1,4 +1,4 @@
-"""What well-chosen questions save: labels, and what explanations cost with them.
+"""Measures what well-chosen questions save: labels, and costs of explanations.
 
     python benchmarks/questions.py identify      questions until it is known what one believes
     incorrectly python benchmarks/questions.py grid          labels × design × labeler × errors →
@@ -8,15 +8,14 @@
     benchmarks/questions.py speed         how long a choice of a question takes python
     benchmarks/questions.py --quick       a little of each, nothing written
 
-Both shipped domains, and per seed two maps drawn at random (a rescue map whose cells all are
-starts, a four-rooms map with goals, penalties and what people believe incorrectly drawn at random),
-on which nothing was tuned. Types are drawn at random, two to five of them, by the seed; three
-observers each. Explanations: QMDP at λ = 1; costs are means over traces and types.
+Each seed has both domains and two random maps, on which nothing was tuned: a rescue map all of
+    whose cells are starts, and a four-rooms map with random goals, penalties and incorrect beliefs.
+    The seed draws two to five types, with three observers each. QMDP explains at λ = 1; costs are
+    means over traces and types.
 
-Results go to benchmarks/results/; of a part that is run with some options only, all other rows of
-its table stay as they are, with the day they were measured. Rows of the grid are kept one by one in
-outputs/benchmarks/, those of people beside the table, and a run that was stopped goes on where it
-was.
+Results go to benchmarks/results/. If a part runs with some options only, all other rows of its
+table stay, with the day of their measurement. Rows of the grid are saved one by one in
+outputs/benchmarks/, those of people beside the table, and a stopped run continues there.
 """
 
 from __future__ import annotations
@@ -93,9 +92,9 @@ WAYS = {
     "adaptive in turn, hypotheses": ("in turn", "hypotheses"),
 }
 DRAWN = tuple(WAYS)[:4]
-"""In the picture, and tried where no others are named."""
+"""Ways in the picture, and the default."""
 COMPARED = {"adaptive, hypotheses": (20, 40), "random questions, trees": (40,)}
-"""Of ``people``: labels a person, by way. The second knows no hypotheses."""
+"""For ``people``: labels of each person, by way. The second way has no hypotheses."""
 POINTS = (5, 10, 20, 40, 80, 320)
 IDENTIFIED = ("map", "seed", "error", "questions", "right")
 PARTS = ("identify", "grid", "people", "labels", "plot", "speed")
@@ -104,7 +103,7 @@ KEY = ["map", "way", "points", "error", "people", "seed"]
 
 @cache
 def domain_of(name: str, seed: int) -> Domain:
-    """A shipped domain, or the random map of this seed."""
+    """Makes a shipped domain, or the random map of this seed."""
     kind = "rescue" if "rescue" in name else "four_rooms"
     cfg = compose_config("observe", [f"domain={kind}"]).domain
     if not name.startswith("random"):
@@ -123,7 +122,8 @@ def domain_of(name: str, seed: int) -> Domain:
 
 
 def _rescue(values: Any, rng: np.random.Generator) -> Domain:
-    """6 × 6, a fifth of it walls, two cells of each obstacle; every free cell is a start."""
+    """Draws a map of 6 × 6 cells, a fifth of them walls, with two cells of each obstacle; every
+    free cell is a start."""
     cells = np.full(36, ".", dtype="<U1")
     cells[rng.random(36) < 0.2] = "#"
     for symbol, cell in zip("SVAFUrrppff", rng.permutation(36), strict=False):
@@ -133,7 +133,7 @@ def _rescue(values: Any, rng: np.random.Generator) -> Domain:
 
 
 def _rooms(values: Any, rng: np.random.Generator) -> Domain:
-    """The four rooms, two goals, four penalty cells, all drawn; every free cell is a start."""
+    """Draws two goals and four penalty cells in the four rooms; every free cell is a start."""
     text = values["map"].replace("s", ".")
     free = [(r, c) for r, line in enumerate(text.split()) for c, x in enumerate(line) if x == "."]
 
@@ -157,7 +157,7 @@ def _rooms(values: Any, rng: np.random.Generator) -> Domain:
 
 
 def design_of(way: str, path: str | None, error: float, people: str) -> tuple[Queries, Any]:
-    """The query design and the trainer of a way."""
+    """Makes the query design and the trainer of a way."""
     asked, labeler = WAYS[way]
     clips = {"clip": CLIP, "misread": MISREAD} if people == "misread clips" else {}
     designs: dict[str, Queries] = {
@@ -174,7 +174,7 @@ def design_of(way: str, path: str | None, error: float, people: str) -> tuple[Qu
 def observed_by(
     setting: Setting, queries: Queries, points: int, error: float, people: str, seed: int
 ) -> Observed:
-    """Labels of three observers a type, with their errors."""
+    """Collects labels of three observers of each type, with their errors."""
     if people == "tire":
         error, queries = 0.0, Altered(queries, lambda answer: tired(answer, points, seed))
     elif people.startswith("misread"):
@@ -186,7 +186,7 @@ def observed_by(
 def row_of(
     name: str, way: str, points: int, error: float, people: str, seed: int, traces: int
 ) -> dict[str, Any]:
-    """One data set: types found, labels learned, what explanations cost with them."""
+    """Measures one data set: types found, labels learned, costs of explanations."""
     domain = domain_of(name, seed)
     setting = setting_of(domain, people, seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -217,8 +217,8 @@ def row_of(
 
 
 def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: float) -> float:
-    """Share of the observers whom rather no hypothesis fits: by their own questionnaires, or as
-    their type believes something incorrectly that no hypothesis does."""
+    """Returns the share of observers whom probably no hypothesis fits, by their own questionnaires,
+    or because their type believes something incorrectly that no hypothesis contains."""
     dataset, needs = observed.dataset, types.clustering.needs
     unwritten = ~int(np.bitwise_or.reduce(hypotheses.facts))
     odd = np.zeros(0) if needs is None else needs[types.clustering.assignment] & unwritten
@@ -237,7 +237,8 @@ def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: f
 
 
 def _accuracy(setting: Setting, oracle: tuple[Labeler, ...] | None) -> float:
-    """Labels predicted right, of all transitions and message sets, true types given."""
+    """Returns the share of right predictions over all transitions and message sets, given true
+    types."""
     assert oracle is not None
     features = transition_features(setting.domain, setting.reachable)
     table = label_table(oracle, features, setting.reachable).array(setting.n_messages)
@@ -247,8 +248,8 @@ def _accuracy(setting: Setting, oracle: tuple[Labeler, ...] | None) -> float:
 def _costs(
     setting: Setting, types: Any, oracle: tuple[Labeler, ...] | None, traces: int, seed: int
 ) -> dict[str, float]:
-    """Mean costs: QMDP with what was learned, with true types and labels (as they are, and with a
-    confidence of .975, as people err), the learned oracle, the clairvoyant."""
+    """Returns mean costs: of QMDP with learned types and labels, with true ones, with true ones at
+    a confidence of 0.975 (because people err), of the learned oracle, and of the clairvoyant."""
     found: dict[str, list[float]] = {}
     n = setting.n_messages
     for index in range(traces):
@@ -275,8 +276,9 @@ def _costs(
 
 
 def identify(seeds: int, maps: list[str], each: int) -> pd.DataFrame:
-    """Questions that one person is asked until the posterior of .95, and how often it is right:
-    every fact set that some question tells from the others (or one in ``each``), once a seed."""
+    """Measures the number of questions to one person until the posterior is 0.95, and the share of
+    right results: once per seed for every fact set that questions can distinguish (or for one in
+    ``each``)."""
     rows = []
     for name, seed, error in product(maps, range(FIRST_SEED, FIRST_SEED + seeds), (0.0, 0.05)):
         hypotheses = hypotheses_of(domain_of(name, seed), None)
@@ -295,9 +297,9 @@ def identify(seeds: int, maps: list[str], each: int) -> pd.DataFrame:
 
 
 def speed() -> pd.DataFrame:
-    """Seconds to choose a question, by candidates and transitions; two to four facts, drawn at
-    random, decide about each transition. Medians over one person's first twelve questions, the
-    first of which also works out which questions there are."""
+    """Measures the seconds to choose a question, by candidates and transitions; two to four random
+    facts decide about each transition. Figures are medians over one person's first twelve
+    questions; the first one also lists all questions."""
     rows = []
     for n, count in ((6, 150), (12, 500)):
         rng = stream(0, "benchmark", "speed", n)
@@ -321,7 +323,7 @@ def speed() -> pd.DataFrame:
 
 
 def grid(cells: list[tuple[Any, ...]], traces: int, kept: Path | None) -> pd.DataFrame:
-    """The rows of these cells; one that is ``kept`` is not made again."""
+    """Makes the rows of these cells, except those in ``kept``."""
     known = pd.read_csv(kept) if kept and kept.exists() else pd.DataFrame(columns=KEY)
     done = set(known[KEY].itertuples(index=False, name=None))
     made = []
@@ -341,14 +343,14 @@ def grid(cells: list[tuple[Any, ...]], traces: int, kept: Path | None) -> pd.Dat
 
 
 def in_order(rows: pd.DataFrame) -> pd.DataFrame:
-    """Maps, ways and people as categories, in the order of above."""
+    """Makes categories of maps, ways and people, in the order above."""
     orders = {"map": MAPS, "way": tuple(WAYS), "people": KINDS}
     orders = {key: order for key, order in orders.items() if key in rows}
     return rows.assign(**{key: pd.Categorical(rows[key], orders[key]) for key in orders})
 
 
 def summary(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
-    """Means, and costs as ratios of means, by maps, ways and people in the order of above."""
+    """Returns means, and costs as ratios of means, by maps, ways and people in the order above."""
     cells = in_order(rows).groupby(by, observed=True)
     table = cells[["ari", "accuracy", "none"]].mean()
     mean = cells[["qmdp", "true", "true_975", "oracle", "clairvoyant"]].mean()
@@ -362,8 +364,8 @@ def summary(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
 
 
 def comparable(rows: pd.DataFrame) -> pd.DataFrame:
-    """The data sets to which every way was applied that was tried with as many labels: costs
-    differ more between types drawn than between designs."""
+    """Returns the data sets that have all ways with the same number of labels, because costs differ
+    more between types than between designs."""
     rows = rows[(rows["people"] == AS_ASSUMED) & (rows["error"] == 0.05)]
     rows = rows[rows["way"].isin(DRAWN)]
     tried = rows.groupby("points")["way"].transform("nunique")
@@ -371,8 +373,9 @@ def comparable(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def picture(rows: pd.DataFrame) -> Figure:
-    """What an explanation costs against what was asked, by design: as a multiple of what it costs
-    with true labels (ratio of means over seeds, 95 % of its bootstrap)."""
+    """Draws the cost of an explanation against the number of questions, by design, as a multiple of
+    the cost with true labels (ratio of means over seeds, with the 95 % interval of its
+    bootstrap)."""
     shown = [name for name in MAPS if name in set(rows["map"])]
     figure, axes = plt.subplots(
         *(1, len(shown)),
@@ -409,7 +412,8 @@ def picture(rows: pd.DataFrame) -> Figure:
 
 
 def multiple(cell: pd.DataFrame) -> tuple[float, float, float]:
-    """Mean cost over that with true labels, and 95 % of its bootstrap over data sets."""
+    """Returns the mean cost divided by that with true labels, and the 95 % interval of its
+    bootstrap over data sets."""
     costs = cell[["qmdp", "true"]].to_numpy()
     drawn = stream(0, "benchmark", "bootstrap").integers(0, len(costs), (1000, len(costs)))
     learned, true = costs[drawn].sum(axis=1).T
@@ -418,8 +422,8 @@ def multiple(cell: pd.DataFrame) -> tuple[float, float, float]:
 
 
 def picture_of_people(rows: pd.DataFrame) -> Figure:
-    """What an explanation costs by who was asked: people who are as the hypotheses assume, and
-    others; beside it what the same people cost who are asked at random, without hypotheses."""
+    """Draws the cost of an explanation by kind of people: people as the hypotheses assume, and
+    others; and for the same people the cost after random questions, without hypotheses."""
     shown = [name for name in MAPS if name in set(rows["map"])]
     kinds = [kind for kind in KINDS if kind in set(rows["people"])]
     figure, axes = plt.subplots(
@@ -459,7 +463,7 @@ def picture_of_people(rows: pd.DataFrame) -> Figure:
 
 
 def stored(name: str, columns: list[str]) -> pd.DataFrame:
-    """The table as it was written before; empty where there is none with these columns."""
+    """Reads the table that was written before; empty if there is none with these columns."""
     path = RESULTS / f"{name}.md"
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else [""]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
@@ -469,7 +473,7 @@ def stored(name: str, columns: list[str]) -> pd.DataFrame:
 
 
 def written(table: pd.DataFrame, name: str, by: list[str], quick: bool) -> None:
-    """Prints a table, and keeps it; rows of other keys (``by``) that are in the file stay."""
+    """Prints a table and saves it; rows with other keys (``by``) in the file stay."""
     shown = table.round(3).assign(measured=str(date.today())).astype(str)
     if not quick:
         before = stored(name, list(shown.columns))
@@ -487,7 +491,7 @@ def written(table: pd.DataFrame, name: str, by: list[str], quick: bool) -> None:
 
 
 def labels_that_differ(maps: Sequence[str], seeds: int) -> None:
-    """Prints the share of labels that differ from the hypotheses, and from the nearest variant."""
+    """Prints the shares of labels that differ from the hypotheses, and from the nearest variant."""
     print("| labels that differ from | " + " | ".join(maps) + " |")
     print("|---" * (len(maps) + 1) + "|")
     for people in (*BY_A_VARIANT, *OTHER_VALUES):

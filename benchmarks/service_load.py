@@ -1,14 +1,15 @@
-"""Load on `python -m xplain serve`: many open sessions, answers at a steady rate, and kill -9.
+"""Measures `python -m xplain serve` under load: many open sessions, answers at a steady rate, and
+kill -9.
 
     python benchmarks/service_load.py            1,000 open sessions, 60 s; 10,000 sessions
     python benchmarks/service_load.py --quick    30 open sessions, 3 s; 60 sessions; rescue alone
 
 For each task the script prints percentiles of the time from an answer's due time to the last byte
 of its reply. Answers come at random times (a Poisson process), whether or not earlier ones have
-been replied to; a session that is over is replaced by a new one, which is timed apart. Then it
+been replied to; a finished session is replaced by a new one, which is timed separately. Then it
 creates sessions, kills the service while it does so, starts it again, and compares: every
-acknowledged session must be there, with the reply that was given. It exits with 1 on any error.
-The clients run on the same machine and take their share of it.
+acknowledged session must be there, with the reply that was given. It exits with 1 on any error. The
+clients run on the same machine and take their share of it.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ from study_load import percentiles
 
 Json = dict[str, Any]
 CLIENTS = 16
-"""Connections that are used at the same time."""
+"""Number of connections that are used at the same time."""
 LABEL_1 = 0.85
-"""Probability that a label is 1. Nobody of any type answers so: the belief goes on moving."""
+"""Probability that a label is 1. No type answers like this, so the belief keeps changing."""
 
 
 class Service:
-    """The service as a process of its own, which can be killed and started again."""
+    """The service in a separate process, which can be killed and started again."""
 
     def __init__(self, domain: str, folder: Path) -> None:
         with socket.socket() as free:
@@ -122,7 +123,7 @@ class Crowd:
             self.free.append(talk)
 
     def answer(self, due: float) -> None:
-        """Answers what is open with somebody; where the trace is explained, somebody new comes."""
+        """Answers the open action of a person; after the end of the trace, a new person begins."""
         with self.lock:
             talk = self.free.pop(self.rng.randrange(len(self.free)))
             now = talk["next"]
@@ -139,7 +140,7 @@ class Crowd:
 
 
 def load(service: Service, people: int, rate: float, seconds: float) -> int:
-    """Answers at a steady rate; returns the number of errors."""
+    """Sends answers at a steady rate. Returns the number of errors."""
     crowd = Crowd(service, seed=0)
     with ThreadPoolExecutor(CLIENTS) as pool:
         list(pool.map(lambda _: crowd.begin(), range(people)))
@@ -158,7 +159,8 @@ def load(service: Service, people: int, rate: float, seconds: float) -> int:
 
 
 def killed(service: Service, sessions: int, kills: int) -> int:
-    """Creates sessions under kill -9; returns how many acknowledged ones are not as they were."""
+    """Creates sessions under kill -9. Returns the number of acknowledged sessions that changed or
+    are lost."""
     traces = service.call("GET", "/task")["traces"]
     acknowledged: dict[str, Json] = {}
     back = threading.Event()

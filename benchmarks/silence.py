@@ -1,13 +1,13 @@
-"""Records what a command writes on a terminal, with seconds, and tells its longest silence.
+"""Records the output of a command on a terminal, with seconds, and prints its longest silence.
 
     python benchmarks/silence.py [--quick] [--most SECONDS] [--out FILE] [-- COMMAND ...]
     python benchmarks/silence.py -- make run
     NUMBA_CACHE_DIR=$(mktemp -d) python benchmarks/silence.py
 
-Without a command it is README's, shorter with ``--quick``, which judges nothing. Exit code 1 where
-nothing was written for longer than ``--most`` (3 seconds); a bar that moves writes. The recording
-has one line for each piece of output: the seconds at which it came, and what is left of it without
-a terminal's control codes. POSIX alone: the command runs on a pty.
+The default is README's command, a shorter one with ``--quick``, which judges nothing. The exit code
+is 1 if nothing was written for longer than ``--most`` (3 seconds); a moving bar counts as output.
+The recording has one line for each piece of output: its time in seconds, and its text without
+control codes of a terminal. The command runs on a pty, so this needs POSIX.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SHORT = ["traces=1", "certify.traces=1", "points=20", "labeler=tree", "clusterer
 
 
 def main() -> int:
-    """Runs the command on a terminal of its own."""
+    """Runs the command on a new terminal."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--most", type=float, default=3.0)
     parser.add_argument("--out", type=Path)
@@ -53,8 +53,8 @@ def main() -> int:
 
 
 def recorded(command: list[str]) -> tuple[list[tuple[float, str]], int]:
-    """What the command writes on a terminal of 100 columns, with the seconds at which it came; and
-    its exit code."""
+    """Returns the output of the command on a terminal of 100 columns, with its times in seconds,
+    and the exit code."""
     pid, terminal = pty.fork()
     if pid == 0:
         os.environ |= {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}

@@ -1,11 +1,11 @@
-"""What a study's participants pay for its labeler and its belief (docs/study.md).
+"""Measures the cost of a study's labeler and belief to its participants (docs/study.md).
 
     python benchmarks/study_defaults.py              both of the paper's domains, 12 seeds
     python benchmarks/study_defaults.py --seeds 3    three of them
     python benchmarks/study_defaults.py --quick      a smoke run
 
-The study's own types, observers and policy (personalized), of each seed on the five traces on which
-the types need most; costs by what people truly think.
+Types, observers and policy (personalized) are the study's. Each seed has the five traces for which
+the types need most facts; costs count what people truly think.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from xplain.people.study.prepare import learned_table, make_draft, traces_of
 from xplain.randomness import derived_seed
 
 FIRST = 9600
-"""The first seed; by none of them was anything chosen."""
+"""The first seed; nothing was chosen on it or later ones."""
 LABELERS = ("tree", "hypotheses")
 BELIEFS = {"as the paper": Independent(), "learned": Persistent("learned")}
 PEOPLE: dict[str, Explainee] = {"never": Exact(), "10%, the same again": Slips(0.1, repeats=True)}
 
 
 def paid(study: Study, explainee: Explainee, seed: int) -> float:
-    """The mean cost of one person of each type."""
+    """Returns the mean cost of one person of each type."""
     problem, policy = study.plan.problem_of(PERSONALIZED), study.policies[PERSONALIZED]
     costs = []
     for kind, labels in enumerate(study.plan.true_labels):
@@ -49,7 +49,7 @@ def paid(study: Study, explainee: Explainee, seed: int) -> float:
 
 
 def measured(domain: str, labeler: str, seed: int, traces: int) -> dict[tuple[str, str], float]:
-    """The mean cost of a seed, by belief and people."""
+    """Returns the mean cost of a seed, by belief and people."""
     cfg = compose_config("study", [f"domain={domain}", f"seed={seed}", f"labeler={labeler}"])
     config: dict[str, Any] = select_plan_keys(cfg)
     setting, learned = learned_types(cfg, instantiate(cfg.domain))
@@ -69,7 +69,7 @@ def measured(domain: str, labeler: str, seed: int, traces: int) -> dict[tuple[st
 
 
 def table(seeds: Iterable[int], traces: int) -> None:
-    """Prints the costs, and what the learned belief costs above the paper's."""
+    """Prints the costs, and the ratio of the learned belief's cost to the paper's."""
     print("| people err | labels learned by | as the paper | learned | learned / paper |")
     print("|---|---|---|---|---|")
     for domain in DOMAINS:

@@ -1,4 +1,5 @@
-"""Load on the server of a study or a collection: many participants at once, on this machine.
+"""Measures the server of a study or a collection under load: many participants at once, on this
+machine.
 
     python benchmarks/study_load.py            200 participants, thinking 2 to 10 s between pages
     python benchmarks/study_load.py --quick    8 participants, thinking 0.3 to 0.8 s
@@ -45,7 +46,8 @@ Times = list[float]
 
 
 class Participant(threading.Thread):
-    """Enters, thinks, answers; loads the page's files, and reports as a page with scripts does."""
+    """A participant who enters, thinks and answers, loads the page's files, and sends the reports
+    of a page with scripts."""
 
     def __init__(
         self,
@@ -65,7 +67,7 @@ class Participant(threading.Thread):
         self.error = ""
 
     def run(self) -> None:
-        """The whole study; an error ends it and is kept."""
+        """Takes part in the whole study; an error ends it and is stored."""
         time.sleep(self.wait)
         try:
             self._take_part()
@@ -113,14 +115,14 @@ def percentiles(times: Times) -> str:
 
 
 class Slow(threading.Thread):
-    """Connections that never finish a request: each sends a byte a second of its header."""
+    """Connections that never finish a request: each sends one byte of its header per second."""
 
     def __init__(self, port: int, count: int) -> None:
         super().__init__(daemon=True)
         self.port, self.count, self.ended = port, count, threading.Event()
 
     def run(self) -> None:
-        """Until :attr:`ended`; connections that the server closes are opened anew."""
+        """Runs until :attr:`ended`; opens connections again that the server closes."""
         held: list[socket.socket] = []
         while not self.ended.wait(1.0):
             while len(held) < self.count:
@@ -136,7 +138,7 @@ class Slow(threading.Thread):
 
 
 def study() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
-    """The shipped study, and its people."""
+    """Makes the shipped study and its people."""
     small = ["seed=0", "observers.points=150", "trace.candidates=40"]
     plan = study_plan(compose_config("study", small))
     habits = Habits(0, 0, 0, 0, mistake=0)
@@ -145,15 +147,15 @@ def study() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
 
 
 def collect() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
-    """A collection about rescue with adaptive questions, and its people."""
+    """Makes a collection about rescue with adaptive questions, and its people."""
     plan = collect_plan(compose_config("collect", ["rules.people=6"]))
     habits = Answers(error=0.05, mistake=0)
     return Collection.of(plan), lambda number: bot(plan, habits, 0, number)
 
 
 def stolen() -> tuple[int, int]:
-    """Time that other machines took of this one's processors, and all time, since it was started;
-    (0, 0) where the system does not tell."""
+    """Returns the processor time that other machines took from this one, and all time, since its
+    start; (0, 0) if the system does not report them."""
     try:
         numbers = [int(x) for x in Path("/proc/stat").read_text().split("\n")[0].split()[1:]]
     except OSError:
@@ -162,7 +164,7 @@ def stolen() -> tuple[int, int]:
 
 
 def measure(command: str, people: int, think: tuple[float, float], ramp: float, slow: int) -> int:
-    """Runs and prints; how many participants met an error."""
+    """Runs the load and prints the results. Returns the number of participants with an error."""
     protocol, person = {"study": study, "collect": collect}[command]()
     with tempfile.TemporaryDirectory() as folder:
         database = Path(folder) / "study.sqlite"

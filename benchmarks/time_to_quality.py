@@ -1,13 +1,13 @@
-"""Time to quality: how well each solver explains, and how long it takes.
+"""Measures the quality and the time of each solver's explanations.
 
     python benchmarks/time_to_quality.py            # tens of minutes
     python benchmarks/time_to_quality.py --quick    # seconds
 
 Random problems of three sizes (types, messages that matter, steps). Each solver explains the same
-traces to the same users, whose labels are drawn once. Printed are CPU milliseconds to plan and for
-a decision, and by how much an explanation costs more than QMDP's (mean and standard error over
-problems; less than 0 is better). ``certified`` searches until the optimum is known to within 1 % of
-the value of a known type. Where a solver refuses a size, its row says why.
+traces to the same users, whose labels are drawn once. The output has CPU milliseconds to plan and
+for a decision, and the cost of an explanation minus QMDP's (mean and standard error over problems;
+less than 0 is better). ``certified`` searches until the gap is 1 % of the value of a known type. If
+a solver refuses a size, its row says why.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SIZES = ((5, 6, 12, 2), (20, 16, 40, 4), (50, 48, 40, 4))
 
 
 def solvers_of(problem: Problem) -> dict[str, Solver]:
-    """Every solver that need not know the user's type."""
+    """Makes every solver that does not need the user's type."""
     gap = 0.01 * abs(known_type_value(problem))
     return {
         "qmdp": QMDP(),
@@ -57,7 +57,7 @@ def solvers_of(problem: Problem) -> dict[str, Solver]:
 
 
 def users_of(problem: Problem, count: int, seed: int) -> Iterator[SimulatedUser]:
-    """Users of types drawn from the prior, with labels drawn once."""
+    """Makes users of types drawn from the prior, with labels drawn once."""
     rng = np.random.default_rng(seed)
     for _ in range(count):
         table = problem.table.of_types([int(rng.choice(problem.n_types, p=problem.prior))])
@@ -68,7 +68,7 @@ def users_of(problem: Problem, count: int, seed: int) -> Iterator[SimulatedUser]
 def measured(
     problem: Problem, solver: Solver, users: list[SimulatedUser]
 ) -> tuple[float, float, NDArray[np.float64]]:
-    """Milliseconds to plan and for a decision, and what each user's explanation cost."""
+    """Measures milliseconds to plan and for a decision, and the cost of each user's explanation."""
     began = time.process_time()
     policy = CachedPolicy(solver.plan(problem))
     planned = time.process_time()
@@ -82,7 +82,7 @@ def measured(
 
 
 def table_of(size: tuple[int, int, int, int], problems: int, users: int, seed: int) -> Table:
-    """One size's rows."""
+    """Makes the rows of one size."""
     types, messages, steps, facts = size
     shown = Table(title=f"({types} types, {messages} messages, {steps} steps)")
     for column in ("solver", "plan ms", "most", "decision ms", "cost − qmdp's", "problems"):
@@ -121,7 +121,7 @@ def table_of(size: tuple[int, int, int, int], problems: int, users: int, seed: i
 
 
 def main() -> None:
-    """Prints a table a size."""
+    """Prints a table for each size."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

@@ -1,9 +1,9 @@
-"""The whole method with simulated people: labels, types, and a study of people as they are.
+"""Runs the whole method with simulated people: labels, types, and a study without a briefing.
 
-24 people answer 20 adaptive questions each, 5 % of them wrongly; ``discover`` finds the types; the
-policies of a study know these types alone, and other simulated people, whom nobody briefs, take
-part: *personalized* against *conformant*. Both protocols run as they do behind the pages, without
-the pages. The aim: personalized messages are fewer, at no more steps that make no sense.
+24 people answer 20 adaptive questions each, 5 % of them wrongly, and ``discover`` finds the types.
+The policies of a study know only these types; other simulated people take part without a briefing:
+*personalized* against *conformant*. Both protocols run without pages. The aim is fewer messages in
+the personalized condition, and no more steps that make no sense.
 
     python benchmarks/whole_loop.py [--domain rescue] [--seeds 5] [--people 20] [--quick]
 """
@@ -50,7 +50,7 @@ MEASURES = ["messages", "inexplicable", "score", "seconds"]
 
 
 def collection(domain: str, seed: int) -> CollectPlan:
-    """The plan of ``collect``."""
+    """Makes the plan of ``collect``."""
     cfg = compose_config("collect", [f"domain={domain}", f"points={LABELS}", f"seed={seed}"])
     config = select_plan_keys(cfg)
     rules = CollectRules(points=LABELS, **config["rules"])
@@ -58,8 +58,8 @@ def collection(domain: str, seed: int) -> CollectPlan:
 
 
 def found_types(plan: CollectPlan, folder: Path, seed: int) -> tuple[Path, float]:
-    """The file of the types that are found in these people's labels, and how well they are found
-    (adjusted Rand index)."""
+    """Writes the types that are found in these people's labels into a file. Returns it with the
+    adjusted Rand index."""
     from sklearn.metrics import adjusted_rand_score
 
     states = crowd(plan, PEOPLE, Observing(error=ERROR, mistake=0.0), seed)
@@ -74,13 +74,13 @@ def found_types(plan: CollectPlan, folder: Path, seed: int) -> tuple[Path, float
 
 
 def study(domain: str, types: Path, seed: int) -> StudyPlan:
-    """The plan of a study of people as they are, whose policies know these types."""
+    """Makes the plan of a study without a briefing, whose policies know these types."""
     given = [f"domain={domain}", f"types={types}", "briefing=none", f"seed={seed}"]
     return study_plan(compose_config("study", given))
 
 
 def took_part(plan: StudyPlan, people: int, habits: Habits, seed: int) -> list[dict[str, object]]:
-    """A row a simulated participant who got to the end: condition and measures."""
+    """Returns a row for each simulated participant who finished: condition and measures."""
     at_work, rows = Study.of(plan), []
     for condition in CONDITIONS:
         for number in range(people * len(plan.true_labels)):
@@ -103,7 +103,8 @@ def took_part(plan: StudyPlan, people: int, habits: Habits, seed: int) -> list[d
 
 
 def one(domain: str, seed: int, people: int) -> list[dict[str, object]]:
-    """Rows of one seed, with ``ari`` and the number of types; none where no study can be made."""
+    """Returns the rows of one seed, with ``ari`` and the number of types; none if no study can be
+    made."""
     with tempfile.TemporaryDirectory() as folder:
         with contextlib.redirect_stdout(io.StringIO()):
             types, ari = found_types(collection(domain, seed), Path(folder), seed)
@@ -120,7 +121,7 @@ def one(domain: str, seed: int, people: int) -> list[dict[str, object]]:
 
 
 def main() -> None:
-    """Prints a row a seed and condition, and the differences."""
+    """Prints a row for each seed and condition, and the differences."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--domain", default="rescue")
     parser.add_argument("--seeds", type=int, default=5)

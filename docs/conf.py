@@ -1,4 +1,4 @@
-"""The site: today's Markdown, README first, and the public names from their docstrings.
+"""The docs as a site: the Markdown pages, README first, and the public names from their docstrings.
 
     make docs        build/site/index.html; warnings are errors, also of links that lead nowhere
 
@@ -89,7 +89,7 @@ SIDEBAR = {
 
 
 def _with_sidebar(app: Sphinx, name: str, source: list[str]) -> None:
-    """README as Sphinx reads it has the table of contents that would be noise in a checkout."""
+    """Adds a table of contents to README for Sphinx; a checkout does not need one."""
     if name == root_doc:
         for caption, pages in SIDEBAR.items():
             lines = "\n".join(pages)
@@ -97,7 +97,7 @@ def _with_sidebar(app: Sphinx, name: str, source: list[str]) -> None:
 
 
 def _with_index(app: Sphinx, error: Exception | None) -> None:
-    """The front page also by the name that servers look for."""
+    """Copies the front page to index.html, the name that servers look for."""
     page = Path(app.outdir) / f"{root_doc}.html"
     if error is None and page.exists():
         shutil.copyfile(page, page.with_name("index.html"))

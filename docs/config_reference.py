@@ -35,8 +35,8 @@ COMMANDS = ("discover", "observe", "questions", "plan", "export", "collect", "se
 UNTOLD = ("defaults", "hydra", "_convert_", "_target_")
 """Sections that are no settings of an experiment."""
 SENTENCES = ("message", "belief")
-"""Fields of a domain's parameter that are words for people, as all below ``words`` are, not
-settings to explain."""
+"""Fields of a domain's parameter with words for people; these, and everything below ``words``, are
+no settings to explain."""
 
 LINE = re.compile(r"^(?P<indent> *)(?P<key>[\w.]+):(?: (?P<rest>.*))?$")
 COMMENT = re.compile(r"^(?P<value>(?:\"[^\"]*\"|'[^']*'|[^#])*?)(?:(?:^|\s+)# (?P<comment>.*))?$")
@@ -92,7 +92,7 @@ def page() -> str:
 
 
 def section(file: Path, prefix: str) -> str:
-    """What a file says of itself, and its keys."""
+    """Writes a section: the file's description, and its keys."""
     lines = file.read_text(encoding="utf-8").splitlines()
     whole = lines[0].startswith("# @package _global_")
     lines = lines[whole:]
@@ -158,7 +158,7 @@ def keys(lines: list[str], prefix: str) -> Iterator[Key]:
 
 
 def paragraph(lines: list[str]) -> str:
-    """Comment lines as prose; indented ones are commands."""
+    """Converts comment lines to prose; indented ones are commands."""
     text = ""
     for line in lines:
         if line.startswith("  "):
@@ -169,7 +169,7 @@ def paragraph(lines: list[str]) -> str:
 
 
 def code(value: str) -> str:
-    """A value as code, cut where it would break the table."""
+    """Formats a value as code, and shortens long values."""
     if not value:
         return ""
     shown = value if len(value) <= 60 else value[:57] + "..."
@@ -177,7 +177,7 @@ def code(value: str) -> str:
 
 
 def cell(text: str) -> str:
-    """Prose inside a table."""
+    """Escapes prose for a table."""
     return text.replace("|", "\\|")
 
 

@@ -1,7 +1,8 @@
-"""Runs what the docs show: every `console` and `python` block, each document in an empty folder.
+"""Runs the commands and programs in the docs: every `console` and `python` block, each document in
+an empty folder.
 
-    python docs/run.py docs/tour.md            compares, and tells the first difference
-    python docs/run.py --write docs/tour.md    puts the real output in place of what is shown
+    python docs/run.py docs/tour.md            compares, and prints the first difference
+    python docs/run.py --write docs/tour.md    replaces the shown output by the real one
 
 In a `console` block a line that begins with `$ ` is a command (`\\` at its end continues it), the
 lines below it are its standard output; `...` stands for lines left out. Shown and real output may
@@ -33,18 +34,18 @@ SERVERS = re.compile(
 
 
 class DocsError(Exception):
-    """A command failed, or prints something else than the docs show."""
+    """A command failed, or its output differs from the docs."""
 
 
 @dataclass
 class Piece:
-    """A command with the output that is shown for it, or a program (``code``) with its own.
+    """A command or a program with the output that the docs show.
 
     Attributes:
         command: as typed; empty for a program.
         code: a program in Python.
         shown: lines.
-        real: lines, once it ran.
+        real: lines of the real output, after it ran.
     """
 
     command: str = ""
@@ -54,7 +55,7 @@ class Piece:
 
 
 def main() -> int:
-    """Compares or writes the documents named."""
+    """Compares or writes the given documents."""
     write = "--write" in sys.argv[1:]
     for name in [argument for argument in sys.argv[1:] if argument != "--write"]:
         document = Path(name)
@@ -71,12 +72,12 @@ def main() -> int:
 
 
 def with_files(text: str) -> str:
-    """The document with the files that it shows as they are now."""
+    """Returns the document with the current content of the files that it shows."""
     return FILE.sub(lambda b: b[1] + (ROOT / b[2]).read_text(encoding="utf-8") + b[4], text)
 
 
 def blocks_of(text: str) -> list[tuple[re.Match[str], list[Piece]]]:
-    """The blocks that are run, with the fences that hold them."""
+    """Returns the blocks to run, with their fences."""
     found: list[tuple[re.Match[str], list[Piece]]] = []
     before = ""
     for fence in FENCE.finditer(text):
@@ -112,7 +113,7 @@ def ran(text: str, folder: Path, compare: bool) -> list[tuple[re.Match[str], lis
     """Runs all blocks in this folder.
 
     Raises:
-        DocsError: one fails, or (``compare``) prints something else than is shown.
+        DocsError: a block fails, or (``compare``) its output differs from the shown one.
     """
     found = blocks_of(text)
     env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "100", "PYTHONIOENCODING": "utf-8"}
@@ -145,7 +146,7 @@ def ran(text: str, folder: Path, compare: bool) -> list[tuple[re.Match[str], lis
 
 
 def differs(shown: list[str], real: list[str]) -> str:
-    """The first difference in words; empty where there is none that matters."""
+    """Describes the first difference; empty if there is none."""
     rest = list(real)
     skipping = False
     for line in shown:
@@ -163,7 +164,7 @@ def differs(shown: list[str], real: list[str]) -> str:
 
 
 def masked(line: str) -> str:
-    """A line without what may differ: digits, signs before them, bars, rules, blanks, ids."""
+    """Removes from a line what may differ: digits, signs before them, bars, rules, blanks, ids."""
     line = re.sub(r"(?:\b[0-9a-f]{6,}|_[0-9a-f]{4})\b", "#", line)
     line = re.sub(r"\((exact|± [^)]*)\)", "", line)
     line = re.sub(r"[-−+]?\d[\d.,:]*%?", "#", line)
@@ -172,7 +173,7 @@ def masked(line: str) -> str:
 
 
 def rewritten(text: str, found: list[tuple[re.Match[str], list[Piece]]]) -> str:
-    """The document with the real output."""
+    """Returns the document with the real output."""
     for at in range(len(found) - 1, -1, -1):
         fence, pieces = found[at]
         if fence[1] == "console":
@@ -187,7 +188,7 @@ def rewritten(text: str, found: list[tuple[re.Match[str], list[Piece]]]) -> str:
 
 
 def _cut(shown: list[str], real: list[str]) -> list[str]:
-    """Real output, without what is shown to be left out."""
+    """Returns the real output without the lines that the docs leave out."""
     gaps = [i for i, line in enumerate(shown) if line.strip() == LEFT_OUT]
     if not gaps:
         return real

@@ -1,13 +1,14 @@
-"""Which tables of measured figures are older than the defaults and the code that they depend on.
+"""Finds tables of measured figures that are older than the defaults and the code that they depend
+on.
 
     python docs/tables.py                  lists all tables; exit code 1 where a page is not true
     python docs/tables.py --write          lets the pages say which of their tables are older
     python docs/tables.py --stamp NAME …   after NAME was made anew: it is current
 
-A table is one of measured figures if a third of its cells, the head aside, begin with a figure.
-Above each stands the comment `<!-- table: NAME -->`, and docs/tables.toml says what NAME is. What
-it depends on is stamped in docs/stamps.json, by values and not by sources: those of the resolved
-configurations, and the reference runs in tests/fixed. Neither changes where no figure does.
+A table has measured figures if a third of its cells, without the head, begin with a figure. The
+comment `<!-- table: NAME -->` is above it, and docs/tables.toml describes NAME. docs/stamps.json
+has digests of everything that it depends on: the values of resolved configurations, and the
+reference runs in tests/fixed. They change only if figures may change.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ SINCE = {
     "ask.when": '"anytime"',
     "ask.clips": "150",
 }
-"""Keys that came after tables were made, with the value that does what was done before."""
+"""Keys that were added after tables were made, with the value that has the old behaviour."""
 GONE = {
     "again.price": "1.0",
     "again.most": "null",
@@ -70,7 +71,7 @@ GONE = {
     "clusterer.jobs": "1",
     "labeler.refit": "true",
 }
-"""Keys that there are no more, with the value that does what is done now."""
+"""Removed keys, with the value that has today's behaviour."""
 
 
 def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
@@ -105,12 +106,12 @@ def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
 
 
 def pages(root: Path) -> list[Path]:
-    """All that may show figures."""
+    """Lists all pages that may have figures."""
     return [page for pattern in PAGES for page in sorted(root.glob(pattern))]
 
 
 def measured(text: str) -> Iterator[re.Match[str]]:
-    """The tables of measured figures in a page, each with the name above it."""
+    """Yields the tables of measured figures in a page, each with its name."""
     shown = FENCE.sub(lambda block: re.sub(r"[^\n]", " ", block[0]), text)  # the same places
     for match in TABLE.finditer(shown):
         rows = [row.strip("|").split("|") for row in match["body"].splitlines()]
@@ -120,7 +121,7 @@ def measured(text: str) -> Iterator[re.Match[str]]:
 
 
 def faults(root: Path, entries: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
-    """Tables without a name or a command, names without a table."""
+    """Finds tables without a name or a command, and names without a table."""
     used = set()
     for page in pages(root):
         text = page.read_text(encoding="utf-8")
@@ -136,7 +137,7 @@ def faults(root: Path, entries: Mapping[str, Mapping[str, Any]]) -> Iterator[str
 
 
 def telling(text: str, older: Mapping[str, str]) -> str:
-    """The page with :data:`OLDER` above each table that is older, and above no other."""
+    """Returns the page with :data:`OLDER` above the older tables only."""
     for match in reversed(list(measured(text))):
         said = OLDER + "\n\n" if match["name"] in older else ""
         at = match.start("table") - len(match["older"] or "")
@@ -145,7 +146,7 @@ def telling(text: str, older: Mapping[str, str]) -> str:
 
 
 def changed(then: Stamp, now: Stamp) -> str:
-    """Keys and reference runs that are not as they were, in words; empty where all are."""
+    """Lists keys and reference runs that changed, in words; empty if none did."""
     as_before = {key: digest([value]) for key, value in SINCE.items() if key in now}
     then = as_before | then if then else then
     gone = {(key, digest([value])) for key, value in GONE.items() if key not in now}
@@ -155,14 +156,14 @@ def changed(then: Stamp, now: Stamp) -> str:
 
 
 def stamp(root: Path, entry: Mapping[str, Any]) -> Stamp:
-    """What a table depends on.
+    """Returns digests of everything that a table depends on.
 
     Args:
         root: of the repository.
         entry: as docs/tables.toml explains.
 
     Raises:
-        FileNotFoundError: a reference run that there is not.
+        FileNotFoundError: a reference run does not exist.
     """
     values: dict[str, set[str]] = {}
     for words in entry.get("configurations", [entry["command"].partition(" xplain ")[2]]):
@@ -178,7 +179,7 @@ def stamp(root: Path, entry: Mapping[str, Any]) -> Stamp:
 
 
 def part(node: Any, patterns: Sequence[str]) -> Any:
-    """What is kept below keys that match, level by level."""
+    """Returns the stored values below matching keys, level by level."""
     if not patterns:
         return node
     keys = fnmatch.filter(node, patterns[0])
@@ -186,10 +187,11 @@ def part(node: Any, patterns: Sequence[str]) -> Any:
 
 
 def resolved(root: Path, words: str) -> Iterator[tuple[str, str]]:
-    """Keys, two levels deep, and values of what a run's or a sweep's words compose.
+    """Returns keys (two levels deep) and values of the configurations that a run's or a sweep's
+    words compose.
 
-    A choice of a group decides the group's own keys; all others are the domain's, or the defaults.
-    What is given a value stands with it as it is written.
+    A choice of a group decides the keys of this group; all other keys are the domain's, or the
+    defaults. A key with a given value has it as written.
     """
     settings = [dict(word.split("=", 1) for word in words.split())]
     if "sweeps" in settings[0]:
@@ -213,7 +215,8 @@ def resolved(root: Path, words: str) -> Iterator[tuple[str, str]]:
 
 
 def jobs(file: Mapping[str, Any]) -> list[dict[str, str]]:
-    """What a sweep's jobs set: the keys of its file, its parameters, each of its settings."""
+    """Yields the values that a sweep's jobs set: keys of its file, its parameters, each of its
+    settings."""
     sweeper = file.get("hydra", {}).get("sweeper", {})
     own = {key: value for key, value in file.items() if key != "hydra"}
     parts = [own, sweeper.get("params", {}), *sweeper.get("settings", [])]
@@ -221,7 +224,7 @@ def jobs(file: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def sweep(root: Path, name: str) -> dict[str, Any]:
-    """The content of a file of sweeps/, over that of the files that it is based on."""
+    """Returns the content of a file of sweeps/, merged over the files that it is based on."""
     own: Any = OmegaConf.load(root / "sweeps" / f"{name}.yaml")
     based = [sweep(root, base) for base in own.pop("defaults", []) if base != "_self_"]
     merged: Any = OmegaConf.to_container(OmegaConf.merge(*based, own))
@@ -230,7 +233,8 @@ def sweep(root: Path, name: str) -> dict[str, Any]:
 
 @cache
 def composed(root: Path, choice: str) -> list[tuple[str, str]]:
-    """The resolved configuration with a choice, or none, as (key, value), two levels deep."""
+    """Returns the resolved configuration with a choice, or without, as (key, value), two levels
+    deep."""
     register()
     with initialize_config_dir(str(root / "conf"), version_base="1.3"):
         found = configuration(compose("config", [choice] if choice else []))
@@ -243,7 +247,8 @@ def composed(root: Path, choice: str) -> list[tuple[str, str]]:
 
 
 def plain(node: Any) -> Any:
-    """Without :data:`TEXTS`, empty as nothing; of a class of ours its name, wherever it lives."""
+    """Removes :data:`TEXTS` and empty values, and reduces our classes to their names without their
+    module."""
     if isinstance(node, dict):
         return {key: plain(value) for key, value in node.items() if key not in TEXTS} or None
     if isinstance(node, list):

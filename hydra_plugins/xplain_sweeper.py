@@ -1,4 +1,4 @@
-"""Hydra's sweeper of xplain: the jobs of a sweep that have no result yet.
+"""xplain's sweeper for Hydra: it runs the jobs of a sweep that have no result yet.
 
 Hydra looks for plugins in ``hydra_plugins``: every Hydra program of the environment imports this
 file, so it imports nothing of xplain before a sweep begins.
@@ -18,15 +18,14 @@ from omegaconf import DictConfig
 
 
 class XplainSweeper(Sweeper):
-    """All combinations of the swept values, without the jobs that have a result.
+    """Runs all combinations of the swept values, without the jobs that have a result.
 
     Args:
         params: ``{key: values}``, as in Hydra's basic sweeper.
-        settings: a list of such mappings, one a setting of the experiment; the sweep is the
-            union over settings, each combined with ``params``. Keys given on the command line
-            win over both.
-        pool: swept keys over whose values the report averages; every other one has rows or lines
-            of its own.
+        settings: a list of such mappings, one for each setting of the experiment. The sweep is the
+            union over settings, each combined with ``params``. Keys on the command line override
+            both.
+        pool: swept keys that the report averages over; all other keys have separate rows or lines.
         report: ``table1`` adds the paper's Table 1 with its published values; null adds nothing.
     """
 

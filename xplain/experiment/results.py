@@ -91,13 +91,13 @@ class Provenance:
 
     Attributes:
         name: readable name.
-        fingerprint: fingerprint of everything that its numbers depend on; its folder below
-            ``outputs/results``.
-        xplain, code: version, and digest of the sources.
+        fingerprint: fingerprint of everything that its numbers depend on, and the name of its
+            folder below ``outputs/results``.
+        xplain, code: version of the package, and digest of its sources.
         git: the commit, and if the checkout has changes; empty without a checkout.
         worker: host and process id of the process that computed it.
         started: seconds since 1970.
-        seconds: by stage.
+        seconds: duration of each stage, by name.
         choices: the components by group.
         config: the resolved configuration.
     """

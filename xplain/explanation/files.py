@@ -86,7 +86,7 @@ def load(path: str | Path) -> Problem:
 
 
 def _as_python(array: NDArray[Any]) -> Any:
-    """A single number or text, or several texts, as Python values."""
+    """Converts a single number or text, or several texts, to Python values."""
     if not array.ndim:
         return array.item()
     return tuple(array.tolist()) if array.dtype.kind == "U" else array

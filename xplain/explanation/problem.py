@@ -327,7 +327,7 @@ def expand_costs(given: ArrayLike, count: int | None) -> NDArray[np.float64]:
 
 
 def check_names(key: str, given: Sequence[str], count: int, kind: str) -> tuple[str, ...]:
-    """Exactly ``count`` names; numbered names if none are given."""
+    """Checks that there are exactly ``count`` names; makes numbered names if none are given."""
     names = tuple(given) or tuple(f"{kind}_{i}" for i in range(count))
     if len(names) != count:
         raise InputError(key, names, f"{count} names")

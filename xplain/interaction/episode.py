@@ -26,7 +26,7 @@ class Episode:
         messages: [m] int64, the messages (bitmask) given before each *explain*.
         labels: [m, m] int8; row k has the labels given at step k, and −1 right of the diagonal.
         thoughts: [m, m] int8; row k has the labels that the user truly thinks. Costs count these.
-        beliefs: [m + 1, M] over user types, before the first step and after each.
+        beliefs: [m + 1, M] beliefs over user types, before the first step and after each step.
         seconds: [m] the time that the policy took for each step's decisions. A cached decision
             counts with its first time.
         communication: Σ C_e of all messages given (not multiplied by λ).

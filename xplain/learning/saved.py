@@ -64,7 +64,7 @@ def _labeler(
     Args:
         arrays: arrays of the file; those of type t have names ``t/…``.
         t: index of the type.
-        features, messages: their numbers.
+        features, messages: number of features, and of messages.
         trusted: classes outside scikit-learn that skops may create, by full name.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Observers who give the same answers to the same questions are of one type."""
+"""A clusterer: observers who give the same answers to the same questions have one type."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ class SameAnswers(Clusterer):
     """Attributes:
     tolerance: share of the common questions that two observers of one type may answer
         differently, in [0, 1).
-    common: questions that they must have in common, at least.
+    common: minimum number of questions that they must have in common.
     """
 
     tolerance: float = 0.0
@@ -26,7 +26,7 @@ class SameAnswers(Clusterer):
             raise InputError("clusterer.tolerance", self.tolerance, "a share in [0, 1)")
 
     def cluster(self, observed: Observed, seed: int) -> Clustering:
-        """Who agrees with whom makes a graph; a type is a connected part of it."""
+        """Makes a graph of observers who agree; each connected part is a type."""
         dataset = observed.dataset
         question = query_index(dataset)
         answers = np.zeros((2, len(dataset.observers), question.max() + 1))  # answers 0, answers 1

@@ -15,7 +15,7 @@ BACK = {"right": "left", "down": "up"}
 
 class Warehouse:
     """A state is a cell of an aisle; the dispatch, the last crossing, ends the task. Each fact is
-    about the two cells between two crossings. The robot's value of each is 0: none is true."""
+    about the two cells between two crossings. The robot's value of each fact is 0: none is true."""
 
     name = "warehouse"
     actions = tuple(MOVES)
@@ -56,11 +56,12 @@ class Warehouse:
 
     @staticmethod
     def step(cell: tuple[int, ...], way: str, count: int = 1) -> tuple[int, int]:
-        """The cell so many cells ahead."""
+        """Returns the cell this number of cells ahead."""
         return cell[0] + count * MOVES[way][0], cell[1] + count * MOVES[way][1]
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The task of somebody who holds these values: each drive costs 1, and what they think."""
+        """The task of a person who believes these values: each drive costs 1, plus the costs that
+        they believe in."""
         shape = (len(self.cells), len(MOVES), 1)  # states, actions, outcomes of an action
         successor, reward = np.empty(shape, np.int64), np.full(shape, -1.0)
         about = {cell: name for name, (_, cells) in self.stretches.items() for cell in cells}
@@ -75,7 +76,7 @@ class Warehouse:
         return MDP(successor, np.ones(shape), reward, discount=0.95, terminal=last)
 
     def describe(self, transition: np.ndarray) -> str:
-        """Such as "drives right on lane_2 at (2, 3)"."""
+        """Describes a transition, such as "drives right on lane_2 at (2, 3)"."""
         _, action, after = (int(x) for x in transition)
         on = [name for name, (_, cells) in self.stretches.items() if self.cells[after] in cells]
         where = f"on {on[0]} at" if on else "to"
@@ -87,7 +88,7 @@ class Warehouse:
 
     @property
     def scene(self) -> Scene:
-        """The map; the stretches that facts are about show the numbers of the facts."""
+        """The map; stretches with facts show the numbers of these facts."""
         items = [Item("dispatch", "D", (self.cells[-1],))]
         for kind in sorted(set(KINDS)):
             own = [
@@ -103,7 +104,7 @@ class Warehouse:
 
 
 def sentences(kind: str, way: str, cells: tuple[Any, ...], worth: float) -> tuple[str, str]:
-    """What is true of a stretch, and what somebody believes who believes it incorrectly."""
+    """Returns two sentences about a stretch: the truth, and the incorrect belief."""
     where = f"from {cells[0]} to {cells[-1]}"
     if kind == "wet":
         return (

@@ -1,5 +1,5 @@
-"""Users who are too polite to say that a step puzzles them (the acquiescence of questionnaires:
-Krosnick 1999). They never call a step odd that is not."""
+"""Users who are too polite to say that a step makes no sense to them (the acquiescence of
+questionnaires: Krosnick 1999). If a step makes sense to them, they always say so."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from xplain.interaction.explainees import Explainee, Person
 @dataclass(frozen=True)
 class Polite(Explainee):
     """Args:
-    politeness: probability that somebody does not say what puzzles them about a transition.
+    politeness: probability that a user calls an inexplicable transition explicable.
     """
 
     politeness: float = 0.3
@@ -23,7 +23,7 @@ class Polite(Explainee):
             raise InputError("explainee.politeness", self.politeness, "a probability in [0, 1]")
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """Somebody who keeps silent about some transitions, and about all of their copies."""
+        """Makes a person who calls some transitions, and all of their copies, explicable."""
         drawn = stream(seed, "polite").random(len(same))[same]
         return _Silent(SimulatedUser(labels), drawn < self.politeness)
 
@@ -34,7 +34,7 @@ class _Silent(Person):
     about: NDArray[np.bool_]
 
     def hear(self, new: int) -> None:
-        """Believes it; ``given`` says what was said."""
+        """Does nothing, because ``given`` says which messages the person knows."""
 
     def react(self, given: int, count: int) -> Reaction:
         thoughts = self.user.labels(count, given)

@@ -1,4 +1,4 @@
-"""The examples most similar to a question vote; similar is what differs in few columns.
+"""A classifier in which the most similar examples vote: those that differ in the fewest columns.
 
 Any classifier of scikit-learn's shape can be a labeler. This one is written out in full.
 """
@@ -12,7 +12,7 @@ from xplain import InputError
 
 class HammingNeighbours(ClassifierMixin, BaseEstimator):
     """Args:
-    neighbours: how many examples vote; those as near as the last one vote too.
+    neighbours: number of examples that vote; examples as near as the last one vote, too.
     """
 
     def __init__(self, neighbours: int = 3) -> None:

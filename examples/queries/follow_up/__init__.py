@@ -1,4 +1,4 @@
-"""Questions that follow up: what puzzles somebody is asked again, one message at a time."""
+"""Follow-up questions: a step that makes no sense is asked again, with one message at a time."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from xplain.learning.data.queries import Answered, RandomTraces
 @dataclass(frozen=True)
 class FollowUp:
     """Attributes:
-    trace_length: where a trace is cut.
+    trace_length: maximum length of a trace.
     """
 
     trace_length: int = 10
 
     def ask(self, setting: Setting, sizes: np.ndarray, answer: Answer, seed: int) -> list[Answered]:
-        """A trace without a message first; then, of all that made no sense, which single message
-        would have explained it."""
+        """Asks about a trace without messages first; then about each step that made no sense, with
+        each single message."""
         return [self._interview(setting, int(s), answer, o, seed) for o, s in enumerate(sizes)]
 
     def _interview(

@@ -1,5 +1,5 @@
 """Dual-mode control (Cassandra, Kaelbling & Kurien 1996): while the hidden state is too uncertain,
-ask the question that tells the most; else act as if the most likely state were known."""
+ask the most informative question; otherwise act as if the most likely state were known."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ from xplain.solvers.voi import telling_questions
 @dataclass(frozen=True)
 class DualMode:
     """Args:
-    entropy: of the belief, in nats, above which a question is asked.
-    memory_gib: most that the tables of known states may take.
+    entropy: a question is asked if the entropy of the belief, in nats, is larger.
+    memory_gib: maximum memory of the tables of known states.
     """
 
     entropy: Annotated[float, Range(0)] = 0.3
@@ -30,7 +30,7 @@ class DualMode:
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Each state's optimal values; nothing here is random."""
+        """Computes each state's optimal values; nothing is random."""
         return DualModePolicy(greedy_policy(problem, "dual_mode", self.memory_gib), self.entropy)
 
 
@@ -42,7 +42,7 @@ class DualModePolicy:
     entropy: float
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """A question, or the messages that the most likely state needs now."""
+        """Chooses a question, or the messages that the most likely state needs now."""
         if entr(belief).sum() > self.entropy:
             questions, _ = telling_questions(self.greedy.process, visible, belief, most=1)
             if questions:

@@ -1,4 +1,5 @@
-"""One user type a fact: everybody has one wrong idea. And a newcomer, who has them all."""
+"""One user type for each fact, which its people believe incorrectly; and optionally a newcomer, who
+believes all facts incorrectly."""
 
 from dataclasses import dataclass
 
@@ -10,13 +11,13 @@ from xplain import Domain, InputError, UserType
 @dataclass(frozen=True)
 class OneFactEach:
     """Attributes:
-    newcomer: whether there is a type that believes everything incorrectly.
+    newcomer: True adds a type that believes everything incorrectly.
     """
 
     newcomer: bool = True
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """Named after what they believe incorrectly. Nothing is random here."""
+        """Makes types with the names of their incorrect facts. Nothing is random."""
         wrong = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
         if self.newcomer and len(wrong) < 2:
             raise InputError("users.newcomer", True, "false where the domain has one parameter")

@@ -354,9 +354,9 @@ class Hypotheses:
         Candidates behave alike if and only if these facts are equal.
 
         The intersection of two candidates that behave alike behaves like them, too (consider the
-        messages outside it), so each class has one smallest member. A fact j is in it unless, for
-        every K ⊆ R \\ j, people who believe K ∪ j incorrectly label everything like those who
-        believe K incorrectly.
+        messages outside it), so each class has one smallest member. This member contains fact j
+        unless, for every K ⊆ R \\ j, people who believe K ∪ j incorrectly label everything like
+        those who believe K incorrectly.
         """
         found = np.zeros_like(self.facts)
         for j, more, less in self.pairs:

@@ -67,7 +67,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
             self.held = next(r.held for r in self.plan.roles if self._told <= {*r.briefing})
 
     def at_practice(self, page: Page) -> Fields:
-        """Answers that the step makes sense under one of the two sentences only."""
+        """Answers that the step makes sense only under one of the two sentences."""
         return self.practises(page, int(list(page.messages) == [self.plan.example.speaks_for]))
 
     def at_clips(self, page: Page) -> tuple[Fields, float]:
