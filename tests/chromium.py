@@ -29,7 +29,7 @@ Driver = Any
 
 
 def missing() -> str:
-    """What to install before a browser can be driven; "" if nothing."""
+    """Names what must be installed to drive a browser; "" if nothing is missing."""
     try:
         import selenium  # noqa: F401
     except ImportError:
@@ -66,7 +66,7 @@ def browser() -> Iterator[Driver]:
 
 
 def sequence(driver: Driver) -> str | None:
-    """The number of the page, once it is there and whole."""
+    """Waits for the complete page. Returns its number."""
     from selenium.common.exceptions import WebDriverException
 
     script = "return document.readyState === 'complete' ? document.body.dataset.sequence : null"
@@ -78,7 +78,7 @@ def sequence(driver: Driver) -> str | None:
 
 
 def wait(true: Callable[[], bool], seconds: float = 20) -> None:
-    """Until something is true.
+    """Waits until a condition is true.
 
     Raises:
         TimeoutError: it does not become so.
@@ -91,12 +91,12 @@ def wait(true: Callable[[], bool], seconds: float = 20) -> None:
 
 
 def press(driver: Driver) -> None:
-    """The button that goes on."""
+    """Presses the button that continues."""
     driver.find_element("css selector", "main form button").click()
 
 
 def choose(driver: Driver, fields: Fields) -> None:
-    """Clicks what is not chosen yet, as a person would."""
+    """Clicks the inputs that are not chosen yet, as a person would."""
     for name, value in fields:
         box = driver.find_element("css selector", f'input[name="{name}"][value="{value}"]')
         if not box.is_selected():
@@ -104,14 +104,14 @@ def choose(driver: Driver, fields: Fields) -> None:
 
 
 def answer(driver: Driver, page: Page, fields: Fields) -> None:
-    """Fills in a page and goes on to the next."""
+    """Fills in a page and continues to the next one."""
     choose(driver, fields)
     press(driver)
     wait(lambda: sequence(driver) not in (page.hidden["sequence"], None))
 
 
 def go_in(driver: Driver, url: str, invitation: str) -> None:
-    """Up to the first page of the study, or where the participant was."""
+    """Goes to the first page of the study, or to the participant's page."""
     driver.get(f"{url}/?invitation={invitation}")
     press(driver)
     wait(lambda: sequence(driver) is not None)
@@ -123,7 +123,7 @@ def take_part(
     think: Callable[[float], None] = lambda seconds: None,
     look: Callable[[Page], None] = lambda page: None,
 ) -> str:
-    """From the page that is open after :func:`go_in` to the end; see
+    """Takes part from the page after :func:`go_in` to the end; see
     :func:`xplain.people.bots.walk`."""
 
     def answered(page: Page, fields: Fields) -> Page:

@@ -1,4 +1,4 @@
-"""The composed configuration of a run, every one of its keys, and a change of each."""
+"""Composed configurations of a run, with a change of every key."""
 
 from __future__ import annotations
 
@@ -46,11 +46,12 @@ CHOICES = (
         "users.groups={A: [goals]}",
     ),
 )
-"""Components chosen so that most of them, and every kind of key, come up."""
+"""Choices that cover most components and every kind of key."""
 
 
 def composed(*overrides: str) -> DictConfig:
-    """What a run is given, to change at will: ``composed("solver=pomcp", "lambda=2")``."""
+    """Composes a run's configuration, which may be changed: ``composed("solver=pomcp",
+    "lambda=2")``."""
     return deepcopy(_composed(overrides))
 
 
@@ -63,12 +64,12 @@ def _composed(overrides: tuple[str, ...]) -> DictConfig:
 
 
 def dotted(path: Path) -> str:
-    """As it is written on the command line."""
+    """Writes a key as on the command line."""
     return ".".join(map(str, path))
 
 
 def each_changed(cfg: DictConfig) -> Iterator[Path]:
-    """Every key that holds a value, in turn: its path, while ``cfg`` holds another value there."""
+    """Yields the path of every key with a value, in turn, while ``cfg`` has another value there."""
     for path, value in _leaves(OmegaConf.to_container(cfg), ()):
         parent: Any = cfg
         for key in path[:-1]:
@@ -88,7 +89,7 @@ def _leaves(node: Any, path: Path) -> Iterator[tuple[Path, Any]]:
 
 
 def _other(cfg: DictConfig, path: Path, value: Any) -> Any:
-    """Another value of the same type; of an interpolation, of what it stands for."""
+    """Returns another value of the same type; for an interpolation, of its value's type."""
     if isinstance(value, str) and "${" in value:
         value = OmegaConf.to_container(cfg, resolve=True)
         for key in path:

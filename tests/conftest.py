@@ -1,4 +1,4 @@
-"""What the tests share: commands run as a user runs them, in folders of their own."""
+"""Fixtures for all tests: commands that run as a user runs them, in separate folders."""
 
 from __future__ import annotations
 
@@ -39,25 +39,25 @@ LONGEST = (
     "people/test_lab_browser.py",
     "people/test_collect_browser.py",
 )
-"""Files that take long. The first compiles kernels that many others want; the second, beside it,
-wants hardly any."""
+"""Files that take long. The first compiles kernels that many others need; the second, which runs
+beside it, needs hardly any."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files begin first: none is left to one core at the end."""
+    """Starts the longest files first, so that none runs alone at the end."""
     first = {ROOT / "tests" / file: place for place, file in enumerate(LONGEST)}
     items.sort(key=lambda item: first.get(item.path, len(first)))
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish() -> None:
-    """After the fixtures are torn down."""
+    """Runs after the fixtures are removed."""
     processes.kill_all()
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes(config: pytest.Config, specs: list[object]) -> None:
-    """Without a word from here the terminal would show nothing new meanwhile."""
+    """Prints a line, because the terminal would otherwise show nothing for a while."""
     _say(config, f"{len(specs)} processes read all tests before the first one runs (20 s and more)")
 
 
@@ -75,7 +75,7 @@ def _say(config: pytest.Config, words: str) -> None:
 
 @pytest.fixture(autouse=True)
 def logging_left_alone() -> Iterator[None]:
-    """Hydra sets the root logger up; its handlers would write to a test's closed streams later."""
+    """Restores the root logger: Hydra's handlers would later write to a test's closed streams."""
     root = logging.getLogger()
     handlers, level = list(root.handlers), root.level
     yield
@@ -103,8 +103,8 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def rng_of_the_day() -> np.random.Generator:
-    """Other draws each day, for properties that hold of all. Where a test fails, its output tells
-    the seed; set as XPLAIN_TEST_SEED, it gives the same draws again."""
+    """A generator with another seed each day, for properties that always hold. The output of a
+    failed test has the seed; XPLAIN_TEST_SEED sets it again."""
     seed = int(os.environ.get("XPLAIN_TEST_SEED") or datetime.now(UTC).strftime("%Y%m%d"))
     print(f"XPLAIN_TEST_SEED={seed}")
     return np.random.default_rng(seed)

@@ -1,5 +1,5 @@
-"""What policies decide and value, as numbers (sets of messages are bitmasks, question q is ~q), and
-what they are worth by enumeration."""
+"""Decisions and values of policies as numbers (sets of messages are bitmasks, question q is ~q),
+and the values of policies by enumeration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from xplain.solvers.base import Policy, messages_of
 def messages_given(
     policy: Policy, step: int, given: int, belief: np.ndarray, asked: int = 0
 ) -> int:
-    """The messages that a policy gives, where it asks nothing."""
+    """Returns the messages that a policy gives; it must not ask."""
     action = policy.decide(VisibleState(step, given, asked), belief)
     assert not isinstance(action, AskQuestion)
     return messages_of(action)
@@ -28,7 +28,7 @@ def messages_given(
 def question_asked(
     policy: Policy, step: int, given: int, belief: np.ndarray, asked: int = 0
 ) -> int | None:
-    """The question that a policy asks; None where it asks none."""
+    """Returns the question that a policy asks; None without a question."""
     action = policy.decide(VisibleState(step, given, asked), belief)
     return action.question if isinstance(action, AskQuestion) else None
 
@@ -50,7 +50,8 @@ def worth_by_enumeration(
     visible: VisibleState | None = None,
     belief: NDArray[np.float64] | None = None,
 ) -> tuple[float, float]:
-    """Discounted return and undiscounted cost, over every vector of answers: nothing is merged."""
+    """Returns the discounted return and the undiscounted cost over every vector of answers, without
+    merging."""
     visible = visible or VisibleState()
     step, given, asked = visible
     if step == problem.n_steps:

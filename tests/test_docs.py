@@ -153,7 +153,8 @@ def named(pattern):
 
 
 def resolves(name):
-    """Whether a dotted name is a module, or something in one; fields of a class count."""
+    """Returns True if a dotted name is a module, or something in a module; fields of a class
+    count."""
     parts = name.split(".")
     for cut in range(len(parts), 0, -1):
         try:

@@ -59,7 +59,7 @@ def test_ends_are_allowed_as_their_brackets_say(ends: Literal["[]", "[)", "(]", 
 @checks("thing")
 @dataclass(frozen=True)
 class Thing:
-    """Of annotated parameters."""
+    """A class with annotated parameters."""
 
     count: Count
     share: Annotated[float, Range(0, 1)] = 0.5

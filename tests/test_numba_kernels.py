@@ -57,7 +57,7 @@ def test_works_where_nothing_can_be_written(tmp_path: Path) -> None:
 
 @numba.njit
 def _sums(pair):  # type: ignore[no-untyped-def]
-    """Of arrays in a tuple within a tuple."""
+    """Sums arrays in a tuple within a tuple."""
     first, (second, number) = borrow(pair)
     return first.sum() + number * second[1].sum()
 

@@ -65,7 +65,7 @@ class Repository:
     """A page with two tables, made anew just now, and a configuration that can be changed."""
 
     STAMPS: ClassVar[list[str]] = []
-    """Of what is not changed yet: composing takes its time."""
+    """Digests before any change, because composing takes long."""
 
     def __init__(self, root: Path, capsys: pytest.CaptureFixture[str]) -> None:
         self.root, self.page, self._capsys = root, root / "docs" / "page.md", capsys

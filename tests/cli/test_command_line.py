@@ -1,4 +1,4 @@
-"""The command as a person meets it: one-line errors, nothing half-written."""
+"""The command line for a person: errors are one line, and no file is written partly."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_bad_input_is_one_line_and_leaves_nothing_behind(xplain, tmp_path, argum
 
 
 def assert_nothing_written(folder):
-    """No file, but for locks: they hold nothing, and to remove one would race."""
+    """Checks that there is no file except locks, which are empty and cannot be removed safely."""
     assert not [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"]
 
 

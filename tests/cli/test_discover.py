@@ -1,4 +1,4 @@
-"""``python -m xplain observe`` and ``python -m xplain discover`` as a person meets them."""
+"""Tests ``python -m xplain observe`` and ``python -m xplain discover`` as a person uses them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from xplain.runs.discovery import sentences_of
 
 @dataclass(frozen=True)
 class Everybody(Single):
-    """A component of one's own, whose labeler has an object of scikit-learn."""
+    """A user's own component, whose labeler contains an object of scikit-learn."""
 
     weight: float = 1.0
 

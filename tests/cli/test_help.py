@@ -1,4 +1,4 @@
-"""What the command line says of itself: help, choices with their options."""
+"""The help texts of the command line, and its choices with their options."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HEAVY = ("mlflow", "sklearn", "kneed", "numba", "scipy", "pandas", "matplotlib")
 
 
 def python(code, folder):
-    """Runs code in a process of its own, there."""
+    """Runs code in a new process in this folder."""
     return subprocess.run(
         [sys.executable, "-c", code],
         cwd=folder,
@@ -66,8 +66,7 @@ NO_OPTION = {
 """Parameters of shipped components that a file of conf/ may leave out, and why."""
 
 UNUSED = {"hypotheses": {"confidence"}}
-"""By choice, inherited parameters that say nothing of the component: its hypotheses say how sure
-they are."""
+"""Inherited parameters without effect, by choice: hypotheses have their own confidence."""
 
 
 @pytest.mark.parametrize(("group", "choice"), choices())

@@ -1,4 +1,4 @@
-"""``python -m xplain plan`` and ``export`` as a person or a program meets them."""
+"""Tests ``python -m xplain plan`` and ``export`` as people and programs use them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def command(capsys):
 
 
 def worth_of_first(problem: Problem, messages: list[int]) -> float:
-    """What these messages and the best of everything after them earn, by trying everything."""
+    """Returns the value of these messages with the best continuation, by enumeration."""
     value, factor = 0.0, 1.0
     for cost in sorted(problem.message_cost[messages]):
         value -= factor * problem.trade_off * cost
@@ -193,7 +193,8 @@ def asking(tmp_path):
 
 @pytest.mark.parametrize("solver", ["qmdp", "certified"])
 def test_a_saved_question_is_planned_with(command, asking, solver) -> None:
-    """Half of the users need the message, at 2; asked first, the plan costs .125 + 1."""
+    """Half of the users need the message, which costs 2; with a question first, the plan costs
+    0.125 + 1."""
     code, out, _ = command("plan", f"problem={asking}", f"solver={solver}")
     row = json.loads(out.splitlines()[-1])
     assert (code, row["first_messages"]) == (0, None)

@@ -1,4 +1,4 @@
-"""The command that says what to ask."""
+"""The command that lists questions."""
 
 import csv
 import json
@@ -13,7 +13,7 @@ from xplain.runs.observing import write_questions
 
 
 def questions(words):
-    """Writes the list; returns what is known of it."""
+    """Writes the list. Returns its summary."""
     return write_questions(compose_config("questions", words, with_hydra=True))[1]
 
 
@@ -54,7 +54,7 @@ def test_a_table_of_ones_own_transitions_is_enough(tmp_path):
     rows = rows_of(output)
     assert {row["text"] for row in rows} == {line.split(",")[0] for line in TABLE.split("\n")[1:4]}
     assert {row["image"] for row in rows} == {"cable.jpg", "", "door.jpg"}
-    # The lift alone is not to be told from the queue unless the queue is told before.
+    # Only after the message about the queue can the lift be distinguished from the queue.
     (lift,) = [row for row in rows if row["text"] == "Takes the lift"]
     assert lift["messages"] == "queue"
 

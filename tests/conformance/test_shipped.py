@@ -1,5 +1,4 @@
-"""Every component that ships keeps to what its kind promises; a new YAML file is tested by being
-there."""
+"""Every shipped component passes the suite of its kind; a new YAML file is tested automatically."""
 
 from __future__ import annotations
 
@@ -31,8 +30,8 @@ GYM = pytest.mark.skipif(find_spec("gymnasium") is None, reason="pip install 'xp
 
 
 def shipped(group: str, *others: str, **keys: str) -> list[Any]:
-    """A parameter for each choice of the group but ``others``; ``keys``: what a choice still
-    needs."""
+    """Makes a parameter for each choice of the group except ``others``; ``keys`` has the keys that
+    a choice needs."""
     return [
         pytest.param(
             Chosen(group, path.stem, *([keys[path.stem]] if path.stem in keys else [])),

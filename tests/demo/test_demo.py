@@ -1,4 +1,4 @@
-"""The demo plays what the experiments play, and makes a page that needs nothing."""
+"""The demo plays the same explanation as the experiments, and makes a page without other files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The domains and type sources as the configuration gives them."""
+"""Domains and type sources from the configuration."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _arguments(name: str) -> Any:
 
 
 def given(name: str) -> dict[str, Any]:
-    """The domain's arguments in the configuration, a copy of one's own."""
+    """Returns a copy of the domain's arguments in the configuration."""
     return {k: deepcopy(v) for k, v in _arguments(name).items() if not k.startswith("_")}
 
 

@@ -1,4 +1,4 @@
-"""The Fast Downward planner, to compare with."""
+"""The Fast Downward planner, for comparisons."""
 
 from __future__ import annotations
 

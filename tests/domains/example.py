@@ -1,4 +1,4 @@
-"""The domain of examples/domain: a third one, with as many facts as a test wants."""
+"""The domain of examples/domain, with any number of facts."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ from warehouse import Warehouse
 
 
 def warehouse(facts: int, **changed: Any) -> Any:
-    """With this many facts that people may believe incorrectly."""
+    """Makes the warehouse with this number of facts."""
     return Warehouse(facts, **{"layout": 0, "wet": 2.0, "against": 2.0, "charge": 0.6} | changed)

@@ -1,8 +1,8 @@
-"""What makes a domain with its types a real task: how many different traces it has, how many of
-their transitions depend on a fact, and how different they are as explanation problems
+"""Properties that make a domain with its types a real task: the number of different traces, the
+share of transitions that depend on a fact, and the differences between explanation problems
 (docs/domains.md).
 
-All is computed from the domain, its types and their true labels, without a learner or a solver.
+They are computed from the domain, its types and their true labels, without a learner or a solver.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from xplain.domains.users.setting import Setting
 from xplain.learning.data.queries import sample_trace
 
 LARGEST_TRADE_OFF = 2.5
-"""Of the paper's table."""
+"""The values of λ in the paper's table."""
 MAX_LENGTH = 40
-"""Traces go to their end, as they are explained, or to this many transitions."""
+"""Maximum number of transitions of a trace."""
 Trace = NDArray[np.int64]
 
 
@@ -32,8 +32,8 @@ class Problems:
     Attributes:
         smallest: [traces, types] size of the smallest message set after which all
             transitions are explicable.
-        worth: [traces, types] whether this set costs less than silence at every λ ≤ 2.5
-            (Definition 2, C_e = C_inexp = 1).
+        worth: [traces, types] True if this set costs less than silence at every λ ≤ 2.5 (Definition
+            2, C_e = C_inexp = 1).
         tables: number of distinct label tables, without transitions that are explicable to
             all types after all messages: traces with the same table are the same problem.
         commonest: share of the traces with the most frequent table.
@@ -78,8 +78,8 @@ def share_through(
 
 
 def inexplicable_alone(domain: Domain, traces: Sequence[Trace]) -> dict[str, float]:
-    """By parameter: the share of transitions that are inexplicable to people who hold only this
-    parameter inaccurately."""
+    """Returns for each parameter the share of transitions that are inexplicable to people who
+    believe only this parameter incorrectly."""
     accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
     models = [
         domain.model(accurate | {parameter.name: parameter.inaccurate})

@@ -1,4 +1,4 @@
-"""Cheapest plans against those of repeated relaxation, and against every path that there is."""
+"""Compares cheapest plans with those of repeated relaxation, and with all paths."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xplain.errors import DomainError
 
 
 def space_of(edges: Mapping[tuple[int, int], int], states: int, actions: int) -> StateSpace:
-    """Of ``{(state, action): successor}``, every action with one variant."""
+    """Makes the space of ``{(state, action): successor}``; every action has one variant."""
     keys = sorted(edges)
     source, variant = np.array(keys).T
     successor = np.array([edges[key] for key in keys])
@@ -43,7 +43,7 @@ def tasks(draw: Any) -> tuple[GoalTask, dict[tuple[int, int], int]]:
 @settings(max_examples=300, deadline=None)
 @given(tasks())
 def test_the_cost_to_go_is_that_of_the_cheapest_way_to_a_goal(made: Any) -> None:
-    """A goal is left by nobody; what costs as much as a dead end is one."""
+    """Nobody leaves a goal; a state that costs as much as a dead end is one."""
     task, edges = made
     distance = np.where(task.terminal, 0.0, np.inf)
     for _ in range(task.n_states):  # a cheapest way has at most so many steps
@@ -80,7 +80,8 @@ def test_explicable_is_on_a_cheapest_plan_and_as_it_comes_out(made: Any) -> None
 
 
 def choice(extra: float) -> GoalTask:
-    """Two ways from state 0 to the goal 2: at once for 2, or by state 1 for 1 and 1 + extra."""
+    """Makes two ways from state 0 to the goal 2: directly for 2, or by state 1 for 1 and 1 +
+    extra."""
     edges = {(0, 0): 2, (0, 1): 1, (1, 2): 2}
     cost = np.array([2.0, 1.0, 1.0 + extra])
     goal = np.array([False, False, True])
@@ -120,7 +121,7 @@ def test_a_task_without_a_plan_is_an_error_that_names_the_model() -> None:
 
 
 def test_an_imagined_state_is_judged_in_place_of_the_real_one() -> None:
-    """Who takes state 0 for state 1 sees no sense in the way through 1, nor in the jump."""
+    """People who take state 0 for state 1 find the way through 1 and the jump inexplicable."""
     task = choice(0)
     imagined = np.array([1, 1, 2])
     dreamer = GoalTask(task.space, task.cost, task.terminal, 100.0, 0, imagined)

@@ -1,4 +1,4 @@
-"""Gymnasium domains against the environments themselves, played."""
+"""Compares Gymnasium domains with the environments, which are played."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def domain(name: str) -> Gymnasium:
 
 
 def held(name: str, *wrong: str) -> mdp.MDP:
-    """The model of someone who believes these parameters incorrectly."""
+    """Returns the model of a person who believes these parameters incorrectly."""
     parameters = domain(name).parameters
     return domain(name).model(
         {p.name: p.inaccurate if p.name in wrong else p.accurate for p in parameters}
@@ -85,7 +85,8 @@ def test_a_changed_transition_leads_where_the_change_says() -> None:
 
 
 def test_like_another_action() -> None:
-    """Of frozen_lake, in one row: its states, probabilities and rewards; all else is as it was."""
+    """The change is in one row of frozen_lake: its states, probabilities and rewards. All else
+    stays the same."""
     arguments = given("frozen_lake")
     wrong = [{"when": {"row": 3}, "actions": ["left"], "like": "down"}]
     arguments["parameters"] = {"mirror": {"inaccurate": wrong, "message": "Left is left."}}
@@ -99,7 +100,7 @@ def test_like_another_action() -> None:
 
 
 def shown(table: dict[int, dict[int, list[Any]]], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever is made shows this model, and starts in state 0."""
+    """Makes every environment have this model and start in state 0."""
     initial = [1.0] + [0.0] * (len(table) - 1)
     made = SimpleNamespace(
         unwrapped=SimpleNamespace(P=table, initial_state_distrib=initial), close=lambda: None
@@ -108,7 +109,7 @@ def shown(table: dict[int, dict[int, list[Any]]], monkeypatch: pytest.MonkeyPatc
 
 
 def test_arguments_of_all_parameters_count_and_the_others_stay() -> None:
-    """Each of two parameters brings arguments, beside those of the environment."""
+    """Each of two parameters has arguments, besides those of the environment."""
     arguments = given("frozen_lake")
     ice, lake = [{"arguments": {"is_slippery": False}}], [{"arguments": {"desc": ["SFFH"] * 4}}]
     arguments["arguments"] = {

@@ -1,4 +1,5 @@
-"""Solving and labels against brute force: every policy of small random MDPs, by linear algebra."""
+"""Compares solutions and labels with brute force: every policy of small random MDPs, by linear
+algebra."""
 
 from __future__ import annotations
 
@@ -17,8 +18,8 @@ from xplain.errors import DomainError
 
 @st.composite
 def small_mdps(draw: st.DrawFn) -> MDP:
-    """Up to 5 states, 3 actions, 3 outcomes; some actions unavailable, some states terminal, of
-    which half have no action at all.
+    """Draws MDPs of up to 5 states, 3 actions and 3 outcomes, with unavailable actions and terminal
+    states, half of which have no action.
 
     Rewards are small whole numbers and probabilities are coarse, so that exact ties are common.
     """
@@ -115,7 +116,7 @@ def test_labels_follow_the_definition(model: MDP, seed: int) -> None:
 
 
 def choice(gain: float, discount: float = 0.9) -> MDP:
-    """One state with two actions to a terminal one, worth 1 and 1 + gain."""
+    """Makes one state with two actions to a terminal state, with values 1 and 1 + gain."""
     return MDP(
         np.ones((2, 2, 1), dtype=np.int64),
         np.ones((2, 2, 1)),
@@ -132,7 +133,7 @@ def test_an_ambiguous_gap_is_refused_and_names_the_model() -> None:
 
 
 def test_a_gap_is_small_against_its_own_models_scale() -> None:
-    """Solved beside a model of rewards a million times as large."""
+    """It is solved together with a model whose rewards are a million times larger."""
     models = [choice(1e-6), replace(choice(0.5), reward=choice(0.5).reward * 1e6)]
     for order in (models, models[::-1]):
         optimal = mdp.optimal_actions(order)[:, 0].tolist()
@@ -144,7 +145,7 @@ def test_what_cannot_happen_does_not_matter() -> None:
     changes no value, no tie and no refusal."""
 
     def widened(gain: float, reward: float) -> MDP:
-        """:func:`choice` with an outcome that never comes, and an action that there is not."""
+        """Makes :func:`choice` with an impossible outcome and an unavailable action."""
         one = choice(gain)
         padding = [(0, 0), (0, 1), (0, 1)]
         return MDP(

@@ -1,4 +1,5 @@
-"""PDDL tasks against unified-planning's simulator and Fast Downward, and their words."""
+"""Compares PDDL tasks with unified-planning's simulator and with Fast Downward, and tests their
+words."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ def domain(name: str) -> PDDL:
 
 @pytest.fixture
 def problem(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The task of this name as unified-planning has it."""
+    """Reads the task of this name with unified-planning."""
     from unified_planning.environment import get_environment
     from unified_planning.io import PDDLReader
 
@@ -42,7 +43,8 @@ def problem(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def cost_of(problem: Any, action: Any) -> Fraction:
-    """Of an action with its arguments, by the problem's metric and initial values."""
+    """Returns the cost of an action with its arguments, by the problem's metric and initial
+    values."""
     (metric,) = problem.quality_metrics
     cost = metric.costs[action.action]
     if cost.is_fluent_exp():
@@ -81,7 +83,7 @@ def test_the_best_plan_costs_what_fast_downwards_costs(problem: Any, name: str) 
 
 @pytest.mark.parametrize(("problem", "name"), [(n, n) for n in NAMES], indirect=["problem"])
 def test_the_robots_model_is_what_the_simulator_does(problem: Any, name: str) -> None:
-    """Walked at random: the same actions are applicable, and lead to the same atoms."""
+    """On random walks the same actions are applicable, and lead to the same atoms."""
     from unified_planning.engines import UPSequentialSimulator
 
     made = domain(name)
@@ -154,8 +156,8 @@ def test_starts_are_where_they_are_said_to_be() -> None:
 
 
 def test_who_believes_in_another_start_holds_on_to_it_until_the_robot_touches_it() -> None:
-    """Going for the medkit in the store makes no sense to somebody who believes that it is in the
-    office; what comes after it was taken does."""
+    """Fetching the medkit from the store makes no sense to people who believe that it is in the
+    office; later steps make sense."""
     made = domain("search_and_rescue")
     accurate = {p.name: p.accurate for p in made.parameters}
     fact = next(p for p in made.parameters if p.name == "medkit")
@@ -191,8 +193,8 @@ def test_phrases_come_from_names_and_templates(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("facts", [2, 8])
 def test_any_number_of_goals_may_be_held_wrong(facts: int, tmp_path: Path) -> None:
-    """Lamps, of which the goal needs one, and of each further somebody believes that it needs it:
-    a plan turns on as many as are believed in, and no other."""
+    """The goal needs one lamp, and people may believe that it needs others: a plan turns on the
+    believed lamps and no others."""
     (tmp_path / "d.pddl").write_text(
         """(define (domain lamps)
           (:requirements :strips :typing :negative-preconditions)

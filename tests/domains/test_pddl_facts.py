@@ -1,4 +1,5 @@
-"""What two tasks differ in, and what facts say; changes in YAML; facts without effect."""
+"""Tests differences of two tasks, the sentences of facts, changes in YAML, and facts without
+effect."""
 
 from __future__ import annotations
 
@@ -173,7 +174,8 @@ def test_two_tasks_differ_in_what_was_edited_no_more_and_no_less(
 
 
 def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: Path) -> None:
-    """Somebody who believes all of them incorrectly labels as one whose own task this is."""
+    """People who believe all of them incorrectly give the same labels as people with the believed
+    task."""
     pair(
         tmp_path,
         "search_and_rescue",
@@ -213,7 +215,7 @@ def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: 
 
 
 def test_a_fact_without_effect_is_named(caplog: pytest.LogCaptureFixture) -> None:
-    """Nobody ever drives from the crater to the ridge: what lies there is no matter."""
+    """Nobody ever drives from the crater to the ridge, so a fact about this way has no effect."""
     own = given("rover")
     silent = {"change": {"action": "photograph", "drop_precondition": "(view ?w)"}}
     facts = {
@@ -232,8 +234,8 @@ def test_a_fact_without_effect_is_named(caplog: pytest.LogCaptureFixture) -> Non
 def test_a_fact_that_matters_only_with_another_is_not_said_to_have_no_effect(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Two roads of which each is too long: a wrong length of one makes no difference while nobody
-    thinks that the other is short."""
+    """Two roads are too long: a wrong length of one has no effect unless people believe that the
+    other is short."""
     own = given("logistics")
     long = {"function": "(length office north)"}
     facts = {

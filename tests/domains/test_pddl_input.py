@@ -1,4 +1,4 @@
-"""Bad input: one line that says what to mend."""
+"""Bad input gives one line that says what to correct."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ def test_a_bad_value_is_one_line(changes: dict[str, Any], text: str) -> None:
 
 
 def test_an_action_without_a_cost_does_not_exist(tmp_path: Path) -> None:
-    """As Fast Downward has it; whoever believes in a length believes in the road."""
+    """This is Fast Downward's rule; people who believe in a length believe in the road."""
     own = given("logistics")
     path = tmp_path / "problem.pddl"
     text = Source.read("", own["problem"]).text

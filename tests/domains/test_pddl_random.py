@@ -1,4 +1,4 @@
-"""Random tasks in PDDL, written as loosely as people write them, against Fast Downward."""
+"""Compares random tasks in PDDL, in all styles that people use, with Fast Downward."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ FOUR_ROOMS, RESCUE = "domain=four_rooms", "domain=rescue"
 
 
 def traces_of(domain: str) -> list[np.ndarray]:
-    """As many as the properties speak of."""
+    """Draws the number of traces that the properties need."""
     return on_policy_traces(setting_of(domain), 200, stream(0, "domain properties"))
 
 
@@ -43,7 +43,7 @@ def test_each_fact_of_four_rooms_held_wrong_alone_matters_now_and_then() -> None
 
 
 def test_drawn_types_of_four_rooms_need_about_one_message() -> None:
-    """Over settings with 2, 3 and 4 types, as the paper pools them."""
+    """Figures are over settings with 2, 3 and 4 types, as in the paper."""
     traces = traces_of(FOUR_ROOMS)
     found = [
         problems(setting_of(FOUR_ROOMS, f"users.count={count}", seed=seed), traces)
@@ -81,7 +81,7 @@ def test_no_map_before_it_has_all_properties() -> None:
 
 
 def test_columns_are_letters_however_many_there_are() -> None:
-    """As spreadsheets call them: after Z comes AA, after ZZ comes AAA."""
+    """Names are those of spreadsheets: AA follows Z, AAA follows ZZ."""
     names = [cell_name(0, column) for column in (0, 25, 26, 51, 52, 701, 702)]
     assert names == ["A1", "Z1", "AA1", "AZ1", "BA1", "ZZ1", "AAA1"]
     assert cell_name(9, 1) == "B10"

@@ -1,4 +1,4 @@
-"""The rescue task against its rules written out by hand, and its map against docs/choices.md."""
+"""Compares the rescue task with its rules, written by hand, and its map with docs/choices.md."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def rescue(**changes: Any) -> Rescue:
 
 
 class Rules:
-    """The rules in plain Python: cell, what is done, rewards; ``+`` acts on what lies there."""
+    """The rules in plain Python: cell, bonuses done, rewards; ``+`` uses the item in the cell."""
 
     def __init__(self, rows: list[str], start: tuple[int, int], values: dict[str, float]) -> None:
         self.rows, self.cell, self.values = rows, start, values
@@ -71,13 +71,13 @@ VALUES = {name: 0.25 * (i + 1) for i, name in enumerate(REWARD.values())}
 
 
 def act(domain: Rescue, symbol: str) -> int:
-    """The action that uses what lies there."""
+    """Returns the action that uses the item in the cell."""
     wanted = {"A": "pick_up_first_aid", "F": "extinguish_fire", "U": "refuel"}
     return domain.actions.index(wanted.get(symbol, "pick_up_victim"))
 
 
 def follow(domain: Rescue, rows: list[str], state: int, rng: np.random.Generator) -> None:
-    """A random walk of 300 actions, or to the shelter, by the model and by the rules."""
+    """Follows a random walk of 300 actions, or to the shelter, in the model and by the rules."""
     model, rules = domain.model(VALUES), Rules(rows, domain.position(state), VALUES)
     for _ in range(300):
         assert np.count_nonzero(model.probability[state, 4:]) == rules.can_act()
@@ -95,7 +95,7 @@ def follow(domain: Rescue, rows: list[str], state: int, rng: np.random.Generator
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_model_plays_by_the_rules(seed: int) -> None:
-    """From every cell by turns: together the walks bump into walls and edges from every kind of
+    """Walks start in every cell in turn; together they meet walls and edges from every kind of
     cell, with and without the victim."""
     domain = rescue()
     cells = len(domain.grid.cells)
@@ -165,7 +165,7 @@ def test_bad_input_is_one_clear_line(changes: dict, key: str, text: str) -> None
 
 
 def told(domain: Rescue, script: str) -> list[str]:
-    """The phrases of a walk from the start."""
+    """Returns the phrases of a walk from the start."""
     model = domain.model(VALUES)
     state, phrases = int(domain.starts[0]), []
     for letter in script:
@@ -215,7 +215,7 @@ def test_the_scene_shows_every_item_in_its_place() -> None:
 
 
 def test_what_happened_and_what_is_gone_are_told_of_every_combination() -> None:
-    """By the order of the flags: first aid, fire, fuel, then the victim. A fuel station stays."""
+    """Flags are in the order first aid, fire, fuel, victim. A fuel station stays."""
     domain = rescue()
     flags = len(domain.state_features) // len(domain.grid.cells)
     done = ["picked up the first aid", "fire is out", "refuelled", "carries the victim"]

@@ -1,4 +1,4 @@
-"""Properties of domains against a corridor worked out by hand, and enumeration."""
+"""Compares properties of domains with a corridor, computed by hand, and with enumeration."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def walk(*cells: int) -> np.ndarray:
 
 
 def test_the_corridor_is_as_by_hand() -> None:
-    """Who thinks the end is left finds every step puzzling; who fears the toll, worth five rewards
-    and due from cell 2 to 3, that step alone: left of it nothing is to be gained, right of it
-    nothing is to be feared."""
+    """People who believe that the goal is on the left find every step inexplicable. People who
+    believe in the toll, which costs five rewards from cell 2 to 3, find only this step
+    inexplicable: left of it nothing can be gained, and right of it there is no toll."""
     domain = Corridor()
     setting = Setting.build(domain, (LEFT, TOLL))
     traces = [walk(1, 2, 3, 4), walk(2, 3, 4), walk(3, 4), walk(4)]
@@ -43,8 +43,8 @@ def test_the_corridor_is_as_by_hand() -> None:
 
 
 def smallest_and_silence(table: np.ndarray) -> tuple[int, int]:
-    """Of label table [m, 2^n]: messages of the smallest set that leaves nothing inexplicable, and
-    the cost of silence by Definition 2 (C_inexp = 1)."""
+    """Returns for a label table [m, 2^n] the size of the smallest set that leaves nothing
+    inexplicable, and the cost of silence by Definition 2 (C_inexp = 1)."""
     explained = np.flatnonzero(table.all(axis=0))
     smallest = min(int(h).bit_count() for h in explained)
     shown = len(table) - np.arange(len(table))

@@ -1,4 +1,4 @@
-"""What was asked, and what it cost, in all that a run leaves."""
+"""Questions and their costs in all files of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Questions in an experiment: which ones a trace has, who answers them how, what they cost."""
+"""Questions in an experiment: the questions of a trace, their answers, and their costs."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_no_more_clips_are_kept_than_asked_for() -> None:
 
 
 def test_an_episode_costs_its_questions_too() -> None:
-    """And exact users answer with their true labels under what was said."""
+    """Exact users answer with their true labels under the messages given."""
     prepared, costs, _ = world()
     dear = replace(costs, asking=Limits(0.3, most=2))
     records = evaluate(prepared, dear, {"solver": AskFirst()}, Independent(), Exact(), 0)
@@ -88,7 +88,7 @@ def test_an_episode_costs_its_questions_too() -> None:
 
 
 def test_a_clip_is_answered_as_the_label_is_mistakes_included() -> None:
-    """Who repeats a mistake makes it about the clip of a transition and the transition alike."""
+    """People who repeat a mistake make it about a transition and about its clip."""
     prepared, _, _ = world()
     mistakes = 0
     for case in prepared.cases:
@@ -146,7 +146,7 @@ def test_true_labels_and_strangers_answer_questions_too() -> None:
 
 
 def test_users_who_err_are_asked_twice() -> None:
-    """Second opinions are asked for where answers err, none where they do not."""
+    """There are second opinions if users err, otherwise none."""
     prepared, costs, _ = world()
     cheap = replace(costs, asking=Limits(0.01))
     asked = []

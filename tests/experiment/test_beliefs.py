@@ -1,4 +1,4 @@
-"""Beliefs as questions: who has a fact right, by the truth, and as far as types know."""
+"""Questions about beliefs: right answers by the truth, and by the learned types."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_the_order_of_sentences_is_drawn_and_says_nothing_of_the_right_one(
 
 
 def test_labels_of_people_tell_what_their_types_hold_wrong() -> None:
-    """20 labels a person are enough for these types; the posterior is never certain."""
+    """20 labels of each person are enough for these types; the posterior is never certain."""
     found = questions(prepared_with(*HYPOTHESES, "ask=beliefs"))
     true = questions(prepared_with(*TRUE, "ask=beliefs"))
     assert found.facts.tolist() == true.facts.tolist()

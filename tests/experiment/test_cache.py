@@ -1,4 +1,4 @@
-"""The cache gives back what was put in, once, and never something stale or damaged."""
+"""The cache returns what was stored, computes it once, and never returns old or damaged entries."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_a_folder_that_cannot_be_written_costs_no_result(tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(np, "savez_compressed", full)
         assert same(prepared_once(tmp_path / "other", "key", a_prepared), a_prepared())
-    # Nothing that is cut short is left: the next one makes it anew, and keeps it.
+    # No partial entry stays: the next process computes it again, and stores it.
     assert same(prepared_once(tmp_path / "other", "key", a_prepared), a_prepared())
     assert same(prepared_once(tmp_path / "other", "key", never), a_prepared())
 

@@ -1,4 +1,4 @@
-"""Certificates against brute force over every action and every label, on tiny traces."""
+"""Compares certificates with brute force over every action and every label, on tiny traces."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ EFFORT = {**composed().certify, "traces": 3}
 
 
 def problem_of(case: Case) -> Problem:
-    """What an agent that knows the learned types plans with, written out."""
+    """Makes the problem of an agent that knows the learned types, from its definition."""
     return Problem(
         case.learned,
         np.full(2, COSTS.message_cost),
@@ -99,7 +99,7 @@ def test_a_baseline_is_judged_by_the_types_that_it_does_not_know():
 
 
 def test_a_baseline_is_judged_where_the_types_messages_are_too_many_to_be_mixed(monkeypatch):
-    """The value is the same, from the types one by one."""
+    """The value is the same if it is computed for each type."""
     mixed, mixture = found_for(Baseline()), Problem.mixture
 
     def too_many(problem, *of):
@@ -159,7 +159,8 @@ def test_a_trace_that_comes_again_counts_again():
 
 
 def test_the_error_is_the_spread_of_the_value_over_seeds_also_where_traces_come_again():
-    """Six copies of a trace are simulated once, so that they err alike: no six times the news."""
+    """Six copies of a trace are simulated once and have the same error: they give no additional
+    information."""
     first, second = PREPARED.cases[::-1]
     prepared = with_cases(PREPARED, *[first] * 6, second)
     effort = {"traces": 7, "beliefs": 0, "episodes": 30, "nodes": 1}
@@ -196,7 +197,7 @@ def test_effort_is_checked(key, value):
 
 @pytest.mark.parametrize("solver", [QMDP(), Baseline()])
 def test_where_messages_may_be_missed_all_is_of_that_model(solver):
-    """Optimum and values by every action and every answer."""
+    """Optimum and values are computed from every action and every answer."""
     belief, first = Independent(accept=0.7, forget=0.2), PREPARED.cases[0]
     found = Certify(**{**EFFORT, "traces": 1}).certificates(PREPARED, COSTS, solver, belief, 4)
     problem = problem_of(first).with_habits(belief.habits())
@@ -225,7 +226,7 @@ def test_nothing_is_certified_of_a_policy_whose_belief_takes_labels_to_be_repeat
 
 
 def test_a_trace_whose_certificate_takes_too_much_memory_has_none(caplog):
-    """The longer of two traces: of the shorter all is certified, as if it were alone."""
+    """The longer of two traces has none; the shorter one is certified as if it were alone."""
     sizes = sorted(known_bytes(problem) / GIB for problem in PROBLEMS)
     little = Certify(**EFFORT, memory_gib=sum(sizes) / 2)
     solver = Silent()
@@ -242,12 +243,13 @@ def test_a_trace_whose_certificate_takes_too_much_memory_has_none(caplog):
 
 
 def worth_to_users(problem: Problem, policy: Policy, belief: BeliefUpdate, repeat: bool) -> float:
-    """The policy's discounted return over every label that users draw; who repeats themselves
-    draws again only what is new: the last transition, or after a message all."""
+    """Returns the policy's discounted return over every label that users draw. Users who repeat
+    themselves draw only new labels again: the last transition's, or all after a message."""
     per_message = problem.discount if problem.discount_per == "action" else 1.0
 
     def ahead(step: int, given: int, b, chances, before: tuple[int, ...]) -> float:
-        """From a step on: ``chances`` [N] of the types with the labels so far."""
+        """Returns the value from a step on; ``chances`` [N] are those of the types with the labels
+        so far."""
         if step == problem.n_steps:
             return 0.0
         new, value, factor = messages_given(policy, step, given, b), 0.0, 1.0

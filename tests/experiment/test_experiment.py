@@ -1,4 +1,4 @@
-"""What a run compares its solver with, on hand-made traces: nothing is learned here."""
+"""The references of a run, on handmade traces, without learning."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def costs(records: list[Record]) -> dict[tuple[str, int, int], float]:
 
 
 def test_episodes_that_results_share_are_those_that_each_would_have_made(tmp_path: Path) -> None:
-    """Every solver after the first finds its references, whatever the learner made of the data."""
+    """Every solver after the first finds its references in the cache, for any learner."""
     kept = EpisodeCache(tmp_path, {"lambda": 1.5})
     other = a_prepared()
     wrong = [replace(case.learned, p=1 - case.learned.p) for case in other.cases]

@@ -1,4 +1,4 @@
-"""Each solver's problem of a trace, and what its explanations cost, on hand-made tables."""
+"""Each solver's problem of a trace, and the cost of its explanations, on handmade tables."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_every_cost_reaches_the_problem():
 
 
 def test_a_message_has_the_cost_of_its_name():
-    """In the problem's order, whatever the order in which they were written."""
+    """Costs are in the problem's order, in whatever order they were written."""
     costs = replace(COSTS, message_cost={"b": 2, "a": 0.25})
     table = np.full((2, 3, 4), 0.5)
     problem = costs.problem(table, ("a", "b"), ("F1", "F2"), np.array([0.7, 0.3]))
@@ -136,7 +136,7 @@ class Script:
 
 @dataclass
 class Spy:
-    """Writes down what it was given to plan with."""
+    """A solver that records the problems that it receives."""
 
     knows: Knowledge
     after: int = 0
@@ -241,7 +241,8 @@ def test_labels_that_are_no_news_leave_the_belief_under_the_persistent_update():
 
 
 def test_tables_kept_by_type_are_explained_as_dense_ones():
-    """By every kind of solver, to users of every type, with costs and shares that differ."""
+    """This holds for every kind of solver and users of every type, with different costs and
+    shares."""
     dense = a_prepared(steps=(2, 3))
 
     def of(table):

@@ -1,4 +1,4 @@
-"""A fingerprint changes with everything that may change a number, and with nothing else."""
+"""A fingerprint changes exactly if something may change a number."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ CONFIG = {"solver": {"_target_": "their_solver.best.Best"}, "lambda": 1.0}
 
 
 def fresh(config):
-    """The fingerprint as another process would have it."""
+    """Returns the fingerprint of a new process."""
     clear_caches()
     return fingerprint(config)
 
@@ -65,7 +65,7 @@ NO_NUMBER = {
     "dry_run": "lists jobs and runs none",
     "resume": "which jobs of a sweep run again, not what they give",
 }
-"""Top-level keys of a run that no number depends on, and why. Whatever is not here must count."""
+"""Top-level keys of a run that change no number, with reasons. All other keys must count."""
 
 
 @pytest.mark.parametrize("choices", CHOICES, ids=" ".join)
@@ -154,7 +154,7 @@ def test_what_a_package_imports_of_its_own_is_no_other_package(plugin):
 
 
 def test_what_a_component_declares_counts(plugin):
-    """A file beside the code whose name nobody writes down, a server's version, a licence."""
+    """Examples are a file beside the code that no key names, a server's version, a licence."""
     weights = plugin / "weights.bin"
     weights.write_bytes(b"1")
     (plugin / "their_helper.py").write_text(
@@ -201,7 +201,7 @@ def test_our_own_code_and_libraries_are_covered_elsewhere():
 
 
 def test_the_content_of_files_counts(tmp_path, monkeypatch):
-    """Of those that a path names, and of those inside a package."""
+    """These are files that a path names, and files inside a package."""
     (tmp_path / "some_tasks" / "inner").mkdir(parents=True)
     (tmp_path / "some_tasks" / "__init__.py").touch()
     monkeypatch.syspath_prepend(tmp_path)
@@ -247,7 +247,7 @@ def test_every_source_of_the_package_counts_by_content_and_place(tmp_path, monke
 
 
 def test_what_git_cannot_tell_is_left_out(tmp_path, monkeypatch):
-    """A checkout that git does not take for one: broken, or of somebody else."""
+    """Git does not accept the checkout: it is broken, or belongs to another user."""
     monkeypatch.setattr(fingerprints, "__file__", str(tmp_path / "xplain" / "experiment" / "f.py"))
     assert fingerprints.git_state.__wrapped__() == {}
     (tmp_path / ".git").write_text("gitdir: nowhere")

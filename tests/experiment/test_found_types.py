@@ -1,4 +1,4 @@
-"""From labels to costs: where the types found are the true ones, nothing else may differ."""
+"""From labels to costs: if the types found are the true ones, nothing else may differ."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def same(one: Record, other: Record) -> bool:
 
 @pytest.mark.parametrize("labeler", ["labeler=tree", "labeler=pruned"])
 def test_types_found_right_cost_what_the_true_ones_do(labeler: str) -> None:
-    """To the last digit, whatever the solver."""
+    """Costs are equal to the last digit, for any solver."""
     found, _ = prepared("clusterer=dirichlet", labeler)
     assert found.learning["adjusted_rand_index"] == 1
     true, _ = prepared("clusterer=perfect", labeler)
@@ -69,7 +69,7 @@ def test_types_found_right_cost_what_the_true_ones_do(labeler: str) -> None:
 
 
 def test_types_that_behave_alike_are_one_for_the_oracle_too() -> None:
-    """The adjusted Rand index counts them as one; so must the labelers it is compared with."""
+    """The adjusted Rand index counts them as one, and so must the oracle's labelers."""
     users = ("users=explicit", "users.groups={A: [fire, rubble], B: [fence], twin: [fire, rubble]}")
     found, _ = prepared(*users, "clusterer=dirichlet")
     true, _ = prepared(*users, "clusterer=perfect")

@@ -1,4 +1,4 @@
-"""Bad values are found before any work, wherever among the jobs they are."""
+"""Bad values are found before any work, in any of the jobs."""
 
 from __future__ import annotations
 

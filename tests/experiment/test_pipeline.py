@@ -1,4 +1,4 @@
-"""Data, types, labelers and traces, with hand-made parts in place of the others."""
+"""Data, types, labelers and traces, with handmade components."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from xplain.learning.user_types import Clusterer
 TRUTH = np.array([2, 0, 0, 1, 2, 2, 1, 2])
 """True types of eight observers, not in the types' order; A and B behave alike."""
 FOUND = np.array([0, 1, 1, 1, 1, 1, 1, 1])
-"""The clusters. Most of the second are of one behaviour (A and B), but most of one *type* are C."""
+"""The clusters. In the second one the most frequent behaviour is that of A and B, but the most
+frequent *type* is C."""
 ONES = np.array([1, 2, 3, 4, 5, 6, 7, 9])
 """How many of an observer's ten labels are 1."""
 TYPES = Explicit({"A": ["fire"], "B": ["fire"], "C": ["puddle", "fence"]})
@@ -33,7 +34,7 @@ TYPES = Explicit({"A": ["fire"], "B": ["fire"], "C": ["puddle", "fence"]})
 
 @dataclass(frozen=True)
 class Rate:
-    """A labeler that says how often its labels were 1."""
+    """A labeler that predicts the share of its labels 1."""
 
     wrong = None
 
@@ -55,14 +56,14 @@ class Rate:
 
 @dataclass(frozen=True)
 class Rates(LabelerTrainer):
-    """Fits :class:`Rate`, and writes its seeds down."""
+    """Fits :class:`Rate`, and records its seeds."""
 
     n_test: int = 1
     seeds: list[int] = field(default_factory=list)
 
     def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> Rate:
         self.seeds.append(seed)
-        # Where a test asks for it, the labelers of small clusters are left untested.
+        # If a test requires it, the labelers of small clusters stay untested.
         untested = self.n_test == 0 and len(set(dataset.observer.tolist())) == 1
         return Rate(float(dataset.label.mean()), 0 if untested else 1)
 
@@ -221,7 +222,7 @@ def test_every_labeler_of_a_run_is_fitted_with_one_seed():
 
 
 def test_a_labeler_that_could_not_be_tested_is_refused():
-    # Of the first cluster, which has one observer.
+    # Checks the first cluster, which has one observer.
     with pytest.raises(XplainError, match="points"):
         prepare(source(labeler=Rates(n_test=0), traces=1))
 

@@ -1,4 +1,4 @@
-"""What is on disk says what happened, whole or not at all."""
+"""Files on disk are complete, or do not exist."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ ABOUT = Provenance(
 
 
 def on_disk(folder):
-    """What other programs read."""
+    """Returns the content that other programs read."""
     return json.loads((folder / "results.json").read_text(encoding="utf-8"))
 
 
 @pytest.fixture
 def results(tmp_path):
-    """As they come back from the disk."""
+    """Returns the results read from the disk."""
     save_results(tmp_path, results_of(PREPARED, RECORDS, ABOUT))
     return on_disk(tmp_path)
 
@@ -145,7 +145,7 @@ def test_a_line_tells_an_episode_step_by_step():
         for k, step in enumerate(line["steps"]):
             assert step["messages"] == names[int(episode.messages[k])]
             assert step["labels"] == [int(episode.labels[k, i]) for i in range(k + 1)]
-            # What the answer to this step left of the belief.
+            # The belief after the answer to this step.
             assert step["belief"] == pytest.approx(episode.beliefs[k + 1], abs=1e-12)
 
 

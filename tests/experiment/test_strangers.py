@@ -1,4 +1,4 @@
-"""Users of types that no observer is of think by the task as their own beliefs have it."""
+"""Users of types without observers think according to the task that they believe in."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ RESCUE = {
 
 
 def wrong_of(explainee: Explainee, name: str, told: set[str]) -> set[str]:
-    """What the user of this name believes incorrectly, told these messages."""
+    """Returns the facts that the user of this name believes incorrectly after these messages."""
     match explainee:
         case AllWrong():
             return set.union(*RESCUE.values()) - told
@@ -73,7 +73,7 @@ def test_their_labels_are_those_of_the_task_that_they_believe_in(explainee: Expl
 
 @pytest.mark.parametrize("explainee", [Expert(), Between(), Misreads(), Sticky(0.4)])
 def test_nobody_costs_less_than_their_own_clairvoyant(explainee: Explainee) -> None:
-    """Without a discount: it plans with what this very person thinks."""
+    """Without a discount this holds, because the clairvoyant plans with this person's thoughts."""
     costs = Costs(1.0, 1.0, 1.0, 1.0, "action", "uniform")
     prepared = prepare(components_of(compose_config("config", TRUE)))
     solvers = {"clairvoyant": KnownType("labels"), "qmdp": QMDP(), "everything": SayAll()}

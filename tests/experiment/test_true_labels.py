@@ -1,4 +1,4 @@
-"""``labeler=truth``: what is left when labels are known and the type is not."""
+"""``labeler=truth``: labels are known, and the type is unknown."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def prepared(domain: str) -> tuple[Prepared, Costs]:
 
 @cache
 def episodes(domain: str) -> dict[tuple[str, int, int], Record]:
-    """Undiscounted plans, so that the costs reported are those that plans are made for."""
+    """Makes episodes of undiscounted plans, so that plans minimise the reported costs."""
     known = {"oracle": KnownType("type"), "clairvoyant": KnownType("labels")}
     records = evaluate(*prepared(domain), SOLVERS | known, Independent(), Exact(), 0)
     return {(record.solver, record.trace, record.user_type): record for record in records}
@@ -127,7 +127,7 @@ def test_a_true_type_is_never_ruled_out_and_the_figures_say_what_is_known(domain
 
 
 def test_shares_are_the_observers() -> None:
-    """They are the prior where that is asked for, and weigh the labeler for everybody."""
+    """They are the prior if a key says so, and weight the labeler for everybody."""
     cfg = composed("labeler=truth", "observers.per_type=[5,1,1,2,1]", "traces=1")
     known = prepare(components_of(cfg))
     assert known.type_shares.tolist() == [0.5, 0.1, 0.1, 0.2, 0.1]
@@ -137,8 +137,8 @@ def test_shares_are_the_observers() -> None:
 
 
 def test_messages_that_differ_in_price_by_hand() -> None:
-    """With all of a type's facts told nothing is inexplicable: the clairvoyant pays for those that
-    matter, or less; who says everything pays for everything."""
+    """After the messages about all facts of a type nothing is inexplicable: the clairvoyant pays at
+    most for these messages; say_all pays for all messages."""
     prices = {"first_aid": 0.5, "fire": 2, "refuel": 1, "rubble": 0, "puddle": 3, "fence": 0.25}
     cfg = composed("labeler=truth", "discount=1", "traces=3", "lambda=0.4")
     cfg.message_cost = prices

@@ -15,8 +15,8 @@ from xplain.explanation.problem import Problem
 
 
 def pair_of_problems(rng: np.random.Generator, types: int, steps: int, n: int) -> Any:
-    """(by type, dense): types that look at up to three messages each, pads anywhere; costs of all
-    kinds, so that giving messages pays as a mere delay in some."""
+    """Makes (by type, dense): types that test up to three messages each, with pads anywhere, and
+    with costs of all kinds, so that in some problems messages pay only by delay."""
     width = int(rng.integers(0, min(n, 3) + 1))
     relevant = np.full((types, width), -1)
     for row in relevant:
@@ -53,7 +53,7 @@ def pair_of_problems(rng: np.random.Generator, types: int, steps: int, n: int) -
 
 @composite
 def pairs(draw: st.DrawFn, types: int = 3, steps: int = 3, messages: int = 5) -> Any:
-    """(by type, dense) of up to so many types, steps and messages."""
+    """Draws (by type, dense) with at most these numbers of types, steps and messages."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     size = (int(rng.integers(1, types + 1)), int(rng.integers(1, steps + 1)))
     return pair_of_problems(rng, *size, int(rng.integers(1, messages + 1)))

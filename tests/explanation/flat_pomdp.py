@@ -1,5 +1,5 @@
-"""A reader of the ``.pomdp`` text that :mod:`xplain.explanation.files` writes: as any program
-would read it, knowing nothing of explanations."""
+"""A reader of the ``.pomdp`` text that :mod:`xplain.explanation.files` writes. It reads like any
+other program, without knowledge about explanations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xplain.errors import InputError
 
 @dataclass(frozen=True)
 class Flat:
-    """A POMDP as the file tells it; absent entries are 0.
+    """A POMDP from a file; missing entries are 0.
 
     Attributes:
         discount: γ.

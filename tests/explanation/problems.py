@@ -16,15 +16,15 @@ from xplain.testing.problems import random_problem as random_problem
 def tiny_problems(
     draw: st.DrawFn, max_types: int = 3, max_steps: int = 3, max_messages: int = 2
 ) -> Problem:
-    """Problems of up to so many types, steps and messages."""
+    """Draws problems with at most these numbers of types, steps and messages."""
     seed = draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
     return random_problem(rng, max_types, max_steps, max_messages)
 
 
 def misleading_problem() -> Problem:
-    """Two user types who err at .05 or .4; what they think tells them apart at once, what they
-    answer does not: the optimum is .1 and more below that of labels taken for answers."""
+    """Makes two user types who err at 0.05 or 0.4. Their thoughts separate them at once, but not
+    their answers: the optimum is at least 0.1 below that of a model in which answers are labels."""
     p = np.array([[[1, 1, 1, 1], [0, 1, 0, 1]], [[0, 0, 0, 0], [0, 0, 1, 1]]], float)
     costs = np.array([0.4, 0.4])
     problem = Problem(LabelTable.dense(p), costs, inexplicability_cost=0.6, discount=1.0)

@@ -1,4 +1,4 @@
-"""People nobody assumed are more hidden types, and nothing else: each is told by enumeration."""
+"""People nobody assumed are only further hidden types: all of them are enumerated."""
 
 from __future__ import annotations
 

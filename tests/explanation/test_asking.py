@@ -1,4 +1,5 @@
-"""Questions: which may be asked, what their answers tell, and that the model may be trusted."""
+"""Questions: which ones may be asked, the information of their answers, and the correctness of the
+model."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ def asking_problems(seed: int, count: int) -> list[Problem]:
 
 
 def test_asking_never_makes_the_optimum_worse() -> None:
-    """By brute force, with and without; and in some problems it makes it better."""
+    """Optima with and without questions come from brute force; in some problems questions improve
+    the optimum."""
     gained = []
     for problem in asking_problems(0, 200):
         without = literal_optimal_value(replace(problem, questions=Questions()))
@@ -42,7 +44,7 @@ def test_asking_never_makes_the_optimum_worse() -> None:
 
 def test_what_a_question_is_worth_by_hand() -> None:
     """Type 0 needs the message (1.0 of λ C_e) or pays 3 over two steps, type 1 needs nothing, and
-    labels come too late. The question tells them apart for κ = .2: .2 + ½ · 1 instead of 1."""
+    labels come too late. The question separates them for κ = 0.2: 0.2 + ½ · 1 instead of 1."""
     p = np.array([[[0, 1], [0, 1]], [[1, 1], [1, 1]]], dtype=float)
     problem = Problem(p, np.array([1.0]), discount=1.0, inexplicability_cost=10.0)
     table = LabelTable.dense(np.array([[[0, 0]], [[1, 1]]], dtype=float))
@@ -52,7 +54,7 @@ def test_what_a_question_is_worth_by_hand() -> None:
 
 
 def test_a_question_does_not_pay_by_delay() -> None:
-    """Whatever γ is, a question that tells nothing is not worth asking."""
+    """For any γ, a question without information is not worth its cost."""
     for discount in (1.0, 0.95, 0.5):
         problem = Problem(np.full((2, 2, 2), 0.3), np.array([0.4]), discount=discount)
         table = LabelTable.dense(np.full((2, 3, 2), 0.5))
@@ -81,7 +83,7 @@ def test_the_nearest_differ_in_the_fewest_features() -> None:
 
 @pytest.mark.parametrize("accept", [1.0, 0.7])
 def test_an_answer_is_weighed_by_bayes(accept: float) -> None:
-    """Also where what was said may not be known."""
+    """This also holds if messages may be missed."""
     rng = np.random.default_rng(3)
     problem = Problem(rng.random((2, 2, 2)), np.ones(1))
     table = LabelTable.dense(rng.random((2, 3, 2)))
@@ -98,7 +100,7 @@ def test_an_answer_is_weighed_by_bayes(accept: float) -> None:
 
 
 class AsksAll:
-    """Asks whatever is open, and says nothing."""
+    """A policy that asks every possible question, and gives no messages."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -138,8 +140,8 @@ def test_questions_that_do_not_say_what_they_show_show_nothing_of_the_trace(seed
 
 
 def test_a_clip_is_the_label_of_its_transition_where_people_repeat_themselves() -> None:
-    """Persistent: the belief after clip and labels is that after the labels alone. Afresh: the
-    clip counts as a label more."""
+    """Persistent: the belief after clip and labels is the same as after the labels alone.
+    Independent: the clip counts as an additional label."""
     problem = clip_of_the_second_transition()
     labels = [(1,), (1, 0), (1, 0, 1)]
     for update in (Persistent(), Independent()):

@@ -42,7 +42,7 @@ def sharp() -> Problem:
 
 
 def test_a_label_that_no_type_can_give_leaves_the_belief_as_it_was() -> None:
-    """Neither uniform, nor the prior, nor a number that is none; the belief is not aliased."""
+    """It becomes neither uniform, nor the prior, nor NaN; the array is not shared."""
     problem = sharp()
     before = np.array([0.4, 0.6, 0.0, 0.0])
     after = update(problem, before, 0, np.array([0], dtype=np.uint8))
@@ -68,7 +68,7 @@ def test_a_thousand_labels_do_not_underflow() -> None:
 
 
 def test_only_the_evidence_counts() -> None:
-    """Three labels, of which the last alone is news."""
+    """Of three labels only the last is evidence."""
     p = np.array([[0.9, 0.8, 0.3], [0.2, 0.4, 0.6]])[:, :, None]
     problem = Problem(p, np.empty(0))
     labels = np.array([0, 1, 1], dtype=np.uint8)
@@ -78,8 +78,8 @@ def test_only_the_evidence_counts() -> None:
 
 @pytest.mark.parametrize("seed", range(40))
 def test_the_belief_is_that_of_the_literal_person(seed: int) -> None:
-    """To the paper each label is drawn independently; who repeats themselves has one answer for
-    each transition and message set, whatever copies of it the trace has."""
+    """In the paper each label is drawn independently; people who repeat themselves have one answer
+    for each transition and message set, also for copies in the trace."""
     rng = np.random.default_rng(seed)
     copies = np.array([rng.integers(i + 1) for i in range(5)])
     copies = copies[copies]  # the first of all equal ones
@@ -122,7 +122,7 @@ def test_rounding_makes_beliefs_equal_whatever_the_order_of_evidence() -> None:
 @settings(deadline=None, max_examples=50)
 @given(tiny_problems(), st.data())
 def test_who_cannot_tell_says_nothing(problem: Problem, data: st.DataObject) -> None:
-    """A label 2 leaves the belief where the other labels alone lead it."""
+    """With a label 2 the belief is the same as with the other labels alone."""
     labels = np.array(data.draw(st.lists(st.sampled_from((0, 1, 2)), min_size=1, max_size=1)))
     shown = data.draw(st.integers(0, (1 << problem.n_messages) - 1))
     after = update(problem, problem.start, shown, labels.astype(np.uint8))

@@ -1,4 +1,4 @@
-"""What a belief may assume of how people listen and answer."""
+"""The possible assumptions about how people listen and answer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from xplain.explanation.habits import habits_of
 
 
 def test_rates_come_with_their_shares_among_people() -> None:
-    """As one gives them, and as a plan in JSON has them; shares need not sum to 1."""
+    """They may come from a user or from a plan in JSON; shares need not sum to 1."""
     for accept in ({1: 0.75, 0.8: 0.25}, {"1": 3, "0.8": 1}):
         found = habits_of(0.1, accept, 0.0)  # type: ignore[arg-type]
         assert (found.accept.tolist(), found.prior.tolist()) == ([1, 0.8], [0.75, 0.25])

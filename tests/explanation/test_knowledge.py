@@ -1,4 +1,4 @@
-"""What users know, against every way in which they may miss and forget messages."""
+"""Compares the belief about users' knowledge with all ways to miss and forget messages."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def problem_of(seed: int, types: int = 2, steps: int = 2, messages: int = 2) -> 
 @settings(max_examples=60, deadline=None)
 @given(seeds)
 def test_the_belief_is_that_over_the_states_of_the_literal_pomdp(seed: int) -> None:
-    """Random messages, again and again, and random answers."""
+    """There are random messages, also repeated ones, and random answers."""
     problem = problem_of(seed, steps=3)
     pomdp, rng = LiteralPOMDP(problem), np.random.default_rng(seed)
     states, belief, mask = pomdp.initial(), problem.start, 0
@@ -87,8 +87,8 @@ def after(
 @settings(max_examples=40, deadline=None)
 @given(seeds)
 def test_qmdp_is_between_what_it_earns_and_nothing_better(seed: int) -> None:
-    """What it earns is at most the optimum by trying every action at every belief, and that is at
-    most its own value at the start, where type and knowledge become known."""
+    """Its value is at most the optimum from all actions at all beliefs, and this is at most QMDP's
+    own value at the start, which assumes that type and knowledge become known."""
     problem = problem_of(seed)
     optimum = literal_optimal_value(problem)
     assert worth_by_enumeration(problem, QMDP().plan(problem))[0] <= optimum + 1e-9
@@ -98,8 +98,8 @@ def test_qmdp_is_between_what_it_earns_and_nothing_better(seed: int) -> None:
 @settings(max_examples=40, deadline=None)
 @given(seeds)
 def test_users_who_all_but_surely_listen_are_told_the_same(seed: int) -> None:
-    """The paper's users are the limit, in the values of all actions; of these a message must gain
-    its margin."""
+    """The paper's users are the limit, in the values of all actions; a message must also gain its
+    margin."""
     rng = np.random.default_rng(seed)
     n, types, steps = 3, 3, 4
     p = rng.uniform(0.02, 0.98, (types, steps, 1 << n))

@@ -66,7 +66,7 @@ def test_what_is_relevant_is_found_in_a_dense_table(both: tuple[Problem, Problem
 
 
 def large(n: int = 60) -> Problem:
-    """Of 60 messages, each of three types looks at one or two."""
+    """Makes a table of 60 messages; each of three types tests one or two of them."""
     rng = np.random.default_rng(1)
     relevant = np.array([[3, 59], [40, 2], [17, -1]])
     return Problem(LabelTable.by_type(relevant, rng.random((3, 4, 4))), np.ones(n))
@@ -82,7 +82,8 @@ def test_sixty_messages_come_back_from_a_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("many", [20, 21])
 def test_twenty_relevant_messages_are_the_most(many: int) -> None:
-    """Of one type; of what types need together; and of one type over the parts of a trace."""
+    """The limit holds for one type, for all types together, and for one type over the parts of a
+    trace."""
     half = many // 2
     table = np.arange(many)[None], np.broadcast_to(0.5, (1, 1, 1 << many))
     parts = [

@@ -1,4 +1,5 @@
-"""Habits learned from explanations, against enumeration, and of simulated people."""
+"""Compares habits learned from explanations with enumeration, and with the habits of simulated
+people."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ def enumerated(one: Explained, habits: Habits) -> np.ndarray:
 
 
 def _moved(ways: dict[int, float], j: int, right: bool, chance: float) -> dict[int, float]:
-    """Fact j is right, or wrong, from now on with some chance."""
+    """Changes the belief about fact j with some probability."""
     after: dict[int, float] = defaultdict(float)
     for known, p in ways.items():
         after[known | 1 << j if right else known & ~(1 << j)] += p * chance
@@ -52,7 +53,7 @@ def _moved(ways: dict[int, float], j: int, right: bool, chance: float) -> dict[i
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=40)
 def test_what_one_explanation_tells_equals_enumeration(seed: int) -> None:
-    """Whatever habits the problem that it comes with was planned for."""
+    """This holds for any habits of the problem."""
     rng = np.random.default_rng(seed)
     problem = Problem(rng.random((2, 3, 4)), np.ones(2), prior=rng.dirichlet(np.ones(2)))
     said = rng.integers(4, size=3).tolist()
@@ -106,7 +107,7 @@ def test_what_was_learned_is_what_a_belief_takes() -> None:
 
 
 def test_answers_to_questions_tell_nothing_of_messages_that_do_not_land() -> None:
-    """Whoever weighs α and φ weighs the documented ones, whatever is known of errors."""
+    """If α and φ are learned, the documented values are used, whatever is known about errors."""
     errors = Habits([0.1, 0.3], np.ones(2), np.zeros(2), [0.9, 0.1])
     taken = Independent("learned", "learned", "learned").habits(errors)
     assert sorted(set(taken.error.tolist())) == [0.1, 0.3]

@@ -1,4 +1,4 @@
-"""The literal POMDP, its reduction, and what bounds its optimum."""
+"""The literal POMDP, its reduction, and bounds of its optimum."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def text_of(problem: Problem) -> str:
 
 
 def expectimax(flat: Flat, belief: dict[int, float], horizon: int) -> float:
-    """Of a general POMDP, knowing nothing of explanations."""
+    """Computes the optimal value of a general POMDP, without knowledge about explanations."""
     if horizon == 0:
         return 0.0
     best = -np.inf
@@ -64,7 +64,8 @@ def test_the_file_has_the_optimum_of_the_problem(problem: Problem) -> None:
 @settings(deadline=None, max_examples=40)
 @given(tiny_problems())
 def test_the_file_is_a_pomdp(problem: Problem) -> None:
-    """Every row of T and O is there and sums to 1; numbers alone, but for the wildcards of R."""
+    """Every row of T and O exists and sums to 1; entries are numbers, except for the wildcards of
+    R."""
     if problem.discount_per == "step" and problem.discount < 1:
         return
     text = text_of(problem)

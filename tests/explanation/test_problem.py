@@ -1,4 +1,4 @@
-"""Problems keep what they are given, in memory and in files."""
+"""Problems keep their values, in memory and in files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Questions in files, and the rule of which are kept."""
+"""Questions in files, and the rule that selects them."""
 
 from __future__ import annotations
 

@@ -13,7 +13,8 @@ from tests.fixed.commands import RUNS
 
 
 def differences(kept: Any, now: Any, where: str = "") -> list[str]:
-    """Where two results differ: text and whole numbers at all, other numbers by more than 1e-9."""
+    """Lists the differences of two results: any in text and whole numbers, more than 1e-9 in other
+    numbers."""
     if isinstance(kept, dict) and isinstance(now, dict) and kept.keys() == now.keys():
         pairs = [(f"{where}/{key}", kept[key], now[key]) for key in kept]
     elif isinstance(kept, list) and isinstance(now, list) and len(kept) == len(now):

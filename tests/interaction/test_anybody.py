@@ -1,4 +1,5 @@
-"""Whoever is embedded takes people as open where facts are known, and says when no type fits."""
+"""An embedded explainer expects people nobody assumed if facts are known, and reports that no type
+fits."""
 
 from __future__ import annotations
 

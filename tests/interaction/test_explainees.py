@@ -46,7 +46,8 @@ def reactions(explainee, table=None, said=(0,) * STEPS, same=None, seed=0) -> li
 
 
 def within(count: int, of: int, probability: float) -> bool:
-    """Whether a count is as a binomial's would be but once in 15,000 times."""
+    """Returns True if a count is plausible for a binomial; a right count fails once in 15,000
+    times."""
     return abs(count - of * probability) <= 4 * (of * probability * (1 - probability)) ** 0.5
 
 
@@ -206,8 +207,8 @@ def test_people_err_in_either_direction_at_the_rate_of_the_step(
 
 
 def test_the_sticky_repeat_their_answer_to_the_transition_before() -> None:
-    """Where thoughts alternate, an answer is wrong where it was repeated an odd number of times
-    since one was thought of: 0.4 · 0.6 + 0.4³ · 0.6 + … = 0.4 · 0.6 / (1 − 0.16) in the end."""
+    """Thoughts alternate, so an answer is wrong if it was repeated an odd number of times: with
+    probability 0.4 · 0.6 + 0.4³ · 0.6 + … = 0.4 · 0.6 / (1 − 0.16) in the limit."""
     table = LabelTable.dense(np.tile([[0.0], [1.0]], (STEPS // 2, 1))[None])
     wrong = 0
     for seed in range(PEOPLE):

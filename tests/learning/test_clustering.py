@@ -35,7 +35,7 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
 
 @pytest.mark.parametrize("most", [1, 2, 4, 9])
 def test_no_more_types_are_tried_than_allowed(rng: np.random.Generator, most: int) -> None:
-    """Of eight observers with many different vectors."""
+    """Eight observers have many different vectors."""
     dataset, _ = made(rng, [[0], [1], [2], [0, 3]], per_type=2, size=40, noise=0.3)
     found = Elbow(KMeans(), max_types=most).cluster(Observed(dataset), 0)
     assert found.curve is not None

@@ -21,7 +21,7 @@ from xplain.testing import TypeFinderConformance
 
 
 class Told(Labeler):
-    """Who is told more finds more explicable."""
+    """A labeler of people who find more transitions explicable after more messages."""
 
     def __init__(self, n_messages: int, step: float) -> None:
         self.n_messages, self.step = n_messages, step

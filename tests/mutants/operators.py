@@ -44,7 +44,7 @@ class DropStatement(Operator):  # type: ignore[misc]
         return ()
 
     def mutation_positions(self, node: Node) -> Iterator[Span]:
-        """Where a statement has an effect beyond a local name."""
+        """Yields the positions of statements with an effect beyond a local name."""
         if node.type != "simple_stmt":
             return
         statement = node.children[0]
@@ -100,7 +100,7 @@ def mutate(source: str, operator: str, occurrence: int) -> str | None:
 
 
 def left_alone(node: Node, operator: str) -> bool:
-    """Whether a change of the node is no mistake."""
+    """Returns True if a change of the node is no mistake."""
     if operator.startswith("ReplaceBinaryOperator") and node.parent.type not in ARITHMETIC:
         return True
     child = node.children[0] if node.type == "simple_stmt" else node

@@ -111,7 +111,7 @@ def serving(path: Path, study: Study) -> ServerProcess:
 
 
 def moved_on(driver: Driver, before: str) -> bool:
-    """Whether another page is there, whole."""
+    """Returns True if another page is loaded completely."""
     return sequence(driver) not in (before, None)
 
 

@@ -213,7 +213,7 @@ class Toll(Corridor):
 
 
 def labels_at(domain, values):
-    """Who believes both facts incorrectly, at these values."""
+    """Returns the labels of a person who believes both facts incorrectly, at these values."""
     setting = Setting.build(domain, (UserType("one", values),))
     return setting.label_table(setting.reachable)[0, :, 0]
 

@@ -41,7 +41,7 @@ def test_the_posterior_is_bayes_rule(seed, variants, clip, misread):
 @given(seeds, st.integers(0, 2))
 @settings(deadline=None, max_examples=25)
 def test_no_question_tells_more_than_the_next_one(seed, variants):
-    """Of (the variant, the candidate, whether any hypothesis fits)."""
+    """The information is about the variant, the candidate, and whether any hypothesis fits."""
     h = random_hypotheses(seed, variants=variants)
     q = Questionnaire(h, error=0.05, none=0.02, seed=seed)
     said = answered(q, seed % 5, seed)

@@ -47,7 +47,7 @@ def _finish(folder: Path) -> None:
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    """Whoever takes something out of its folder has it made again."""
+    """A test that removes something from its folder has it made again."""
     folder = tmp_path_factory.mktemp("own") / "finished"
     shutil.copytree(once(tmp_path_factory, "finished", _finish), folder)
     read = [(folder / name).read_text() for name in ("output.txt", "seconds.txt")]

@@ -53,7 +53,7 @@ def planned(outputs: Path, jobs: int) -> SweepFolder:
 
 
 def environment() -> dict[str, str]:
-    """Of a fresh shell: no tracking server."""
+    """Returns the environment of a new shell, without a tracking server."""
     paths = [str(ROOT), ".", os.environ.get("PYTHONPATH", "")]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
     env.pop("MLFLOW_TRACKING_URI", None)

@@ -111,7 +111,7 @@ def test_ctrl_c_leaves_no_run_open(folder):
     states = {name: status for name, status, _ in sweeps.runs(folder)}
     assert {s for name, s in states.items() if name.startswith("multirun")} == {"KILLED"}
     assert set(states.values()) <= {"FINISHED", "KILLED"}
-    # Where the signal falls into a callback of Python's own, it is Python that tells of it.
+    # If the signal arrives in a callback of Python's own, Python reports it.
     own = re.sub(r"Exception ignored in: .*?KeyboardInterrupt: ?\n", "", output, flags=re.DOTALL)
     assert "Traceback" not in own
     last = output.strip().splitlines()[-1]

@@ -24,7 +24,7 @@ from xplain.runs.plan import EACH, MANY, Plan
 
 
 def addresses(folder):
-    """Of all results."""
+    """Lists the addresses of all results."""
     return sorted(folder.glob("outputs/results/*/results.json"))
 
 

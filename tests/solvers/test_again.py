@@ -42,8 +42,8 @@ def needy(seed: int, questions: bool = False, steps: int = 2) -> Problem:
 
 
 def test_qmdp_asks_what_is_worth_it() -> None:
-    """Whether a message landed can be asked for a hundredth, or not at all for more than all of
-    it is worth."""
+    """A question shows if a message was accepted. It costs a hundredth, or more than the
+    information is worth."""
     problem = needy(0, questions=True)
     cheap = QMDP().plan(problem)
     belief = update_by_messages(problem, problem.start, 3)
@@ -189,7 +189,7 @@ def in_the_middle(problem: Problem, seed: int) -> Iterator[tuple[int, NDArray[np
 
 @pytest.mark.parametrize("seed", range(3))
 def test_in_the_middle_a_search_finds_what_certified_does(seed: int) -> None:
-    """Of messages, *explain* and questions."""
+    """Actions are messages, *explain* and questions."""
     problem = discounted(needy(seed, True, 3), DISCOUNTS[seed])
     policy = POMCP(simulations=100_000, depth=None, exploration=2.0).plan(problem)
     certified = Certified(gap=1e-9).plan(problem)

@@ -42,8 +42,8 @@ def test_bounds_and_prices_enclose_the_truth() -> None:
 
 
 def test_lookaheads_values_bound_the_optimum_and_tighten_that_by_known_types() -> None:
-    """Where messages do not discount: the best value, of all sets or of few, is at least the
-    optimum and at most what it would be worth to be told the type."""
+    """If messages do not discount, the best value, over all sets or over few, is at least the
+    optimum and at most the value of known types."""
     rng = np.random.default_rng(31)
     tighter = 0
     for _ in range(200):

@@ -132,8 +132,8 @@ def test_sixty_messages_are_weighed_by_the_sets_of_one_type_at_a_time() -> None:
 
 
 def test_sixty_messages_are_planned_for() -> None:
-    """Where the type is known, QMDP's values are its optimum's and no estimate of POMCP, a mean of
-    returns, is above them; both say what this type needs alone."""
+    """If the type is known, QMDP's values are optimal, and no estimate of POMCP, a mean of returns,
+    is above them; both give only what this type needs."""
     problem = warehouse()
     qmdp, pomcp = QMDP().plan(problem), POMCP(simulations=2000).plan(problem)
     sure = np.eye(problem.n_types)[2]

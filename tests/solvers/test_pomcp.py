@@ -160,13 +160,13 @@ def test_a_decision_goes_on_in_the_middle_as_from_the_start() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_of_a_certain_type_it_finds_the_optimum(seed: int) -> None:
-    """Of right and of noisy labels, at every (k, H)."""
+    """This holds for right and for noisy labels, at every (k, H)."""
     soft = soft_problem(seed)
     for problem in (soft, replace(soft, table=np.round(soft.p_explicable))):
         policy = POMCP(simulations=3000).plan(problem)
         for t, k, given in product(range(3), range(4), range(8)):
             values = policy.values(VisibleState(k, given), np.eye(3)[t])
-            # Of noisy labels, what few simulations came to is not settled yet.
+            # With noisy labels, few simulations do not decide reliably.
             best = plain_optimal_value(problem, t, k, given)
             assert max(values.values()) == pytest.approx(best, abs=0.05)
 
@@ -286,7 +286,7 @@ def test_too_large_is_refused_with_the_size_before_memory_is_taken() -> None:
 
 
 def test_defaults_are_the_configurations() -> None:
-    """Who embeds POMCP() gets what `solver=pomcp` runs."""
+    """Programs with POMCP() get the same search as `solver=pomcp`."""
     path = Path(__file__).parents[2] / "conf" / "solver" / "pomcp.yaml"
     chosen = yaml.safe_load(path.read_text())
     assert chosen.pop("_target_") == f"{POMCP.__module__}.{POMCP.__qualname__}"

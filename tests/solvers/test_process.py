@@ -26,7 +26,7 @@ SEEDS = range(40)
 
 
 def some_problem(seed: int) -> Problem:
-    """Of any kind."""
+    """Draws a problem of any kind."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, max_types=3, max_steps=4, max_messages=3)
     if seed % 3 == 2:
@@ -84,7 +84,7 @@ def test_messages_and_steps_change_the_belief_as_the_problem_says(seed: int) -> 
         heard = give_all(process, belief, said)
         assert heard == pytest.approx(update_by_messages(problem, belief, said))
         if not problem.messages_land:
-            # Of labels that nobody can give nothing is learned, and then facts are forgotten.
+            # Impossible labels give no information, and then facts are forgotten.
             labels, none = np.ones(1, np.uint8), slice(0, 0)
             assert forget(process, heard) == pytest.approx(
                 update(problem, heard, said, labels, none)

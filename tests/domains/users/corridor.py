@@ -1,4 +1,4 @@
-"""The smallest domain whose types can be worked out by hand."""
+"""A small domain whose types can be computed by hand."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ SIZE = 6
 
 
 class Corridor:
-    """Six cells in a row; a reward waits at the right end. Some think it is at the left end, some
-    that the middle of the way hurts."""
+    """Six cells in a row with a reward at the right end. People may believe that it is at the left
+    end, or that the middle costs a toll."""
 
     name = "corridor"
     parameters = (

@@ -1,4 +1,5 @@
-"""Label tables against one model solved at a time, and what counts as one type."""
+"""Compares label tables with models that are solved one by one, and tests which types count as
+one."""
 
 from __future__ import annotations
 
@@ -90,7 +91,7 @@ def test_a_parameter_that_the_domain_reads_and_does_not_have_is_one_line() -> No
 
 
 def test_types_that_other_messages_set_right_are_two() -> None:
-    """Two facts of one effect: their types label alike as long as nothing is said."""
+    """Two facts have the same effect: their types give the same labels before any message."""
 
     class Twice(Corridor):
         parameters = (Corridor.parameters[0], Parameter("goal", "right", "left", "It is right."))

@@ -81,7 +81,8 @@ def test_types_that_differ_in_what_changes_nothing_are_drawn_only_if_asked_for()
 
 
 def test_random_types_are_uniform_over_the_covers() -> None:
-    """Of three facts, all ordered pairs of different subsets that cover them, as often as any."""
+    """With three facts, all ordered pairs of different subsets that cover them are equally
+    frequent."""
     pairs = [(a, b) for a in range(1, 8) for b in range(1, 8) if a != b and a | b == 7]
     names = [p.name for p in Painted.parameters]
     rng, count = np.random.default_rng(0), 4000

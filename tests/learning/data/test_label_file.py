@@ -175,7 +175,7 @@ def test_columns_that_are_asked_for_or_left_out_must_be_there_once(tmp_path: Pat
         read_table(path, ignore=["height"])
     with pytest.raises(InputError, match="each column once"):
         read_table(path, features=["row", "row"])
-    # Who is asked what is always read.
+    # The columns of observers and labels are always read.
     assert read_table(path, ignore=["age", "label", "observer"]).observers == ("a", "b")
 
 

@@ -25,7 +25,7 @@ LOG_NOISE = np.log(np.arange(1.0, len(NOISE) + 1) / np.arange(1.0, len(NOISE) + 
 
 
 def some_answers(rng: np.random.Generator, n: int, size: int, ones: float) -> SortedLabels:
-    """Of three observers about two transitions, under any messages."""
+    """Draws answers of three observers about two transitions, under any messages."""
     dataset = Dataset(
         features=np.arange(2.0)[:, None],
         feature_names=("place",),
@@ -92,7 +92,7 @@ def test_subsets_and_noise_are_drawn_from_their_posterior(
     expected = log_joint(answers, prior, state) / temperature
     expected = np.exp(expected - expected.max(axis=(1, 2), keepdims=True))
     expected /= expected.sum(axis=(1, 2), keepdims=True)
-    # Of 20 batches the mean; where a state is rare, by the binomial law of 20,000 draws.
+    # The error is that of the mean of 20 batches; for rare states, that of 20,000 binomial draws.
     error = visits.std(axis=0, ddof=1) / 20**0.5 + (expected * (1 - expected) / 20_000) ** 0.5
     assert (np.abs(visits.mean(axis=0) - expected) < 5 * error + 2e-4).all()
 

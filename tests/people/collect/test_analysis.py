@@ -52,7 +52,7 @@ def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
     assert market == {"said": 2, "inferred": 2, "agree": 3, "of": 3}
     assert school == {"said": 0, "inferred": 0, "agree": 2, "of": 2}
     assert tunnel["agree"] == tunnel["of"] == 3
-    # Whom no hypothesis fits, or who is unsure of everything, is compared with nothing.
+    # People whom no hypothesis fits, or who are unsure of everything, are not compared.
     unlike, known = {"none": 1.0}, {"3": 0.9, "none": 0.1}
     nobody = [
         replace(CollectState(), belief=unlike, stated=(0,) * 4),

@@ -57,7 +57,7 @@ def test_own_transitions_become_a_task(folder: Path) -> None:
     held = [mask_of(one.inaccurate, known.messages) for one in source.types]
     assert all(one in known.essential for one in held)
     assert [clip.picture.alt for clip in source.clips if clip.picture] == ["A red cable"]
-    # Who believes one of its facts incorrectly finds a step inexplicable.
+    # People who believe one of its facts incorrectly find a step inexplicable.
     assert known.labels[known.row(np.array(0b010)), 1] == 0
     assert known.labels[known.row(np.array(0b001)), 1] == 1
 

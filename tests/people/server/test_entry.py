@@ -1,4 +1,5 @@
-"""Who comes in: signed links, browsers without cookies, a server below a path, its health."""
+"""Ways to enter: signed links, browsers without cookies, a server below a path; and the server's
+health."""
 
 from __future__ import annotations
 
@@ -121,7 +122,7 @@ def test_an_invitation_with_the_full_stop_of_a_sentence_is_found(store: Store) -
 
 @pytest.mark.parametrize("given", ["/robots", ""])
 def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -> None:
-    """Whether the proxy in front takes the path off or not."""
+    """The proxy in front may remove the path or keep it."""
     client = Client(create_app(store, replace(GENEROUS, address=ADDRESS, https=False)))
     entrance = client.get(f"{given}/?invitation=x", headers={"X-Forwarded-Prefix": "/robots"})
     assert 'action="/robots/enter"' in entrance.text

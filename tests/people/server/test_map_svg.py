@@ -18,7 +18,8 @@ from xplain.people.study.flow import Study
 
 
 def test_the_map_is_told_in_words_to_those_who_do_not_see_it(study: Study) -> None:
-    """Where everything is, the robot's way, and where it is now; not what was taken."""
+    """The text names the place of everything, the robot's way and its current cell, but not the
+    items that it took."""
     plan = study.plan
     for k in range(plan.n_steps + 1):
         svg = picture(plan, plan.path, k, ("market",) if k > 1 else ())

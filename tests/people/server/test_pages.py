@@ -26,7 +26,7 @@ AFTER = {"study": ("quiz", "questions", "done"), "collect": ("beliefs", "questio
 
 @pytest.fixture(params=KINDS)
 def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
-    """Of one of the flows."""
+    """A store of one of the flows."""
     opened = Store(tmp_path / f"{request.param}.sqlite", flow_of(request.param))
     yield opened
     opened.close()

@@ -46,7 +46,7 @@ def time() -> Time:
 
 
 def places(store: Store, own: str = "person") -> dict[int, str]:
-    """Who holds or has used up which place of a stream."""
+    """Returns the participants who have or have used the places of a stream."""
     people = [one for one in store.present() if one.stream == own]
     return {one.state.place: one.id for one in people if one.state.place is not None}
 

@@ -26,10 +26,11 @@ from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import conditions_of, make_draft
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
-"""Of a participant who errs, forgets and leaves nowhere."""
+"""Habits of a participant who never errs, forgets or leaves."""
 
 SCREENS = 4
-"""Of the street's briefing: the task, its four facts on two, what participants are asked to do."""
+"""Screens of the street's briefing: the task, its four facts on two screens, and the participants'
+job."""
 
 PLACES = ("bridge", "market", "school", "tunnel")
 AHEAD = Ahead(("Qback <Qand> & Qforth", "Qfetched"), (((0, 1), (0, 0)),) * 2)
@@ -166,7 +167,7 @@ def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
 
 
 ASK = {"kinds": ["clips"], "cost": 0.1, "most": 10, "when": "anytime", "clips": 150}
-"""Of a study in which one condition asks."""
+"""Settings of a study in which one condition asks."""
 
 
 def street_study(**changes: Any) -> Study:

@@ -28,7 +28,7 @@ def asking() -> Study:
 
 
 def with_belief(study: Study, update: Persistent | Independent | None) -> Study:
-    """Whose agent takes people to be like that; None: as it is."""
+    """Returns the study with this belief about people; None keeps its own."""
     if update is None:
         return study
     problem = study.plan.problem.with_habits(update.habits())
@@ -97,7 +97,7 @@ def test_the_other_conditions_are_as_they_were_to_the_last_bit(
     [("first", 10, 0.01, 0), ("anytime", 1, 0.01, 0), ("anytime", 10, 0.15, 0.3)],
 )
 def test_questions_keep_to_their_limits(when: str, most: int, cost: float, error: float) -> None:
-    """Of people who answer anyhow; the last are asked between later steps, too."""
+    """People answer at random; some are also asked between later steps."""
     ask = ASK | {"when": when, "most": most, "cost": cost}
     study = street_study(ask=ask, belief=CONFIG["belief"] | {"error": error})
     asked = later = 0
