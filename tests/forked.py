@@ -1,7 +1,7 @@
-"""Commands in processes that have imported everything before: for tests of what a command does.
+"""Commands in processes with everything imported already, for tests of a command's effects.
 
-What is a process's own (signals, death, where Python finds its modules) is tested in processes
-that are started as a user starts them.
+Properties of a process (signals, death, the places of modules) are tested in processes that start
+as a user starts them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def run(folder: Path, *arguments: str) -> tuple[int, str]:
 
 
 def captured(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """As :func:`run`, standard output and standard error each on its own."""
+    """Runs as :func:`run`; standard output and standard error are separate."""
     with tempfile.TemporaryDirectory() as own:
         out, error = Path(own, "out"), Path(own, "error")
         process = _start(folder, arguments, out, error)

@@ -1,4 +1,4 @@
-"""What stages hand to one another, made by hand rather than by the stage before."""
+"""Handmade values that stages pass to one another."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from xplain.interaction.episode import Episode
 
 
 def a_case(seed: int, steps: int = 2, perfect: bool = True) -> Case:
-    """A trace of so many transitions; two messages, two learned types, three true ones."""
+    """Makes a trace with this number of transitions, two messages, two learned types and three true
+    ones."""
     rng = np.random.default_rng(seed)
     return Case(
         transitions=rng.integers(0, 9, (steps, 3)),
@@ -28,8 +29,8 @@ def a_case(seed: int, steps: int = 2, perfect: bool = True) -> Case:
 
 
 def a_prepared(perfect: bool = True, seed: int = 0, steps: tuple[int, ...] = (2, 3)) -> Prepared:
-    """A trace of each of these lengths. The second and third true type behave alike, and the
-    second learned type stands for them; a third of the observers are of the first."""
+    """Makes a trace of each of these lengths. The second and third true type behave alike, and the
+    second learned type matches them; a third of the observers have the first type."""
     goal = Item("goal", "G", ((1, 2),))
     return Prepared(
         domain="grid",
@@ -49,12 +50,12 @@ def a_prepared(perfect: bool = True, seed: int = 0, steps: tuple[int, ...] = (2,
 
 
 def with_cases(prepared: Prepared, *cases: Case) -> Prepared:
-    """The same with these traces."""
+    """Returns the same with these traces."""
     return replace(prepared, cases=cases)
 
 
 def an_episode(rng: np.random.Generator, steps: int, types: int = 2) -> Episode:
-    """Anything that could have been recorded: the figures of one do not hang together."""
+    """Makes a random record of an episode, whose figures are not consistent."""
     labels = np.full((steps, steps), -1, dtype=np.int8)
     for k in range(steps):
         labels[k, : k + 1] = rng.integers(0, 2, k + 1)

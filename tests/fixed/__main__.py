@@ -1,4 +1,4 @@
-"""Writes the kept runs anew: ``python -m tests.fixed [NAME ...]``."""
+"""Writes the reference runs again: ``python -m tests.fixed [NAME ...]``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each run does: commands in an empty folder, and what is kept of what they write."""
+"""The reference runs: commands in an empty folder, and the part of their output that is stored."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ def explanations(folder: Path, domain: str) -> Kept:
 
 
 def paper(folder: Path) -> Kept:
-    """A sweep as the paper has it: its learner, its baselines, two λ."""
+    """Runs a sweep as in the paper: its learner, its baselines, two λ."""
     learner = ("clusterer=kmeans", "labeler=tree", "queries=shared", "domain=four_rooms")
     solvers = "solver=baseline,conformant,lookahead,pomcp_paper"
     return jobs(folder, *learner, solvers, "lambda=0.5,2", "belief=persistent", *SMALL)
 
 
 def jobs(folder: Path, *words: str) -> Kept:
-    """What a sweep's jobs decided and what it cost. In one process: two would both compile the
-    same kernels."""
+    """Returns decisions and costs of a sweep's jobs. It uses one process, because two would both
+    compile the same kernels."""
     xplain(folder, "-m", *words, "hydra/launcher=basic")
     kept = {}
     for path in sorted(folder.glob("outputs/results/*/results.json")):
@@ -78,7 +78,7 @@ def episode(line: Kept) -> Kept:
 
 
 def discovery(folder: Path) -> Kept:
-    """Adaptive questions, answers of whom one in twenty is wrong, and the types found in them."""
+    """Asks adaptive questions with one wrong answer in twenty, and finds the types."""
     options = ("queries=adaptive", "points=20", "observers.label_noise=0.05")
     xplain(folder, "observe", "domain=rescue", *options, "output=labels.csv")
     xplain(folder, "questions", "domain=rescue", "points=6", "save=hypotheses.npz")
@@ -101,13 +101,13 @@ def numbers(path: Path) -> Kept:
 
 
 def collection(folder: Path) -> Kept:
-    """Simulated people over HTTP: what they were asked, and what was thought of them."""
+    """Runs a collection with simulated people over HTTP: questions, and posteriors."""
     out = served(folder, "collect", 5, "domain=rescue", "points=10")
     return {"clips": table(out / "clips.csv"), "observers": table(out / "observers.csv")}
 
 
 def study(folder: Path) -> Kept:
-    """Simulated people over HTTP: what each was shown and told, and the beliefs."""
+    """Runs a study with simulated people over HTTP: steps, messages and beliefs."""
     out = served(folder, "study", 10, "seed=0", "rules.per_cell=1", "points=300")
     came = read(out / "participants.csv")
     entered = came[0].index("entered")
@@ -129,7 +129,7 @@ def served(folder: Path, command: str, people: int, *words: str) -> Path:
 
 
 CHANCE = re.compile(r"(^|_)(s|seconds|time|entered|seen|hash|code)$")
-"""Columns that no two runs share, or that depend on texts: times, codes, hashes."""
+"""Columns that differ between any two runs, or depend on texts: times, codes, hashes."""
 
 
 def read(path: Path) -> list[list[str]]:
@@ -139,12 +139,13 @@ def read(path: Path) -> list[list[str]]:
 
 
 def table(path: Path, order: Mapping[str, int] | None = None) -> list[list[Any]]:
-    """A CSV file's head and rows, without what no two runs share. Cells that hold lists (beliefs,
-    values) are read.
+    """Reads a CSV file's head and rows, without columns that always differ. Cells with lists
+    (beliefs, values) are read as JSON.
 
     Args:
         path: of the file.
-        order: in which people came, by their names, which are drawn; None: as they stand there.
+        order: order in which people came, by their (random) names; None keeps the order of the
+            file.
     """
     head, *rows = read(path)
     kept = [i for i, name in enumerate(head) if not CHANCE.search(name)]

@@ -1,4 +1,4 @@
-"""The runs that are kept as data come out as they are kept."""
+"""The reference runs give their stored results."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def alike(kept: Any, now: Any) -> bool:
 
 
 LONG = ("rescue", "paper")
-"""A minute and more each."""
+"""Runs that take a minute or more."""
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def test_people_may_be_of_no_type_where_facts_are_known() -> None:
 
 
 def test_answers_that_fit_no_type_are_told_of() -> None:
-    """Somebody who answers at random is soon of none, and taken up again as such."""
+    """A person who answers at random soon fits no type, and is restored as such."""
     explainer, rng = Explainer(types_with_facts(), trade_off=100), np.random.default_rng(0)
     session = explainer.session(range(STEPS))
     while not session.finished:

@@ -1,4 +1,4 @@
-"""Sessions that ask, against the experiments' loop, and across restarts."""
+"""Compares sessions that ask with the experiments' loop, also across restarts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ TYPES = GivenTypes(TABLE, ("fuel",), ("new", "old"))
 
 @dataclass(frozen=True)
 class Situation:
-    """A session to be, and what a user answers: [m + Q, 2^n] to transitions and then clips."""
+    """A session before its start, and a user's answers [m + Q, 2^n] about transitions and then
+    clips."""
 
     explainer: Explainer
     steps: int
@@ -105,7 +106,7 @@ def situations(draw: st.DrawFn) -> Situation:
         ask=asked.limits,
     )
     answers = rng.integers(0, 2, (m + count, 1 << problem.n_messages)).astype(np.uint8)
-    # The experiments' questions stand below the trace: their copies of its transitions do too.
+    # The experiments' questions come after the trace, as do their copies of its transitions.
     for q, row in enumerate(clips):
         answers[m + q] = answers[row]
     return Situation(explainer, m, tuple(clips), answers, rng)

@@ -1,4 +1,4 @@
-"""Episodes against Definition 2 of the paper, written out, and against Bayes' rule."""
+"""Compares episodes with Definition 2 of the paper and with Bayes' rule."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from xplain.solvers.base import CachedPolicy
 
 
 class Scripted:
-    """Gives the messages of a list, whatever happens."""
+    """A policy that gives the messages of a list."""
 
     def __init__(self, messages: list[int]) -> None:
         self.script = messages
@@ -111,7 +111,7 @@ def test_persistent_belief_counts_each_label_of_a_message_set_once(interaction):
 
 
 class Careless(Scripted):
-    """Gives its messages again and again."""
+    """A policy that repeats its messages."""
 
     def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
         return give(self.script[visible.step])

@@ -1,4 +1,5 @@
-"""Simulated users: what they think costs, what they answer teaches, and chance is their own."""
+"""Simulated users: costs count their thoughts, beliefs use their answers, and they have their own
+random stream."""
 
 from __future__ import annotations
 
@@ -104,7 +105,7 @@ def test_a_person_errs_alike_about_copies_of_a_transition() -> None:
 
 
 def knowing(steps: int = STEPS) -> LabelTable:
-    """Transitions that make sense exactly where message 0 is known."""
+    """Makes transitions that make sense exactly if message 0 is known."""
     return LabelTable.dense(np.tile([0.0, 1.0], (1, steps, 1)))
 
 
@@ -126,7 +127,7 @@ def told(person, new: int):
 
 
 def test_what_was_told_again_may_be_taken_in_then() -> None:
-    """A second telling is another chance."""
+    """A repeated message may be accepted."""
     person = [Heedless(0.5).meet(knowing(), np.arange(STEPS), seed) for seed in range(PEOPLE)]
     first, second = (
         sum(told(p, 1).react(1, count).thoughts.all() for p in person) for count in (1, 2)
@@ -148,8 +149,8 @@ def test_facts_are_lost_after_the_labels_of_a_step() -> None:
 
 
 def test_costs_are_by_thoughts_and_beliefs_by_answers() -> None:
-    """Two people who think alike and answer the opposite cost the same, and are believed to be of
-    opposite types."""
+    """Two people with equal thoughts and opposite answers cost the same, and the beliefs about them
+    are opposite."""
 
     class Contrary:
         def hear(self, new: int) -> None:
@@ -178,7 +179,7 @@ def test_a_probability_out_of_range_is_refused(make) -> None:
 
 
 def error_rates(explainee, step: int) -> tuple[float, float]:
-    """How often those err at a step who think 0, and who think 1, of many people."""
+    """Returns the error rates at a step of people who think 0, and of people who think 1."""
     wrong, thought = np.zeros(2), np.zeros(2)
     for seed in range(PEOPLE):
         thoughts, answers = reactions(explainee, seed=seed)[step]

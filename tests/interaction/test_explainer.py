@@ -1,4 +1,4 @@
-"""Sessions against the experiments' loop, across restarts, and on traces that grow."""
+"""Compares sessions with the experiments' loop, across restarts, and on growing traces."""
 
 import json
 import subprocess
@@ -73,7 +73,7 @@ def situations(draw):
 
 
 def play(session, answers, steps=None):
-    """Goes on until the end (or for some steps); returns what was said."""
+    """Continues to the end (or for some steps). Returns the messages."""
     said = []
     while not session.finished and steps != 0:
         said.append(session.messages())
@@ -103,7 +103,7 @@ def test_a_session_is_an_episode_of_the_experiments(situation):
 @given(situations())
 @settings(max_examples=60, deadline=None)
 def test_a_trace_that_grows_is_planned_for_with_all_that_is_known(situation):
-    """Each decision is the one of a session that knew as much from the start."""
+    """Each decision is that of a session with the same knowledge from the start."""
     problem, answers, explainer, _ = situation
     session = explainer.session()
     for k in range(problem.n_steps):
@@ -266,7 +266,8 @@ def test_importing_the_package_imports_nothing_heavy():
 
 
 def test_a_message_that_was_not_taken_in_is_said_again():
-    """One who still finds odd what a message explains is told once more; ``again`` says so."""
+    """If a transition still makes no sense after its message, the message is repeated; ``again``
+    has it."""
     table = np.zeros((1, 6, 2))
     table[..., 1] = 1
     types = GivenTypes(np.clip(table, 0.02, 0.98), ("fuel",), ("novice",))
@@ -280,7 +281,8 @@ def test_a_message_that_was_not_taken_in_is_said_again():
 
 
 def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
-    """Messages are missed half of the time: then they are said again sooner, and to others too."""
+    """Half of the messages are missed. So messages are repeated sooner, and also to other
+    people."""
     table = np.zeros((1, 6, 2))
     table[..., 1] = 1
     types = GivenTypes(np.clip(table, 0.02, 0.98), ("fuel",), ("novice",))

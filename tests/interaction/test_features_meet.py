@@ -1,5 +1,6 @@
-"""Every two features of an explanation that can meet do: on random small problems the belief is the
-literal POMDP's, the bounds hold, and a session kept as text goes on as one that never stopped."""
+"""Tests every pair of compatible features of an explanation: on random small problems the belief is
+the literal POMDP's, the bounds hold, and a session restored from text continues like one that never
+stopped."""
 
 from __future__ import annotations
 
@@ -94,7 +95,7 @@ def given_types(rng: np.random.Generator, messages: int, own: bool) -> GivenType
 
 
 class Situation:
-    """An explanation with some features, and somebody who answers at random."""
+    """An explanation with some features, and a person who answers at random."""
 
     def __init__(self, features: tuple[str, ...], seed: int) -> None:
         self.features, self.rng = features, np.random.default_rng(seed)
@@ -112,7 +113,7 @@ class Situation:
         self.belief_update = way(error, *missed)
 
     def explainer(self, number: int) -> Explainer:
-        """With one of the solvers."""
+        """Makes an explainer with one of the solvers."""
         return Explainer(
             self.types,
             SOLVERS[number % len(SOLVERS)],
@@ -124,13 +125,13 @@ class Situation:
         )
 
     def session(self, explainer: Explainer) -> Session:
-        """About two or three transitions."""
+        """Makes a session about two or three transitions."""
         clips = self.transitions[4:7] if "questions" in self.features else []
         steps = 2 if "growing trace" in self.features else 3
         return explainer.session(self.transitions[:steps], clips=clips)
 
     def play(self, explainer: Explainer, seed: int, restored: bool) -> tuple[Session, list[Any]]:
-        """A session to its end, and what it answered to every request."""
+        """Plays a session to its end. Returns its replies to all requests."""
         rng, session, seen = np.random.default_rng(seed), self.session(explainer), list[Any]()
         ahead = self.transitions[7:] if "growing trace" in self.features else []
         while not session.finished:
@@ -151,8 +152,8 @@ class Situation:
 
 
 def literal_belief(problem: Problem, events: list[Event]) -> NDArray[np.float64] | None:
-    """[rows, N] by Bayes' rule over the states of the literal POMDP; None where no state answers
-    so."""
+    """[rows, N] the belief by Bayes' rule over the states of the literal POMDP; None if no state
+    gives these answers."""
     pomdp, asked = LiteralPOMDP(problem), 0
     states = pomdp.initial()
 

@@ -1,4 +1,4 @@
-"""Every figure of a summary, recomputed from the records by loops over what was said."""
+"""Computes every figure of a summary again, by loops over the records."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ TRIANGLE = [
     [[1], [0, 0]],
     [[0], [1, 1], [0, 1, 0]],
 ]
-"""Labels by hand: of a trace of one transition (one 0), of two (two 0s), of three (three 0s)."""
+"""Handmade labels of traces with one transition (one 0), two (two 0s) and three (three 0s)."""
 
 
 def padded(rows: list[list[int]]) -> np.ndarray:
-    """Rows of a triangle as an episode keeps them: −1 for what was not asked."""
+    """Pads the rows of a triangle as in an episode; −1 is no label."""
     return np.array([row + [-1] * (len(rows) - len(row)) for row in rows], dtype=np.int8)
 
 
@@ -56,7 +56,7 @@ RECORDS = [
         ("cost", [5, 9, 4]),
         ("oracle_cost", [4, 10, 2.5]),
         ("clairvoyant_cost", [1, 1.5, 0.5]),
-        # What the policy paid more than the reference: positive where it did worse.
+        # The policy's cost minus the reference's: positive if the policy is worse.
         ("regret", [1, -1, 1.5]),
         ("regret_to_clairvoyant", [4, 7.5, 3.5]),
         ("messages", [2, 2, 0]),
@@ -79,7 +79,7 @@ def test_figures_by_hand(name, each):
 
 def test_steps_by_hand():
     steps = by_step(RECORDS)
-    # Of three traces, of one, two and three transitions; the prior is before the first.
+    # There are three traces of one, two and three transitions; the prior comes first.
     assert steps["episodes"].tolist() == [3, 3, 2, 1]
     expected = [1.2 / 3, (0.95 + 0.3 + 0.9) / 3, (0.91 + 0.4) / 2, 0.9]
     assert steps["belief_in_true_type"] == pytest.approx(expected)

@@ -1,4 +1,4 @@
-"""Intervals against scipy, and against repeated sampling."""
+"""Compares intervals with scipy, and with repeated sampling."""
 
 import numpy as np
 import pytest

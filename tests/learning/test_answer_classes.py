@@ -1,4 +1,4 @@
-"""Classes of answers, where nobody was told anything."""
+"""Classes of answers without messages."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from xplain.learning.prediction import held_out
 
 
 def answered(labels: np.ndarray, asked: np.ndarray | None = None) -> Dataset:
-    """Labels [O, T] of items that are told apart by a number, those ``asked`` [O, T] alone."""
+    """Makes labels [O, T] of items with different numbers, only those ``asked`` [O, T]."""
     observers, items = labels.shape
     o, t = np.nonzero(np.ones_like(labels) if asked is None else asked)
     nothing = np.zeros(len(o), dtype=np.int64)
@@ -25,8 +25,8 @@ def answered(labels: np.ndarray, asked: np.ndarray | None = None) -> Dataset:
 
 
 def people(seed: int, per_class: int = 60, items: int = 12) -> tuple[Dataset, np.ndarray, float]:
-    """Three classes; items are slipped at and guessed with their own rates up to .3. Also the
-    class of each, and the index of agreement of who knows all rates."""
+    """Draws people of three classes; items have slips and guesses up to 0.3. Returns also each
+    person's class, and the agreement index of a judge who knows all rates."""
     rng = np.random.default_rng(seed)
     true = rng.random((3, items)) < 0.5
     slip, guess = rng.uniform(0, 0.3, (2, items))

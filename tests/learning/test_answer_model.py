@@ -1,5 +1,5 @@
-"""The answer model: against its definition, a sum over all truths, and on people whose errors are
-known."""
+"""Compares the answer model with its definition, a sum over all truths, and with people whose
+errors are known."""
 
 from itertools import product
 
@@ -65,8 +65,9 @@ def test_slips_of_single_questions_are_found():
 
 
 def test_what_most_of_a_type_answer_is_what_they_think():
-    """Expected is 1 for certain, but all of a type say 0 about ten questions: no slip explains it,
-    though slips are common at first. Where only one in four does, it is one."""
+    """The prior is almost certainly 1, but all people of a type say 0 about ten questions: slips do
+    not explain this, although slips are common at first. If only one in four says 0, it is a
+    slip."""
     rng = np.random.default_rng(0)
     person = np.repeat(np.arange(8), 60)
     question = np.tile(np.arange(60), 8)

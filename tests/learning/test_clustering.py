@@ -68,7 +68,7 @@ class ByTransition:
 
 @pytest.mark.parametrize("n", [2, DENSE, DENSE + 1])
 def test_transitions_that_share_their_features_are_told_apart_when_asked_once(n: int) -> None:
-    """Beside a labeler that knows features alone, and in batches that overlap."""
+    """This holds together with a labeler that knows only features, and in overlapping batches."""
     rng = np.random.default_rng(4)
     dataset, _ = made(rng, [[0]], n=n)
     labelers: Any = (ByTransition(0.1, n), LabelerTrainer().fit(dataset, 0), ByTransition(0.7, n))
@@ -93,7 +93,7 @@ def test_transitions_that_share_their_features_are_told_apart_when_asked_once(n:
 def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(
     rng: np.random.Generator,
 ) -> None:
-    """The same data give the same labeler: among other clusters, in another order, alone."""
+    """The same data give the same labeler with other clusters, in another order, and alone."""
     dataset, truth = made(rng, [[0, 1], [2], [1, 3]], noise=0.1)
     trainer = LabelerTrainer(holdout=0.4)
 

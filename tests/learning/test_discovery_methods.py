@@ -38,7 +38,8 @@ def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.1, 0.15])
 def test_types_are_found_and_noise_makes_none(noise: float) -> None:
-    """Nobody answers the same questions. A model that fits the errors finds a type an observer."""
+    """All observers answer different questions. A model that fits the errors would find a type for
+    each observer."""
     for seed in range(3):
         dataset, truth = made(np.random.default_rng(seed), TYPES, size=250, noise=noise)
         found = DirichletMixture().cluster(Observed(dataset), seed)
@@ -87,7 +88,7 @@ def test_no_type_stays_split_among_many_observers(seed: int) -> None:
 def test_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
     observers: int, concentration: float, temperature: float
 ) -> None:
-    """Told everything, nobody's label depends on the type: the sampler draws from the prior, an urn
+    """After all messages no label depends on the type, so the sampler draws from the prior, an urn
     with α / 4 balls of each of the four fact sets."""
     everybody = np.arange(observers)
     dataset = Dataset(

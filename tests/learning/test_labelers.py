@@ -1,4 +1,4 @@
-"""Labelers: what they learn, how sure they are, and what held-out questions show."""
+"""Labelers: their predictions, their confidence, and the accuracy on held-out questions."""
 
 from __future__ import annotations
 
@@ -57,7 +57,8 @@ def test_no_point_is_on_both_sides_of_a_split(seed: int, size: int, holdout: flo
 def test_confidence_is_the_smoothed_share_of_held_out_questions_got_right(
     rng: np.random.Generator, repeats: int
 ) -> None:
-    """Each question once, however often it was answered; of a split vote the share that agrees."""
+    """Each question counts once, however often it was answered; with different answers the share of
+    right ones counts."""
     once, _ = made(rng, [[0, 1]], noise=0.15)
     dataset = once.take(np.repeat(np.arange(len(once)), repeats))
     labeler, seed = LabelerTrainer().fit(dataset, 7), derived_seed(7, "labelers")
@@ -150,8 +151,8 @@ def test_equal_rows_may_be_one_row_with_a_weight(
 
 
 def test_siblings_under_one_message_set_do_not_help(rng: np.random.Generator) -> None:
-    """Labels drawn by lot for each message set: whoever has seen others under the same set knows
-    them all, and fresh questions are anybody's guess."""
+    """Labels are random for each message set: a labeler that saw one label of a set knows all of
+    them, but fresh questions are unpredictable."""
     dataset, _ = made(rng, [[0]], per_type=1, size=6000, n=7)
     lot = rng.integers(2, size=1 << 7).astype(np.uint8)
     dataset = replace(dataset, label=lot[dataset.message_set])
@@ -167,8 +168,9 @@ def test_each_question_counts_once(rng: np.random.Generator) -> None:
 
 
 def test_it_is_what_fresh_questions_show() -> None:
-    """Sixty labels an observer, the same questions for all: within two standard errors this figure
-    is right, and the one on held-out (transition, message set) too high."""
+    """With sixty labels of each observer and the same questions for all, this figure is right
+    within two standard errors, and the accuracy on held-out (transition, message set) is too
+    high."""
     domain = domain_of("domain=four_rooms")
     gaps = []
     for seed in range(8):

@@ -1,4 +1,4 @@
-"""Messages that do not land, against people whose α, slips and guesses are known."""
+"""Missed messages, of people whose α, slips and guesses are known."""
 
 from dataclasses import replace
 
@@ -80,7 +80,8 @@ def test_answers_after_messages_are_predicted_nearly_as_by_who_knows_all_rates()
 
 
 def test_nothing_is_learned_where_nobody_was_told_for_good() -> None:
-    """Message sets that differ from question to question, too few people, or no messages."""
+    """Nothing is learned if message sets differ from question to question, or with too few people,
+    or without messages."""
     rng = np.random.default_rng(0)
     dataset = taught(rng, np.full(3, 0.5))
     drawn = replace(dataset, message_set=rng.integers(0, 8, len(dataset)))

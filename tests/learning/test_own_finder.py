@@ -1,4 +1,4 @@
-"""Somebody's own type finder, with labelers of its own: nothing else has to know of them."""
+"""A user's own type finder with its own labelers works without other changes."""
 
 from __future__ import annotations
 

@@ -21,7 +21,8 @@ from xplain.learning.paper import disagreements, elbow, minimal_message_set, min
 
 
 def enumerated(classifier: object, features: NDArray[np.float64], n: int) -> int:
-    """The definition: fewest inexplicable, then smallest, then message order."""
+    """Finds the set by its definition: fewest inexplicable transitions, then fewest messages, then
+    message order."""
     best: tuple[int, int] | None = None
     answer = 0
     for size in range(n + 1):
@@ -35,7 +36,8 @@ def enumerated(classifier: object, features: NDArray[np.float64], n: int) -> int
 
 
 def fitted(model: object, seed: int, n: int, ones: float, rows: int = 80) -> tuple[object, NDArray]:
-    """A classifier fitted to labels at random: harder than any data, no message set helps all."""
+    """Fits a classifier to random labels: harder than any data, because no message set helps
+    all."""
     rng = np.random.default_rng(seed)
     features = rng.random((8, 2)).round(2)
     x = inputs(features[rng.integers(8, size=rows)], rng.integers(1 << n, size=rows), n)
@@ -82,7 +84,7 @@ def test_who_gave_no_label_needs_nothing(rng: np.random.Generator) -> None:
 
 
 def pairwise(dataset: Dataset, assignment: NDArray[np.int64]) -> int:
-    """Definition 1, read aloud."""
+    """Counts disagreements by Definition 1."""
     total = 0
     for i in range(len(dataset)):
         for j in range(i):
@@ -141,7 +143,8 @@ def test_rules(curve: list[int], k: int, rule: str, caplog: pytest.LogCaptureFix
 @given(st.lists(st.integers(0, 500), min_size=1, max_size=15), st.floats(0, 0.3))
 @settings(max_examples=300, deadline=None)
 def test_a_knee_that_kneedle_finds_stands(drops: list[int], few: float) -> None:
-    """Whatever it leaves; and the rules for curves without a knee hold where there is none."""
+    """It is kept for any remaining disagreements; the other rules hold for curves without a
+    knee."""
     curve = np.array(drops)
     k, rule = elbow(curve, few)
     left = np.minimum.accumulate(curve)

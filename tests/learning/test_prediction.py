@@ -1,4 +1,4 @@
-"""What is expected to be answered, by hand."""
+"""Predicted answers, compared with results by hand."""
 
 from dataclasses import replace
 

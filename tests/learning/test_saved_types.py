@@ -1,4 +1,4 @@
-"""Saved types say what they said before saving; a doctored file is refused, never run."""
+"""Saved types predict as before; a manipulated file is refused and never executed."""
 
 from dataclasses import replace
 
@@ -89,7 +89,7 @@ def test_what_was_saved_says_the_same(tmp_path, classifier, confidence):
 
 
 class Mine(LogisticRegression):
-    """A class that is not scikit-learn's."""
+    """A class outside scikit-learn."""
 
 
 def test_a_class_that_nobody_vouched_for_is_not_built(tmp_path):

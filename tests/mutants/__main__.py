@@ -1,4 +1,4 @@
-"""Plants mistakes at random, one at a time, and reports those that no test noticed.
+"""Adds random mistakes, one at a time, and reports those that no test notices.
 
     python -m tests.mutants --each 8 --seed 1                  as many of each folder of xplain/
     python -m tests.mutants --each 8 --seed 1 --areas solvers  of these folders alone

@@ -1,4 +1,4 @@
-"""The mistakes that are planted: cosmic-ray's that a person could make, and a statement left out.
+"""The mistakes: those of cosmic-ray that a person could make, and a missing statement.
 
 Types, texts, error messages, logging, decorators and imports are left alone: a change there is no
 mistake.

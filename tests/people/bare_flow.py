@@ -21,7 +21,7 @@ from xplain.people.study.flow import Study, StudyState
 
 
 def page_of(view: Mapping[str, Any]) -> Page:
-    """What simulated people read of a page, from the view that it is made of."""
+    """Makes the content that simulated people read from the view of a page."""
     stage, new, fields = view["stage"], view.get("new", ()), dict[str, Any]()
     told = view.get("told", [*view.get("old", ()), *new])
     if stage == "training" and view["part"]:
@@ -42,7 +42,7 @@ def answer(flow: Flow[Any, S], person: Bot[Any, Any], state: S) -> tuple[str, di
 
 
 def walk(flow: Flow[Any, S], person: Bot[Any, Any], state: S) -> S:
-    """Leads somebody from a state to the end, or to the page where they leave."""
+    """Leads a person from a state to the end, or to the page where they leave."""
     while not state.over and not person.leaves(page_of(flow.view(state))):
         state = flow.advance(state, *answer(flow, person, state))
     return state

@@ -1,4 +1,4 @@
-"""A browser without a network: requests go straight to an application."""
+"""A browser without a network: requests go directly to an application."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LOCAL = threading.local()
 
 
 class Reply:
-    """What came back."""
+    """The response to a request."""
 
     def __init__(self, status: int, headers: list[tuple[bytes, bytes]], data: bytes) -> None:
         self.status_code, self.headers, self.data = status, Headers(raw=headers), data
@@ -30,7 +30,7 @@ class Reply:
 
 
 class Client:
-    """Keeps cookies, unless it is told not to."""
+    """A client that keeps cookies, unless it is created without."""
 
     def __init__(self, app: Any, cookies: bool = True) -> None:
         self.app, self.keeps, self.cookies = app, cookies, dict[str, tuple[str, str]]()

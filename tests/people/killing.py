@@ -1,4 +1,5 @@
-"""kill -9 while people take part: nothing that the server acknowledged may be lost or doubled."""
+"""Kills the server with -9 while people take part: no acknowledged answer may be lost or stored
+twice."""
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ class Person(Protocol):
 
 
 class Careful:
-    """A participant who writes down every answer that the server acknowledged."""
+    """A participant who records every answer that the server acknowledged."""
 
     def __init__(self, url: str, person: Person, invitation: str) -> None:
         self.browser = Browser(url, patience=90)
@@ -61,7 +62,7 @@ def survive(
     kills: int,
     people: int,
 ) -> tuple[int, int]:
-    """Kills the server while people answer, and compares what is stored with what they were told.
+    """Kills the server while people answer, and compares stored with acknowledged answers.
 
     Args:
         database: with a plan in it.
@@ -72,7 +73,7 @@ def survive(
         people: at a time.
 
     Returns:
-        How many answers were acknowledged, and how many are stored.
+        The numbers of acknowledged and of stored answers.
     """
     server = ServerProcess(database, *RATE, command=command)
     server.start()

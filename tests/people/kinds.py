@@ -1,4 +1,4 @@
-"""Both kinds of flow, for tests of what they share: a flow on the street, and its people."""
+"""Both kinds of flow, for tests of common properties: a flow on the street, and its people."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def flow_of(kind: str) -> Flow[Any, Any]:
 
 
 def bot_of(flow: Flow[Any, Any], *seeds: int) -> Bot[Any, Any]:
-    """Somebody faultless."""
+    """Makes a participant who never errs."""
     rng = np.random.default_rng(seeds)
     if isinstance(flow, Study):
         return StudyBot(flow.plan, studying.FAULTLESS, rng)

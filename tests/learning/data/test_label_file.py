@@ -1,4 +1,4 @@
-"""Tables as people have them: what is read is what was written, or one line says what to do."""
+"""People's own tables are read as written, or one line says what to do."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_files_that_are_no_tables(tmp_path: Path, name: str) -> None:
 
 
 def test_a_feature_may_have_thousands_of_values(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Rows that differ are told apart, and equal ones are one, in whatever columns they differ."""
+    """Different rows are distinguished, and equal rows are one, whatever columns differ."""
     count = 4000
     rows = pd.DataFrame(
         {
@@ -307,7 +307,7 @@ def test_columns_that_cannot_be_features_are_named_and_the_advice_works(
 
 
 def followed(text: str, advice: str) -> list[str]:
-    """What the advice in a text sets its key to."""
+    """Returns the value that the advice in a text gives to its key."""
     (word,) = shlex.split(text.partition(advice)[2].partition("\n")[0])
     (override,) = OverridesParser.create().parse_overrides([word])
     value = override.value()
@@ -334,8 +334,9 @@ def test_a_number_of_the_row_is_no_feature_however_it_counts(
     caplog: pytest.LogCaptureFixture,
     rng_of_the_day: np.random.Generator,
 ) -> None:
-    """As of an experiment's log: trials of each person from 0, and seconds since the start. Where
-    all are asked alike and nothing is told, the number of a trial is one of its step as well."""
+    """Examples are columns of an experiment's log: trials of each person from 0, and seconds since
+    the start. If all people get the same questions without messages, the number of a trial also
+    identifies its step."""
     rows: dict[str, list[Any]] = {x: [] for x in ("observer", "messages", "step", "trial", "date")}
     queries = [(h, s) for h in (("", "m0", "m1") if told else ("",)) for s in "abcdef"]
     for observer in "pqrstuvw":

@@ -47,8 +47,8 @@ def test_labels_are_those_of_the_true_types(setting: Setting, design: type[Queri
 
 
 def test_observers_are_asked_one_screen_after_the_other(setting: Setting) -> None:
-    """A design sees each answer before it asks on, and an observer's errors do not depend on how
-    many questions a screen shows, or on who was asked in between."""
+    """A design sees each answer before the next question, and an observer's errors do not depend on
+    the number of questions on a screen, or on questions to others in between."""
 
     class OneByOne(Independent):
         def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> list[Answered]:

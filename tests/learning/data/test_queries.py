@@ -28,7 +28,7 @@ def corridor(starts: Sequence[int] = range(1, 5)) -> Setting:
 
 
 def asked(queries: Queries, sizes: list[int], setting: Setting | None = None) -> list[Answered]:
-    """Everybody answers 1."""
+    """Asks observers who all answer 1."""
 
     def answer(
         observer: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]

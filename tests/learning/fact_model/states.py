@@ -1,4 +1,4 @@
-"""States of the sampler, and what is counted of them, from the labels themselves."""
+"""States of the sampler, and their counts, computed from the labels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from xplain.learning.mixture.sampler import ChainState, Prior, SortedLabels, ini
 def begun(
     answers: SortedLabels, prior: Prior, facts: NDArray[np.int64], rng: np.random.Generator
 ) -> ChainState:
-    """Each R as given, and S and ε drawn once, so that some fact matters."""
+    """Makes a state with these R, and draws S and ε once, so that some fact matters."""
     state = init(answers, prior, facts)
     while not (prior.size[state.subset] > 0).any():
         resample_transitions(answers, prior, state, 1.0, rng)

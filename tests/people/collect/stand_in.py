@@ -66,7 +66,8 @@ def street_collection(*args: Any, **changes: Any) -> Collection:
 
 
 def telling() -> Collection:
-    """One in which every question comes with other messages: the street's own need none."""
+    """Makes a collection in which every question has other messages; the street's own questions
+    need none."""
     plan = street_plan()
     transitions = plan.hypotheses.n_transitions
     listed = tuple((told % transitions, told) for told in range(2, 14))

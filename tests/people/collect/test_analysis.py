@@ -1,4 +1,5 @@
-"""From answers to tables and types: who is left out, what is learned, what more people bring."""
+"""From answers to tables and types: exclusions, learned types, and the types expected in more
+people."""
 
 from __future__ import annotations
 

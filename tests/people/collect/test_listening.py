@@ -1,4 +1,5 @@
-"""Messages that hold from page to page: what is asked, and what is learned of how people listen."""
+"""Messages that stay valid on later pages: the questions, and what is learned about how people
+listen."""
 
 from __future__ import annotations
 

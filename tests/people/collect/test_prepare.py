@@ -174,7 +174,7 @@ def test_whoever_answers_at_random_cannot_be_sorted() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("domain", "types"), [("rescue", 5), ("four_rooms", 3)])
 def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> None:
-    """What the docs say: 5 % wrong answers, adjusted Rand index at least .95."""
+    """The docs promise an adjusted Rand index of at least 0.95 with 5 % wrong answers."""
     from hydra.utils import instantiate
 
     from xplain.experiment.config import compose_config

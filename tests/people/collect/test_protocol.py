@@ -1,4 +1,4 @@
-"""The pure protocol: its way, what it asks and in which order, what it lets nobody see."""
+"""The pure protocol: its stages, its questions and their order, and what it hides."""
 
 from __future__ import annotations
 
@@ -216,7 +216,7 @@ def test_rules_that_cannot_be_are_named(rules: dict[str, Any], key: str) -> None
 
 
 def test_who_cannot_tell_gives_no_evidence_and_is_not_asked_the_same_again() -> None:
-    """Every answer is "I cannot tell": what is thought of them stays as it was before."""
+    """Every answer is "I cannot tell", so the belief does not change."""
     begun = COLLECTION.advance(CollectState(), "consent", consent(COLLECTION))
     person, state = Observer(COLLECTION.plan, 3, FAULTLESS, np.random.default_rng(5)), begun
     while state.stage != "beliefs":
