@@ -1,4 +1,4 @@
-"""Processes that tests start in sessions of their own: none outlives the tests.
+"""Processes in separate sessions, which end with the tests.
 
 Such a process gets no signal when the terminal of the tests is closed, or on Ctrl-C.
 """

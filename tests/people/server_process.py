@@ -1,4 +1,4 @@
-"""A study server as a lab starts it, in a process of its own, for tests and benchmarks."""
+"""A study server in a separate process, as a lab starts it, for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def free_port() -> int:
 
 
 class ServerProcess:
-    """``python -m xplain study`` (or ``collect``) on 127.0.0.1, over a database that holds a plan
-    already, or else is given the one that the overrides describe."""
+    """``python -m xplain study`` (or ``collect``) on 127.0.0.1, with a database that has a plan, or
+    gets the plan of the overrides."""
 
     def __init__(self, database: Path, *overrides: str, command: str = "study") -> None:
         self.command = command
@@ -66,11 +66,11 @@ class ServerProcess:
         self.key = found.group(1)
 
     def log(self) -> str:
-        """What the server said."""
+        """Returns the server's output."""
         return self._log.read_text(encoding="utf-8")
 
     def kill(self) -> None:
-        """kill -9 of the server with its worker, in the middle of whatever they do."""
+        """Kills the server and its worker with -9, at any moment."""
         if self._process is not None:
             processes.kill(self._process)
             self._process = None

@@ -1,4 +1,5 @@
-"""A real Chromium: participants at a screen, by keyboard, without network, seen by axe-core.
+"""A real Chromium: participants with a screen, with the keyboard, without network; axe-core checks
+the pages.
 
 Screenshots of every page, on a desktop and on a phone, are left in ``outputs/study/screenshots``
 (``XPLAIN_SCREENSHOTS`` names another folder).
@@ -96,7 +97,7 @@ def rescue() -> Study:
 
 @pytest.fixture(scope="module")
 def asking() -> Study:
-    """The rescue study with a condition that asks, as the paper's belief has it: also after
+    """The rescue study with a condition that asks, with the paper's belief: it also asks after
     messages."""
     from xplain.experiment.config import compose_config
 
@@ -116,7 +117,8 @@ def moved_on(driver: Driver, before: str) -> bool:
 
 
 def faults(driver: Driver, axe: str) -> list[str]:
-    """What axe-core finds serious or critical, by WCAG 2.2 A and AA and its best practices."""
+    """Returns serious and critical findings of axe-core, by WCAG 2.2 A and AA and its best
+    practices."""
     driver.execute_script(axe)
     found = driver.execute_async_script(
         "const done = arguments[0]; axe.run(document, {resultTypes: ['violations']}).then(done)"
@@ -130,7 +132,8 @@ def faults(driver: Driver, axe: str) -> list[str]:
 
 
 def photograph(driver: Driver, name: str) -> None:
-    """The whole page, on a desktop and on a phone; nothing sticks out sideways."""
+    """Photographs the whole page on a desktop and on a phone, and checks that nothing is too
+    wide."""
     SCREENSHOTS.mkdir(parents=True, exist_ok=True)
     for width in (1280, 390):
         size = {"width": width, "height": 700, "deviceScaleFactor": 1, "mobile": width < 500}
@@ -145,7 +148,7 @@ def photograph(driver: Driver, name: str) -> None:
 
 
 def complaints(driver: Driver) -> list[str]:
-    """What the browser's console reports as an error, broken content policies among it."""
+    """Returns errors in the browser's console, including violated content policies."""
     return [line["message"] for line in driver.get_log("browser") if line["level"] == "SEVERE"]
 
 
@@ -270,7 +273,7 @@ def scrolled(driver: Driver, person: StudyBot) -> dict[int, float]:
 
 
 def out_of_sight(driver: Driver) -> list[float]:
-    """How far the new step or the button that goes on is below the window: on a phone, on a small
+    """Measures how far the new step or the next button is below the window: on a phone, on a small
     laptop, and there at 200 % zoom."""
     found = []
     for width, height in ((390, 844), (1280, 800), (640, 400)):
@@ -287,7 +290,7 @@ def out_of_sight(driver: Driver) -> list[float]:
 
 
 def cut_off(driver: Driver) -> float:
-    """How much of the new messages is not to be seen on a phone before one scrolls."""
+    """Measures the part of the new messages that a phone shows only after scrolling."""
     size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     below: float = driver.execute_script(

@@ -1,5 +1,6 @@
-"""Collecting labels in a real Chromium: a few observers, every page seen by axe-core and kept as a
-picture (``outputs/study/screenshots/collect``; ``XPLAIN_SCREENSHOTS`` names another folder)."""
+"""A collection of labels in a real Chromium: a few observers; axe-core checks every page, and a
+picture of it is saved (``outputs/study/screenshots/collect``; ``XPLAIN_SCREENSHOTS`` names another
+folder)."""
 
 from __future__ import annotations
 

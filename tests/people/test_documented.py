@@ -1,4 +1,4 @@
-"""What the pages on a study and a collection name is what the commands take."""
+"""The commands accept all keys that the pages on a study and a collection name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The real server: dry runs over HTTP, kill -9, one process a database."""
+"""The real server: dry runs over HTTP, kill -9, one process for each database."""
 
 from __future__ import annotations
 
@@ -88,7 +88,8 @@ def test_from_bots_to_types(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The whole first half of the method, over HTTP: 24 who err and lapse, then the types."""
+    """The first half of the method over HTTP: 24 people who err and lose attention, then the
+    types."""
     monkeypatch.chdir(tmp_path)
     collection, database = street_collection(points=20), tmp_path / "collect.sqlite"
     Store(database, collection).close()

@@ -1,4 +1,4 @@
-"""Every example that stands as a comment in the configuration can be used as it is written."""
+"""Every commented example in the configuration works as written."""
 
 from __future__ import annotations
 

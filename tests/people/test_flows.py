@@ -1,4 +1,5 @@
-"""What a study and a collection share as pure machines: consent, practice, questions, ends."""
+"""Common stages of a study and a collection as pure machines: consent, practice, questions,
+ends."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ def consent(kind: str, **changes: Any) -> dict[str, Any]:
 
 @cache
 def states(kind: str) -> list[Any]:
-    """Every state on the way of somebody faultless."""
+    """Yields every state of a participant who never errs."""
     flow, person = flow_of(kind), bot_of(flow_of(kind), 5)
     found = [flow.STATE(), flow.advance(flow.STATE(), "consent", consent(kind))]
     while not found[-1].over:

@@ -1,6 +1,6 @@
-"""The way of docs/collect.md in a real Chromium: from an empty folder with a lab's own images to
-labels, types, a robot, and a study of these types. Every page is seen by axe-core and kept as a
-picture (``outputs/study/screenshots/lab``; ``XPLAIN_SCREENSHOTS`` names another folder)."""
+"""The steps of docs/collect.md in a real Chromium: from an empty folder with a lab's own images to
+labels, types, a robot, and a study of these types. axe-core checks every page, and a picture of it
+is saved (``outputs/study/screenshots/lab``; ``XPLAIN_SCREENSHOTS`` names another folder)."""
 
 from __future__ import annotations
 

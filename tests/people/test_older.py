@@ -1,4 +1,4 @@
-"""Databases that an older version began: read, or refused in a line that says what to do."""
+"""Databases of older versions are read, or refused with a line that says what to do."""
 
 from __future__ import annotations
 

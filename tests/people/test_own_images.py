@@ -1,4 +1,4 @@
-"""What a lab's images may be, and that nothing but their pixels is shown to anybody."""
+"""The allowed images of a lab; only their pixels are shown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A real Chromium behind a proxy that answers for the server: nothing that was typed is lost."""
+"""A real Chromium behind a proxy that answers for the server: no entered text is lost."""
 
 from __future__ import annotations
 

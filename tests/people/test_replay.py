@@ -1,4 +1,4 @@
-"""Replay: equal to the last bit, and what would be decided otherwise is noticed."""
+"""Replay: decisions are equal to the last bit, and different ones are noticed."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def snapshot(answered: tuple[bytes, list[str]], tmp_path: Path) -> Path:
 
 
 def changed(snapshot: Path, *statements: str) -> None:
-    """Does what nobody may, with every trigger out of the way."""
+    """Changes the database, which nobody may do, without its triggers."""
     with closing(sqlite3.connect(snapshot)) as connection, connection:
         for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'"):
             connection.execute(f"DROP TRIGGER {name}")
@@ -117,7 +117,7 @@ def _copy(answered: tuple[bytes, list[str]], path: Path) -> Path:
 def test_of_whoever_was_erased_others_are_replayed(
     kind: str, snapshot: Path, answered: tuple[bytes, list[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Also of those whose questions followed from the answers that are gone."""
+    """Also people are replayed whose questions depended on the erased answers."""
     with closing(Store(snapshot)) as database:
         reference = database.reference(answered[1][0])
     main([kind, "erase", str(snapshot), reference])

@@ -1,5 +1,5 @@
-"""The whole method with simulated people: labels over the pages, types, and a study of people as
-they are, whose policies know these types alone."""
+"""The whole method with simulated people: labels over the pages, types, and a study without a
+briefing, whose policies know only these types."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def field(html: str, name: str) -> str:
 
 
 def enter(visitor: Visitor, invitation: str) -> str:
-    """Up to the consent page."""
+    """Goes to the consent page."""
     _, html = visitor.get(f"/?invitation={invitation}")
     fields = [("token", field(html, "token")), ("invitation", invitation)]
     status, html = visitor.post("/enter", fields)
@@ -47,7 +47,7 @@ def enter(visitor: Visitor, invitation: str) -> str:
 
 
 def consent(store: Store, who: str) -> Any:
-    """Agrees, straight at the store."""
+    """Agrees, directly in the store."""
     payload = {"agree": 1, "text": store.flow.plan.texts.consent_hash}
     return store.submit(who, 0, "consent", payload)
 
@@ -65,7 +65,7 @@ def pages(visitor: Visitor, person: StudyBot, invitation: str) -> Iterator[tuple
 
 
 def differences(store: Store) -> list[str]:
-    """What the plan would decide otherwise."""
+    """Lists decisions that the plan would make differently."""
     return find_differences(store.flow, store.everybody())
 
 

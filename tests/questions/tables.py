@@ -20,7 +20,7 @@ def random_hypotheses(seed: int, facts: int = 3, transitions: int = 5, variants:
 
 
 def worlds(hypotheses: Hypotheses, error: float, none: float):
-    """Every (table, fact set, error) with its prior: what one answers by, and how likely it is."""
+    """Lists every (table, fact set, error) by which a person may answer, with its prior."""
     tables = [hypotheses.labels, *hypotheses.variants]
     chances = (1 - none) * hypotheses.variant_prior
     for table, chance in zip(tables, chances, strict=True):

@@ -1,4 +1,4 @@
-"""One list for everybody: that it separates all, by the definition, and is short."""
+"""One list for everybody: it separates all candidates, by the definition, and is short."""
 
 from itertools import combinations
 
@@ -48,7 +48,7 @@ def test_six_facts_seen_one_by_one_need_six_questions():
 
 
 def test_each_transition_is_asked_about_before_one_is_asked_about_again():
-    """Three transitions that tell the same of each of two facts."""
+    """Three transitions give the same information about each of two facts."""
     h = Hypotheses.of(np.repeat(1 - (np.arange(4)[:, None] >> np.arange(2) & 1), 3, axis=1))
     for seed in range(5):
         transitions, told = battery(h, 3, seed)
@@ -57,7 +57,7 @@ def test_each_transition_is_asked_about_before_one_is_asked_about_again():
 
 
 def test_of_questions_that_separate_the_same_the_shortest_is_asked():
-    """The first transition tells of fact 0; so does the second once fact 1 is told."""
+    """The first transition shows fact 0; the second one does so after the message about fact 1."""
     held = np.arange(4)
     h = Hypotheses.of(np.stack([(held & 1) == 0, held == 0], axis=1))
     for seed in range(20):

@@ -1,4 +1,4 @@
-"""Designs that ask simulated observers: who they are is found with few labels."""
+"""Designs that ask simulated observers find their types with few labels."""
 
 import numpy as np
 import pytest
@@ -73,7 +73,7 @@ def test_later_observers_start_from_those_before(setting, monkeypatch):
 
 
 def asked_of(setting, design, sizes, types):
-    """What each observer is asked, and who in which order."""
+    """Records the questions to each observer, and the order of observers."""
     order = []
 
     def answer(observer, transitions, told):
@@ -85,8 +85,9 @@ def asked_of(setting, design, sizes, types):
 
 
 def test_in_turn_the_others_answers_tell_and_nothing_else_differs(setting):
-    """Without regard for others it does not matter when anybody is asked; with it, the first is
-    asked other questions where others answer otherwise, unless they are done before them."""
+    """If the prior ignores others, the order of observers has no effect. Otherwise the first
+    observer gets other questions if others answer otherwise, unless this observer finishes before
+    them."""
     alone = {"from_others": 0.0, "check": 0.0}
     one, _ = asked_of(setting, Adaptive(**alone), [6, 6, 6], [0, 1, 2])
     other, _ = asked_of(setting, Adaptive(in_turn=True, **alone), [6, 6, 6], [0, 1, 2])
@@ -127,8 +128,8 @@ def test_hypotheses_must_be_about_the_robots_transitions(setting):
 def test_once_somebody_is_known_a_share_of_questions_asks_whether_that_is_all(
     setting, monkeypatch, check, least, most
 ):
-    """Every fact of the hypotheses is told, and everybody whom one fits finds it explicable. None
-    is asked before it is known what they believe incorrectly."""
+    """All facts of the hypotheses are told, so everybody whom one of them fits finds the transition
+    explicable. No such question comes before the person's incorrect beliefs are known."""
     checked = []
 
     class Kept(Questionnaire):
@@ -151,8 +152,8 @@ def test_once_somebody_is_known_a_share_of_questions_asks_whether_that_is_all(
 
 
 def test_who_holds_wrong_what_nobody_wrote_down_is_found(setting, tmp_path):
-    """The hypotheses know of the end alone; a third of the observers fear the toll. That the toll's
-    message helps them is found by questions that no hypothesis would ask."""
+    """The hypotheses contain only the fact about the end; a third of the observers believe in the
+    toll. Questions that no hypothesis would ask show that the message about the toll helps them."""
     full = Hypotheses.of_domain(setting.domain)
     end = Hypotheses.of(
         full.labels[:2], np.arange(2), full.messages, features=full.features,

@@ -1,4 +1,4 @@
-"""Hypotheses are guesses: how well they predict answers, against labels alone."""
+"""Hypotheses are guesses: compares their predictions of answers with those of labels alone."""
 
 import logging
 from dataclasses import replace
@@ -49,7 +49,7 @@ def evidence_of(known, data):
 
 
 def test_no_answer_is_foretold_by_itself_or_a_later_one_or_by_other_types():
-    """Answers of the last quarter, or of the other type, say nothing of those before."""
+    """Answers of the last quarter, or of the other type, do not affect earlier predictions."""
     _, data = crowd()
     part, kind = number_parts(data.observer), TYPES[data.observer]
 
@@ -78,7 +78,7 @@ def test_of_people_as_assumed_hypotheses_are_believed(seed, caplog):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_of_people_who_answer_otherwise_than_they_think_a_line_says_so(seed, caplog):
-    """Half of the noes become yes, or two answers in five repeat the last."""
+    """Half of the answers 0 become 1, or two answers in five repeat the last one."""
     known, data = crowd(seed, each=40)
     rng = np.random.default_rng(seed)
     polite, sticky = data.label | (rng.random(len(data)) < 0.5), data.label.copy()
@@ -108,7 +108,7 @@ def test_of_people_who_think_something_else_a_line_says_so(seed, caplog):
 
 
 def test_where_labels_alone_foretell_better_their_labels_are_mixed_in():
-    """A feature tells each label; hypotheses know of nothing that has to do with it."""
+    """A feature decides each label; the hypotheses contain nothing about it."""
     rng, known = np.random.default_rng(1), hypotheses(transitions=60)
     data = asked(known, [3] * 6, 50, rng, lambda label, t: known.features[t, 0] >= 30)
     trainer = HypothesisTrainer(hypotheses=known)
@@ -125,7 +125,8 @@ def test_where_labels_alone_foretell_better_their_labels_are_mixed_in():
 
 
 def test_hypotheses_are_never_given_up_for_a_coin():
-    """Three answers in ten are wrong: both are too sure, and labels alone would be what is left."""
+    """Three answers in ten are wrong: both are overconfident, and labels alone would be the only
+    alternative."""
     own, others = (np.full(300, -nats) for nats in (0.8, 0.9))
     evidence = Evidence(own, others, np.zeros(300, dtype=np.int64), np.zeros(1), np.zeros(1))
     assert evidence.against > BEATEN  # of a coin

@@ -1,4 +1,5 @@
-"""The likelihood of answers where hypotheses err, against its definition; types found by it."""
+"""Compares the likelihood of answers with wrong hypotheses with its definition; finds types by
+it."""
 
 from itertools import product
 
@@ -177,7 +178,8 @@ def dataset_of(known, said):
 
 
 def test_a_file_of_hypotheses_finds_types_and_labels(tmp_path):
-    """The whole way with a file: types right, fresh labels right, from 25 labels a person."""
+    """A file of hypotheses gives right types and right fresh labels from 25 labels of each
+    person."""
     rng = np.random.default_rng(3)
     known = known_of(1, facts=4, transitions=30, variants=0)
     known.hypotheses.save(tmp_path / "h.npz")

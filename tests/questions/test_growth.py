@@ -1,4 +1,4 @@
-"""Lists of candidates that grow: what they hold is what the list of all sets holds."""
+"""Growing lists of candidates agree with the list of all sets."""
 
 from functools import cache
 

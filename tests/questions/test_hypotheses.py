@@ -1,4 +1,4 @@
-"""Hypotheses: which candidates behave alike, what a question's answer is expected to be, files."""
+"""Hypotheses: candidates that behave alike, predicted answers, and files."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -197,8 +197,8 @@ def test_bad_files_are_one_line(tmp_path):
 
 
 class Toll(Corridor):
-    """The corridor; who believes the toll incorrectly thinks it so much. Where both facts are
-    believed incorrectly, models with a toll in ``refused`` (low, high) are ambiguous."""
+    """The corridor with this incorrect value of the toll. If both facts are believed incorrectly,
+    models with a toll in ``refused`` (low, high) are ambiguous."""
 
     def __init__(self, inaccurate, refused=(0.0, 0.0)):
         super().__init__()
@@ -219,8 +219,8 @@ def labels_at(domain, values):
 
 
 def test_a_variant_that_ties_is_nudged():
-    """From cell 2 the way to the goal is worth toll + .81, and staying nothing: at half of this
-    toll the two differ by 1.5e-10 of the largest possible value, at 1.01 of the half by 8e-4."""
+    """From cell 2 the way to the goal has the value toll + 0.81, and staying has 0: at half of this
+    toll the two differ by 1.5e-10 of the largest possible value, at 1.01 times the half by 8e-4."""
     domain = Toll(2 * (-0.81 - 1.5e-9))
     with pytest.raises(DomainError, match="ambiguous tie"):
         labels_at(domain, {"toll": -0.81 - 1.5e-9})
@@ -250,7 +250,7 @@ def test_values_without_ties_are_the_first_nudge_that_has_none(middle, width, se
 
 
 def test_values_on_the_other_side_are_variants_all_at_once_and_each_alone():
-    """The robot's toll is 0, people fear one of −5: some might believe in a gift of 5."""
+    """The robot's toll is 0, and people believe in one of −5: some may believe in a gift of 5."""
     domain = Toll(-5.0)
     hypotheses = Hypotheses.of_domain(domain)
     gift = labels_at(domain, {"toll": 5.0})

@@ -1,4 +1,4 @@
-"""The questionnaire works beside numpy, scipy and numba alone."""
+"""The questionnaire needs only numpy, scipy and numba."""
 
 import subprocess
 import sys

@@ -1,5 +1,5 @@
-"""Questions: their probabilities by definition, all of them where facts are few, and a search where
-they are many."""
+"""Questions: their probabilities by definition, all questions if facts are few, and a search if
+there are many."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a labeler of hypotheses looks at on a trace is all that its answers depend on."""
+"""On a trace, the answers of a labeler with hypotheses depend only on the messages of its table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A designer's table of transitions: facts, features, pictures, and what is wrong with it."""
+"""A designer's table of transitions: facts, features, pictures, and errors."""
 
 from __future__ import annotations
 

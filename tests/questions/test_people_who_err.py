@@ -1,4 +1,4 @@
-"""What is learned of people who slip, guess and err: what they think, not what they answer."""
+"""Types and labelers learn what people who slip, guess and err think, not what they answer."""
 
 from dataclasses import replace
 
@@ -43,7 +43,8 @@ def asked(known, facts, each, rng, thinks=None, told=True):
 
 
 def erring(data, rate, rng, slip=()):
-    """The answers of people with these error rates [O], who slip about ``slip`` with .3."""
+    """Makes the answers of people with these error rates [O], who slip at the transitions ``slip``
+    with probability 0.3."""
     slips = np.isin(data.transition, slip) & (rng.random(len(data)) < 0.3)
     wrong = rng.random(len(data)) < np.array(rate)[data.observer]
     return replace(data, label=np.where(slips, 0, data.label).astype(np.uint8) ^ wrong)
@@ -196,7 +197,8 @@ def nats(one, label):
 
 
 def test_held_out_answers_are_predicted_as_answers():
-    """Nobody's labels are taken for certain: better than a coin, though three in ten are wrong."""
+    """No label counts as certain: predictions are better than a coin, although three in ten answers
+    are wrong."""
     rng = np.random.default_rng(8)
     known = hypotheses()
     data = erring(asked(known, [3] * 4 + [12] * 4, 60, rng), [0.3] * 8, rng)

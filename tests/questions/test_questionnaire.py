@@ -1,4 +1,4 @@
-"""The questionnaire, against Bayes' rule and mutual information by their definitions."""
+"""Compares the questionnaire with Bayes' rule and mutual information by their definitions."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,8 @@ def test_no_question_tells_more_than_the_next_one(seed, variants):
 @given(seeds, st.integers(0, 1))
 @settings(deadline=None, max_examples=15)
 def test_a_clip_tells_the_sum_of_what_its_labels_tell_one_by_one(seed, variants):
-    """No transition that it leaves out tells more than one that it has, the first aside."""
+    """No other transition gives more information than those in the clip, except for the first
+    one."""
     h = random_hypotheses(seed, transitions=4, variants=variants)
     q = Questionnaire(h, error=0.05, none=0.02, misread=0.1, clip=3, seed=seed)
     clip, told = q.next()
@@ -100,7 +101,7 @@ def test_json_takes_up_where_it_stood(seed, clip):
 
 
 def test_it_finds_out_what_somebody_holds_wrong():
-    """Six facts, each seen at one transition: without errors six answers say it."""
+    """Six facts matter at one transition each: without errors six answers are enough."""
     labels = 1 - (np.arange(64)[:, None] >> np.arange(6) & 1)
     for held in (0, 5, 63):
         q = Questionnaire(labels, error=0.001, none=0.001)

@@ -1,4 +1,4 @@
-"""Questions with slips and guesses of their own, and questions with nothing told."""
+"""Questions with their own slips and guesses, and questions without messages."""
 
 import itertools
 
@@ -128,5 +128,5 @@ def test_examinees_are_known_after_ten_questions() -> None:
                     right.append(questions.best == held)
                 if questions.done and len(until) < len(right) + (number < 10):
                     until.append(number)
-    assert np.mean(right) >= 0.88  # four standard errors below .95
+    assert np.mean(right) >= 0.88  # four standard errors below 0.95
     assert np.mean(until) <= 11

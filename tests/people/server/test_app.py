@@ -1,4 +1,4 @@
-"""What every request passes through: limits, headers, errors that are pages."""
+"""Checks of every request: limits, headers, and errors as pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pages of a study that asks: part of the evaluation wherever stages are told."""
+"""Pages of a study that asks: in lists of stages they are part of the evaluation."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_question_comes_with_the_messages_and_moves_no_progress(store: Store) 
 
 
 def test_an_answer_counts_once(store: Store) -> None:
-    """Sent twice, from a second tab, or of a question that is over."""
+    """It is sent twice, from a second tab, or for an earlier question."""
     app, (token,) = create_app(store, GENEROUS), store.invite(1, "person")
     visitor = Visitor(Client(app))
     person = StudyBot(store.flow.plan, FAULTLESS, np.random.default_rng(0))

@@ -213,7 +213,7 @@ def test_an_answer_to_a_page_that_was_not_shown_is_refused(store: Store) -> None
 
 
 def test_two_studies_on_one_host_share_a_browser(store: Store, tmp_path: Path) -> None:
-    """Ports share cookies: those of one study leave the participant of the other where they are."""
+    """Ports share cookies: the cookies of one study do not affect the participant of the other."""
     other = Store(tmp_path / "other.sqlite", street_study())
     one, two = (Visitor(Client(create_app(own, GENEROUS))) for own in (store, other))
     two.client.cookies = one.client.cookies

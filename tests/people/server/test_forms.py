@@ -1,4 +1,4 @@
-"""What a browser sends, nearly right and quite wrong."""
+"""Forms that are almost right, and forms that are completely wrong."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_forged_answers_are_turned_away_and_leave_no_trace(
         good | {"agree": "true"},
         good | {"text": "0" * 64},
         {k: v for k, v in good.items() if k != "sequence"},
-        # What only the server decides is not heard.
+        # Values that only the server decides are ignored.
         good | {"agree": "", "user_type": "1", "condition": "conformant", "orders": "{}"},
     ]
     for fields in forged:

@@ -192,7 +192,8 @@ def records(store: Store, who: list[str]) -> dict[str, Any]:
 
 
 def unharmed(store: Store, who: list[str], before: dict[str, Any]) -> None:
-    """Nobody else's data has changed, the file is sound, and every answer was a legal one."""
+    """Checks that nobody else's data changed, that the file is valid, and that every answer was
+    allowed."""
     assert records(store, who) == before
     assert query(store, "PRAGMA integrity_check") == [{"integrity_check": "ok"}]
     assert differences(store) == []

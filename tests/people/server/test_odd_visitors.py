@@ -1,4 +1,4 @@
-"""Participants, labs and programs in between that do what nobody expects."""
+"""Unexpected behaviour of participants, labs and programs between them."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_an_invitation_is_found_however_it_was_copied(store: Store) -> None:
 
 @pytest.mark.parametrize("name", ["getAttribute", "querySelector", "token", "connection", "ms"])
 def test_a_question_may_have_any_name(tmp_path: Path, name: str) -> None:
-    """Neither the form's own fields nor the scripts' names are in its way."""
+    """It does not collide with the form's own fields or the scripts' names."""
     asked = {"name": name, "label": "Q", "kind": "choice", "choices": ["a", "b"], "required": True}
     store = Store(tmp_path / "q.sqlite", street_study(before=[asked]))
     visitor = Visitor(Client(create_app(store, GENEROUS)))
@@ -179,8 +179,8 @@ def test_a_folder_may_have_any_name(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_after_an_older_backup_is_restored_nobody_is_lost(store: Store, tmp_path: Path) -> None:
-    """A page is open that the restored server never gave out: its answer is refused, and the page
-    shown that the server knows."""
+    """A page is open that the restored server does not know: its answer is refused, and the page
+    that the server knows is shown."""
     (token,) = store.invite(1, "person")
     visitor = Visitor(Client(create_app(store, GENEROUS)))
     page = Page.of_html(enter(visitor, token))

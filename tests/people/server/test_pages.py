@@ -1,4 +1,4 @@
-"""The way through the pages of a study and of a collection, one page at a time."""
+"""The pages of a study and of a collection, one after the other."""
 
 from __future__ import annotations
 

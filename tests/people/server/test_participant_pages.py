@@ -1,4 +1,4 @@
-"""The way through the participants' pages, one page at a time."""
+"""The participants' pages, one after the other."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
 
 
 def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> None:
-    """Marked as said before, in its own place: a page never says a message twice."""
+    """A repeated message is marked, and moves to its new position: a page never shows a message
+    twice."""
     belief = {"_target_": "xplain.explanation.belief.Independent", "accept": 0.8, "forget": 0.1}
     store = Store(tmp_path / "s.sqlite", Study.of(street_plan(belief=belief)))
     client = create_app(store, GENEROUS)
@@ -140,7 +141,7 @@ def test_without_a_map_the_page_lists_what_each_step_changed(
 
 
 def test_a_list_of_ids_lets_nobody_else_in(store: Store, tmp_path: Path) -> None:
-    """Any platform that tells an id in its address; the file is read when somebody comes."""
+    """The platform sends an id in the address; the file is read at every arrival."""
     file = tmp_path / "ids.txt"
     file.write_text("ann\nbert\n")
     server = Server(entry=("platform",), id_names=("survey_code",), ids=str(file))

@@ -1,4 +1,5 @@
-"""A refused form comes back with what was typed, and what a proxy may not be taken for."""
+"""A refused form comes back with the entered values; a proxy's reply does not count as the
+server's."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ def test_the_researcher_erases_who_asks_for_it(store: Store, client: Client) -> 
 
 
 def test_looking_writes_nothing(tmp_path: Path) -> None:
-    """Also not that somebody has been silent for too long."""
+    """Time-outs of silent participants are not written, either."""
     now = [1000.0]
     store = Store(tmp_path / "s.sqlite", street_study(), Clock(lambda: now[0], lambda: now[0], "b"))
     client = Client(create_app(store, GENEROUS))

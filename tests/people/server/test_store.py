@@ -1,4 +1,5 @@
-"""The store: once and only once, balanced, on the disk, nobody else's."""
+"""The store: answers are stored once, on the disk, for the right participant; conditions are
+balanced."""
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ from xplain.people.web import create_app
 
 
 class Time:
-    """A clock that stands still until it is told."""
+    """A clock that stands still until it is set."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -53,7 +54,7 @@ def places(store: Store, own: str = "person") -> dict[int, str]:
 
 @pytest.fixture
 def store(tmp_path: Path, study: Study, time: Time) -> Iterator[Store]:
-    """One whose time is told."""
+    """A store with a clock that the test sets."""
     opened = Store(tmp_path / "s.sqlite", study, time.clock())
     yield opened
     opened.close()
@@ -175,7 +176,7 @@ def test_only_completion_uses_a_place_up(store: Store, time: Time, study: Study)
 
 
 def test_who_sets_the_clock_times_nobody_out(tmp_path: Path, study: Study) -> None:
-    """Within a boot of the machine the monotonic clock counts, and the wall clock after one."""
+    """The monotonic clock counts until the machine restarts, then the wall clock."""
     wall, monotonic, path = [1e9], [50.0], tmp_path / "s.sqlite"
     clock = Clock(lambda: wall[0], lambda: monotonic[0], "boot")
     store = Store(path, study, clock)
@@ -249,7 +250,7 @@ def test_the_log_only_grows(
 
 
 def test_who_has_not_agreed_yet_is_never_timed_out(store: Store, time: Time, study: Study) -> None:
-    """A link that was opened, or refused at a full study, stays good."""
+    """A link stays valid after it was opened, or refused because the study was full."""
     places = len(study.plan.cells) * study.plan.rules.per_cell
     *first, late = (store.enter_invited(token) for token in store.invite(places + 1, "person"))
     for who in first:
@@ -418,7 +419,8 @@ def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time
 
 
 def test_an_acknowledged_answer_is_the_one_that_is_kept(store: Store) -> None:
-    """The same one again is acknowledged; another one, or one to no page, is a conflict."""
+    """The same answer is acknowledged again; another answer, or an answer to no page, is a
+    conflict."""
     who = store.enter_invited(store.invite(1, "person")[0])
     consent(store, who)
     store.submit(who, 1, "read", {})
@@ -460,7 +462,7 @@ def test_a_link_of_somebody_erased_makes_nobody_new(store: Store) -> None:
 def test_who_comes_back_finds_the_place_of_somebody_who_is_silent_now(
     store: Store, time: Time, study: Study
 ) -> None:
-    """Nobody looked for the silent meanwhile: the return itself does."""
+    """Nobody checked for silent participants meanwhile: the return itself does."""
     places = len(study.plan.cells) * study.plan.rules.per_cell
     away, *others = (store.enter_invited(t) for t in store.invite(places + 1, "person"))
     consent(store, away)

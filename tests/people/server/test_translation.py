@@ -1,4 +1,4 @@
-"""Every word of the pages comes from files: in a made-up language nothing of English is left."""
+"""Every word of the pages comes from files: in an invented language no English remains."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PLACES = ("bridge", "market", "school", "tunnel")
 
 
 def made_up(text: str) -> str:
-    """Every word with Q before it, what is filled in as it is."""
+    """Puts Q before every word, except for words in braces."""
     return re.sub(r"\{\w+\}|[^\W\d_]+", lambda m: m[0] if m[0][0] == "{" else f"Q{m[0]}", text)
 
 
@@ -41,7 +41,7 @@ def translated(value: Any) -> Any:
 
 
 class Words(HTMLParser):
-    """Every word that somebody may see or hear."""
+    """Collects every word that people may see or a screen reader may read."""
 
     def __init__(self, html: str) -> None:
         super().__init__()
@@ -145,7 +145,7 @@ def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
 
 
 def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Store) -> None:
-    """However a part ends; and in the other language, again."""
+    """This holds for every end, and in the invented language."""
     app, texts, codes = create_app(foreign, GENEROUS), foreign.flow.plan.texts, set()
     first = foreign.flow.stages[1]
     for ending in (*foreign.flow.STATE.ENDS, "done"):

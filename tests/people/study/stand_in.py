@@ -1,4 +1,4 @@
-"""A domain that the study has never seen: that a new one needs no new code.
+"""A domain that the study does not know, which shows that a new one needs no new code.
 
 A street with crossings. At each the robot goes straight on, or walks around (one step longer).
 Whoever believes that going straight is bad there expects it to walk around.
@@ -100,7 +100,7 @@ TYPES = (
 
 
 def english_words() -> dict[str, str]:
-    """Everything that the pages say, in English."""
+    """Returns all texts of the pages in English."""
     shared = yaml.safe_load((CONF / "words" / "en.yaml").read_text(encoding="utf-8"))
     own = yaml.safe_load((CONF / "study" / "texts" / "en.yaml").read_text(encoding="utf-8"))
     return {**shared, **own["words"]}

@@ -1,4 +1,4 @@
-"""The study's commands: what is wrong is said in one line."""
+"""The study's commands: each error is one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A study on a lab's own table of transitions: no map, images, types that were found in labels."""
+"""A study on a lab's own table of transitions, with images and found types, without a map."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from xplain.people.web import create_app
 
 
 def pixels(picture: bytes) -> bytes:
-    """What is seen of a picture."""
+    """Returns the visible pixels of a picture."""
     return Image.open(io.BytesIO(picture)).convert("RGBA").tobytes()
 
 
@@ -181,7 +181,8 @@ def test_whom_no_type_fits_is_in_the_export_and_on_the_researchers_page(
 
 
 def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path: Path) -> None:
-    """Every row may be, the trace's own first; what is shown is what the bot judges."""
+    """Every row is a possible question, those of the trace first; the bot judges the row on the
+    page."""
     plan = plan_of(ask="clips", **{"ask.cost": "0.02"})
     assert plan.clip_labels is not None
     rows = [int(clip.phrase.split()[1]) for clip in plan.clips]

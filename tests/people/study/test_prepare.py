@@ -52,7 +52,7 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
 
 @pytest.mark.parametrize("name", ["four_rooms", "rescue"])
 def test_no_map_on_the_pages_depends_on_what_a_participant_may_believe(name: str) -> None:
-    """The domain of a robot for which an incorrect value is the right one has the same map."""
+    """If an incorrect value were the robot's, the map would be the same."""
     cfg = compose_config("study", [f"domain={name}"])
     maps = []
     for key in [None, *cfg.domain.parameters]:

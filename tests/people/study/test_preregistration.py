@@ -1,4 +1,4 @@
-"""What is registered follows from the plan."""
+"""The registered document follows from the plan."""
 
 from __future__ import annotations
 

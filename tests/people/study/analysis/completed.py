@@ -7,7 +7,7 @@ import pandas as pd
 
 
 def completed(n: int) -> pd.DataFrame:
-    """n completed participants a condition, and a bot that would spoil everything."""
+    """Makes n completed participants in each condition, and a bot that would change all results."""
     rng = np.random.default_rng(0)
     rows = [
         {

@@ -19,8 +19,8 @@ from xplain.people.web import create_app
 
 @pytest.fixture(scope="package")
 def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[bytes, str]:
-    """A snapshot of 24 bots, some of whom leave, one person, one who only looked in; and the
-    server's secret."""
+    """A snapshot with 24 bots, some of whom leave, one person, and one visitor; and the server's
+    secret."""
     folder = tmp_path_factory.mktemp("collected")
     store = Store(folder / "study.sqlite", study)
     app = create_app(store, GENEROUS)

@@ -1,4 +1,4 @@
-"""What is counted of questions: from the log to the tables, and in the comparison."""
+"""Figures about questions: from the log to the tables, and in the comparison."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from xplain.people.web import create_app
 def test_costs_and_questions_are_those_of_the_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Counted again from tables that know nothing of the states."""
+    """They are counted again from tables that do not use the states."""
     flow = street_study(ask=ASK | {"cost": 0.25}, **{"lambda": 1.5})
     path, out = tmp_path / "s.sqlite", tmp_path / "out"
     store = Store(path, flow)

@@ -1,4 +1,5 @@
-"""Statistics against published figures, other programs, brute force, and their own promises."""
+"""Compares statistics with published figures, other programs, brute force, and their defining
+properties."""
 
 from __future__ import annotations
 
@@ -50,7 +51,7 @@ def test_hedges_is_unbiased_and_mirrors() -> None:
     assert abs((t * correction).mean() - 1.0) < 0.04
     g, low, high = hedges(2.5, 20, 18)
     assert hedges(-2.5, 20, 18) == pytest.approx((-g, -high, -low))
-    # Zero lies on the interval's edge exactly when the test's p is .05.
+    # Zero lies on the interval's edge exactly if the test's p is 0.05.
     critical = float(stats.t.isf(0.025, 36))
     assert hedges(critical, 19, 19)[1] == pytest.approx(0, abs=1e-9)
 

@@ -1,4 +1,4 @@
-"""Table 2 from the data of people, against scipy."""
+"""Compares Table 2 from people's data with scipy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long an evaluation took: the server's clocks, and time in which no page was seen."""
+"""The duration of an evaluation: the server's clocks, and time without a visible page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xplain.people.study.tables import hidden, interaction, pages
 
 
 def event(source: str, kind: str, at: float, number: int = 0, **payload: Any) -> Event:
-    """At ``at`` seconds, on every clock."""
+    """Makes an event at ``at`` seconds on every clock."""
     tab = source.startswith("tab:")
     told = {"at": 1e12 + 1000 * at} | payload if tab else payload
     clocks = (1e9 + at, 5.0 + at, "one", 1000 * at)
@@ -44,7 +44,7 @@ def test_time_runs_from_the_first_rendering_to_the_last_label() -> None:
 
 
 def test_questions_in_between_are_part_of_the_evaluation() -> None:
-    """Also the first page of it may be one, and looking at one is no end of it."""
+    """Its first page may also be a question, and the page of a question does not end it."""
     asked = [
         event("shown", "shown", -20, stage="asking"),
         event("protocol", "clip", -10),
@@ -92,7 +92,7 @@ def test_hidden_time_is_when_no_page_is_looked_at(reports: list[Event], away: fl
 
 
 def test_clocks_of_two_devices_need_not_agree() -> None:
-    """A phone that is ten minutes slow, and a computer: a minute was looked away."""
+    """A phone's clock is ten minutes behind a computer's: one minute was hidden."""
     slow = [seen(0), gone(20)]
     for one in slow:
         one.payload["at"] -= 600_000

@@ -1,4 +1,5 @@
-"""A condition that asks: the explanation is the offline one, and nothing changes for the others."""
+"""A condition that asks: its explanation is that of the experiments, and the other conditions do
+not change."""
 
 from __future__ import annotations
 
@@ -45,7 +46,7 @@ UPDATES = [None, Persistent(), Persistent(0.1), Independent("learned")]
 def test_people_are_asked_what_the_offline_experiment_asks(
     asking: Study, update: Persistent | Independent | None, slips: float
 ) -> None:
-    """Questions, messages and beliefs, to the last bit; of people who err in both alike."""
+    """Questions, messages and beliefs are equal to the last bit, also for people who err."""
     study = with_belief(asking, update)
     plan, people, met = study.plan, Slips(slips) if slips else Exact(), set()
     assert plan.clip_labels is not None
@@ -136,6 +137,6 @@ def test_what_cannot_be_asked_is_refused(changes: dict[str, Any], said: str) -> 
 
 
 def test_conditions_may_differ_by_questions_alone_and_have_to() -> None:
-    """Questions too dear to be asked make the third condition the first again."""
+    """If questions are too expensive, the third condition equals the first."""
     assert Study.of(street_plan(ask=ASK)).difference() >= 1
     assert Study.of(street_plan(ask=ASK | {"cost": 9.0})).difference() == 0

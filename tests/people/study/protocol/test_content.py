@@ -1,4 +1,4 @@
-"""What participants are told and asked follows from the domain's sentences."""
+"""Briefings and tests follow from the domain's sentences."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_no_word_of_the_quiz_gives_the_answers_away() -> None:
     words = {word for role in roles for s in role.quiz for word in s.text.lower().split()}
     for word in words:
         scores = score(lambda text, word=word: word in text.lower().split())  # type: ignore[misc]
-        # A word that stands in a true sentence alone tells of this one; four need knowledge.
+        # A word that only a true sentence contains reveals this sentence; four need knowledge.
         assert max(scores) <= 3, word
         assert min(scores) >= 1, word
         assert 1.4 <= np.mean(scores) <= 2.6, word

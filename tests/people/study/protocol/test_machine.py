@@ -1,4 +1,4 @@
-"""The protocol as a pure machine: what it accepts, what it never shows, what the policies do."""
+"""The protocol as a pure machine: accepted answers, hidden values, and the policies' decisions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def at_evaluation(study: Study, user_type: int, condition: str) -> StudyState:
 
 
 def evaluated(study: Study, user_type: int, condition: str) -> Iterator[StudyState]:
-    """Each step of the evaluation of somebody who never errs, and what comes after it."""
+    """Yields each step of the evaluation of a person who never errs, and the state after it."""
     state = at_evaluation(study, user_type, condition)
     while state.stage == "evaluation":
         yield state
@@ -203,7 +203,7 @@ def test_a_plan_may_refuse_narrow_windows() -> None:
 
 
 def test_who_cannot_tell_is_told_as_if_nothing_was_answered() -> None:
-    """The belief stays where it began, and such a label is not counted as senseless."""
+    """The belief does not change, and such a label does not count as inexplicable."""
     study = street_study()
     state = study.after(StudyState(stage="eligibility", user_type=0, condition="personalized"))
     first = state.belief
