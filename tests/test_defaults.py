@@ -1,4 +1,4 @@
-"""One truth for a default: where a class has one too, it is that of its YAML file."""
+"""Each default has one value: a default of a class equals that of its YAML file."""
 
 import dataclasses
 import inspect
@@ -46,7 +46,7 @@ def components(node: DictConfig) -> Iterator[DictConfig]:
 
 
 def defaults(cls: type) -> dict[str, Any]:
-    """What the class takes where nothing is given."""
+    """Returns the defaults of a class."""
     if dataclasses.is_dataclass(cls):
         made = {f.name: f.default_factory for f in dataclasses.fields(cls)}
         found = {f.name: f.default for f in dataclasses.fields(cls)} | {

@@ -1,4 +1,4 @@
-"""What the docs show is what happens."""
+"""The docs show what really happens."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_commands_that_are_not_run_are_configurations_all_the_same(page, words, 
 
 
 def test_no_command_hides_in_a_block_that_no_test_reads():
-    """Commands of ours stand in `console` blocks (run) or `sh` blocks (composed)."""
+    """Commands are in `console` blocks (which are run) or `sh` blocks (which are composed)."""
     for page in PAGES:
         if page.name not in ("study.md", "collect.md"):  # they have tests of their own
             for fence in run.FENCE.finditer(page.read_text(encoding="utf-8")):
@@ -146,7 +146,7 @@ def test_links_lead_somewhere():
 
 
 def named(pattern):
-    """``(file, name)`` of what the pattern finds in the repository's own texts."""
+    """Yields ``(file, name)`` of the pattern's matches in the repository's own texts."""
     for file in TEXTS:
         for name in sorted(set(re.findall(pattern, file.read_text(encoding="utf-8")))):
             yield file.relative_to(ROOT), name

@@ -1,4 +1,4 @@
-"""One line that says what, where and what instead."""
+"""Errors are one line with key, value and what is allowed."""
 
 from __future__ import annotations
 

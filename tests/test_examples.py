@@ -1,4 +1,4 @@
-"""The examples as their users have them: installed beside the built wheel, far from this folder."""
+"""The examples as users have them: installed beside the built wheel, outside this folder."""
 
 from __future__ import annotations
 

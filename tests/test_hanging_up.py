@@ -1,4 +1,4 @@
-"""Tests that are told to end leave no process behind."""
+"""Tests that are ended leave no process behind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What kernels are made with: their cache, who is told of compilations, uncounted arrays."""
+"""The tools for kernels: their cache, reports of compilations, arrays without reference counts."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_later_process_loads_what_was_compiled(tmp_path: Path) -> None:
 
 
 def test_works_where_nothing_can_be_written(tmp_path: Path) -> None:
-    """Said in a line; the kernel compiles, and that is said once."""
+    """A line says so; the kernel compiles, and this is reported once."""
     (tmp_path / "file").touch()
     nowhere = str(tmp_path / "file")
     code = DOUBLE.replace("@kernel", "@kernel  # of no file")

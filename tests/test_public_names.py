@@ -1,4 +1,4 @@
-"""What programs import: listed, there, and not paid for before it is used."""
+"""Public names are listed, exist, and are imported only when they are used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is written is read back as it was, and a file is whole or as before."""
+"""Stored values are read back unchanged, and a file is complete or unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of measured figures say when they are older than what they depend on."""
+"""Tables of measured figures are marked if they are older than their configuration or code."""
 
 from __future__ import annotations
 

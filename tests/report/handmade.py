@@ -1,4 +1,4 @@
-"""Sweeps whose every number is known, written to disk as a sweep leaves them."""
+"""Sweeps with known numbers, written to disk like real sweeps."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def sweep(
         regret, oracle: of a job on a trace, the same for users of both types.
         traces: how many.
         index: adjusted Rand index of the types that a job found.
-        floor: the clairvoyant's cost, of a job on a trace; None where none ran.
+        floor: the clairvoyant's cost of a job on a trace; None if none ran.
         about: beside the jobs in ``sweep.json``, such as ``pool``.
     """
     written = []

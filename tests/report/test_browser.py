@@ -135,7 +135,8 @@ return (function () {
 
 
 def assert_the_answer_is_seen(driver, folder):
-    """A row a (solver, λ, users.count) with its regret, in the order of the problems."""
+    """Checks a row for each (solver, λ, users.count) with its regret, in the order of the
+    problems."""
     wanted = expected_rows(folder)
     assert len(wanted) == 12
     deadline = time.monotonic() + 90

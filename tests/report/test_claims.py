@@ -23,7 +23,8 @@ SEEDS = range(6)
 
 
 def hard(seed: int, trace: int, user: str) -> float:
-    """What makes an episode dear for everybody: paired differences must not see it."""
+    """The part of an episode's cost that is equal for all solvers: paired differences must not
+    depend on it."""
     return 7.0 * seed + 3.0 * trace + (user == "B")
 
 
@@ -33,7 +34,8 @@ def episodes(
     methods: tuple[str, ...] = ("qmdp", "pomcp_paper", "qhr", "baseline"),
     seeds: range = SEEDS,
 ) -> pd.DataFrame:
-    """Two traces, two users a seed; ``regret(method, λ, seed)`` above what is hard."""
+    """Makes two traces and two users for each seed, with ``regret(method, λ, seed)`` above the
+    common cost."""
     rows = [
         {
             "domain": "rooms",
@@ -79,7 +81,7 @@ def test_differences_that_are_clear_hold_in_the_papers_direction_alone() -> None
 
 
 def test_the_interval_is_the_t_interval_of_paired_differences_over_seeds() -> None:
-    """Traces, users and settings of one seed are no evidence of their own."""
+    """Traces, users and settings of one seed are not independent evidence."""
     excess = [0.1, 0.9, -0.4, 1.3, 0.2, 0.6]
     frame = episodes(lambda method, _, seed: excess[seed] if method == "qhr" else 0.0)
     claim = next(c for c in settled(frame) if c.text == "QMDP costs less than QHR, λ = 1")
@@ -99,7 +101,8 @@ def test_alike_is_a_tenth_of_qmdps_cost() -> None:
 
 
 def test_an_oracle_that_bends_is_not_linear() -> None:
-    """cost = min(2 λ, 2 + λ / 2): the line through .5 and 1 says 5 at 2.5, the envelope 3.25."""
+    """The cost is min(2 λ, 2 + λ / 2): at 2.5 the line through 0.5 and 1 is 5, and the envelope
+    3.25."""
     straight = settled(episodes(lambda *_: 0.0))
     bent = settled(
         episodes(lambda *_: 0.0, lambda trade_off: min(2 * trade_off, 2 + trade_off / 2))
@@ -112,7 +115,7 @@ def test_an_oracle_that_bends_is_not_linear() -> None:
 
 
 def test_a_seed_without_every_trade_off_says_nothing_about_a_line() -> None:
-    """The last seed bends where the others are straight, and lacks one λ."""
+    """The last seed is not linear, unlike the others, and lacks one λ."""
     frame = episodes(lambda *_: 0.0)
     last = frame["seed"] == SEEDS[-1]
     frame.loc[last & (frame["lambda"] == TRADE_OFFS[-1]), "oracle"] = 1.0
@@ -130,7 +133,7 @@ def test_the_papers_own_oracle_passes_the_test_of_linearity() -> None:
 
 
 def data_sets(domain: str, indices: list[list[float]]) -> pd.DataFrame:
-    """A row of indices a seed, one a setting."""
+    """Makes a row of indices for each seed, with one index for each setting."""
     return pd.DataFrame(
         [
             {"domain": domain, "seed": seed, "adjusted_rand_index": index}
@@ -141,7 +144,7 @@ def data_sets(domain: str, indices: list[list[float]]) -> pd.DataFrame:
 
 
 # Eight of thirty that come as three settings of each of ten seeds: the 95 % interval of thirty
-# independent ones ends at .44, that of ten seeds beyond one half.
+# independent ones ends at 0.44, that of ten seeds beyond one half.
 NESTED = [[1.0, 1.0, 1.0]] * 2 + [[1.0, 1.0, 0.5]] + [[0.7, 0.6, 0.5]] * 7
 
 
@@ -210,7 +213,7 @@ def test_table_1_has_a_group_of_columns_a_labeler_each_with_its_own_claims(tmp_p
     heads = ["oracle's cost", "QMDP", "QHR"]
     columns = [("", "λ"), ("", "clairvoyant's cost")]
     assert list(frame) == [*columns, *itertools.product(titles, heads)]
-    row = frame.iloc[1]  # λ = 1: regret 2.01, beside the paper's .93
+    row = frame.iloc[1]  # λ = 1: regret 2.01, beside the paper's 0.93
     assert row[titles[0], "QMDP"] == "2.01 * (0.93)\n± 0.02"
     assert row[titles[1], "QMDP"] == "2.01 (0.93)\n± 0.02"
     assert [row[title, heads[0]].split()[1] for title in titles] == ["(1.73)", "†"]
@@ -233,8 +236,8 @@ def test_one_data_set_says_first_what_it_cannot_tell(tmp_path) -> None:
 
 
 def test_parts_of_a_cost_add_up_and_are_those_put_in(tmp_path) -> None:
-    """By seed s and trace t: the clairvoyant costs 1 + t, true labels 2 more (and s), what is
-    learned 5 more than that, the oracle .5 more than the clairvoyant."""
+    """For seed s and trace t the clairvoyant costs 1 + t, true labels 2 + s more, learned ones 5
+    more than that, and the oracle 0.5 more than the clairvoyant."""
     jobs = [{"solver": own, "seed": str(s)} for own in ("qhr", "qmdp") for s in range(3)]
     handmade.sweep(tmp_path, jobs, regret=lambda values, _: 6.5 + float(values["seed"]))
     assert not len(decomposition(Summary(tmp_path)).frame)  # nothing ran with true labels

@@ -1,4 +1,5 @@
-"""What was swept is what is shown, and whoever costs least on the same problems is first."""
+"""Tables show the swept values, and the solver with the lowest cost on the same problems is
+first."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ from xplain.report.terminal import print_summary, print_sweep
 from xplain.runs.mlflow import view
 
 LEARNERS = {"tree": (8.8, 0.9), "practice": (8.5, 1.9), "hypotheses": (2.2, 1.3)}
-"""The oracle's cost and the regret: who learns badly has an oracle that does so as well."""
+"""The oracle's cost and the regret: bad learning also gives a bad oracle."""
 
 
 def product(**values):
@@ -48,7 +49,7 @@ def product(**values):
 
 
 def made(folder, jobs, oracle, regret, floor=lambda values, trace: 1.0 + trace, measure=None):
-    """A sweep whose costs lie above the traces' own difficulty."""
+    """Makes a sweep with costs above the traces' own difficulty."""
     handmade.sweep(
         folder,
         jobs,
@@ -114,7 +115,7 @@ def test_learners_have_oracles_of_their_own_and_the_least_cost_wins(tmp_path):
 
 
 def test_noise_is_compared_by_what_noise_costs_not_by_a_worse_oracle(tmp_path):
-    """The regret falls with noise, for the oracle gets worse; the cost rises."""
+    """The regret falls with noise, because the oracle gets worse; the cost rises."""
     jobs = product(observers__label_noise="0,0.2", solver="qmdp,qhr", seed="0,1,2")
 
     def oracle(values):
@@ -133,8 +134,8 @@ def test_noise_is_compared_by_what_noise_costs_not_by_a_worse_oracle(tmp_path):
 
 
 def test_trade_offs_and_domains_pose_problems_of_their_own(tmp_path):
-    """λ and the domain change costs and oracles: regrets are compared inside each, and no figure
-    across them is called the best."""
+    """λ and the domain change costs and oracles: regrets are compared only for equal values, and no
+    figure across them is marked as the best."""
     jobs = product(domain="rescue,four_rooms", trade_off="0.5,2", solver="qmdp,qhr", seed="0,1,2")
 
     def oracle(values):
@@ -152,7 +153,7 @@ def test_trade_offs_and_domains_pose_problems_of_their_own(tmp_path):
 
 
 def test_where_the_clairvoyant_differs_as_well_the_cost_decides(tmp_path):
-    """As with discounts: plans that discount otherwise have other references."""
+    """An example are discounts: plans with another discount have other references."""
 
     def shift(values):
         return 10 * float(values["discount"])
@@ -192,8 +193,8 @@ def test_an_oracle_whose_labels_are_wrong_is_no_reference(tmp_path, share, told,
 
 
 def test_where_jobs_are_missing_the_order_is_that_of_the_differences(tmp_path):
-    """QHR costs less in each seed, but the easy seeds of QMDP alone have finished besides: its mean
-    over what has finished is smaller."""
+    """QHR costs less for each seed, but only QMDP has finished the easy seeds, so QMDP's mean over
+    finished jobs is smaller."""
     costs = {"qmdp": lambda seed: 10.3 - seed, "qhr": lambda seed: 10.0 - seed}
     jobs = product(solver="qmdp,qhr", seed="0,1,2,8,9")
     handmade.sweep(
@@ -223,7 +224,7 @@ def test_ways_that_share_no_problem_are_not_ranked(tmp_path):
 
 @pytest.mark.parametrize("number", range(5))
 def test_the_first_is_the_cheapest_on_the_same_problems_whatever_the_references(tmp_path, number):
-    """Oracles at random, shared or not: the order is that of mean costs."""
+    """Oracles are random, shared or not: the order is that of mean costs."""
     draw = random.Random(number)
     names = ("qmdp", "qhr", "pomcp")
     oracle = {name: draw.choice([2.0, draw.uniform(1, 9)]) for name in names}
@@ -236,8 +237,8 @@ def test_the_first_is_the_cheapest_on_the_same_problems_whatever_the_references(
 
 
 def test_the_best_of_a_row_and_what_cannot_be_told_from_it_are_marked(tmp_path):
-    """Traces differ much, and the second solver is worse on all alike: told apart in pairs, where
-    two intervals beside each other would overlap. The third is better on half of them."""
+    """Traces differ much, and the second solver is equally worse on all of them: paired differences
+    show this, although the two intervals overlap. The third is better on half of the traces."""
     lead = {"qmdp": lambda t: 0.0, "qhr": lambda t: 0.5, "baseline": lambda t: 0.5 - t % 2 * 0.9}
     folder = handmade.sweep(
         tmp_path,
@@ -260,7 +261,7 @@ def half(count: int, level: float, deviation: float) -> float:
 @given(mean=st.floats(0.05, 5), deviation=st.floats(0.1, 2), seeds=st.integers(2, 30))
 @settings(max_examples=40, deadline=None)
 def test_so_many_seeds_decide_and_fewer_do_not(mean: float, deviation: float, seeds: int) -> None:
-    """Against the interval that so many seeds of the same spread have."""
+    """The number is compared with the interval of this number of seeds with the same variance."""
     own = half(seeds, 0.975, deviation)
     found = seeds_to_decide(Estimate(mean, mean - own, mean + own), seeds)
     assume(found is not None)
@@ -310,7 +311,7 @@ def test_regret_csv_has_a_row_a_combination_and_the_columns_named(tmp_path):
     assert sorted(keys) == sorted(itertools.product(("qmdp", "qhr"), ("0.5", "1"), "234"))
     for row in found:
         values = {key: row[key] for key in ("solver", "lambda", "users.count")}
-        # By hand: seeds 0, 1, 2 shift the mean over traces 0 … 3 by 0, .5, 1.
+        # By hand: seeds 0, 1, 2 shift the mean over traces 0 … 3 by 0, 0.5, 1.
         by_seed = [np.mean([distinct(values, t) for t in range(4)]) + 0.5 * s for s in range(3)]
         width = half(3, 0.975, np.std(by_seed, ddof=1))
         assert float(row["regret_mean"]) == pytest.approx(np.mean(by_seed), abs=1e-6)
@@ -412,8 +413,8 @@ def test_the_console_shows_every_number_of_the_table_with_its_headings(tmp_path,
 
 
 def test_a_way_that_sets_nothing_has_a_name(tmp_path):
-    """One way of several has the defaults of all that the others set: it stands in heads, and in
-    what costs least."""
+    """One of several ways has the default of every swept key: it has a name in headings, and in the
+    sentence about the lowest cost."""
     ways = [{}, {"belief.error": "learned"}, {"belief.accept": "learned"}]
     jobs = [way | {"domain": name} for name in ("rescue", "four_rooms") for way in ways]
     summary = summary_of(tmp_path, jobs)

@@ -1,4 +1,4 @@
-"""What every plot has in common."""
+"""Common properties of all plots."""
 
 from __future__ import annotations
 

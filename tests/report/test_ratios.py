@@ -1,4 +1,4 @@
-"""Ratios of costs by kind of people, worked out by hand."""
+"""Ratios of costs by kind of people, computed by hand."""
 
 from __future__ import annotations
 

@@ -41,7 +41,8 @@ def regret(method, trade_off, seed, trace):
 
 
 def test_a_domain_is_called_by_the_name_that_its_configuration_gives(tmp_path, capsys):
-    """As in ``domain=pddl domain.name=coffee``; the file chosen names it where there is none."""
+    """An example is ``domain=pddl domain.name=coffee``; without a name, the chosen file names
+    it."""
     chosen = [{"domain": "pddl", "seed": "0"}, {"domain": "pddl", "seed": "1"}, {"domain": "rover"}]
     folder = handmade.sweep(tmp_path, chosen, lambda values, trace: 1.0 + trace)
     for name, given in (("domain=pddl,seed=0", "coffee"), ("domain=rover", None)):
@@ -118,7 +119,7 @@ def test_the_table_holds_means_intervals_and_the_papers_values(known):
 
 
 def test_differences_are_paired(known):
-    """The oracle's cost and the traces' difficulty cancel: what is left is exact."""
+    """The oracle's cost and the traces' difficulty cancel, so differences are exact."""
     rows = csv.DictReader(io.StringIO(differences_csv(Summary(known))))
     found = {(r["domain"], float(r["lambda"]), r["method"], r["minus"]): r for r in rows}
     for trade_off in TRADE_OFFS:
@@ -141,7 +142,7 @@ def test_missing_jobs_are_told(sweep):
 
 
 class Page(html.parser.HTMLParser):
-    """Collects what a page would load, and whether its elements close."""
+    """A parser that collects the files that a page would load, and checks that elements close."""
 
     def __init__(self):
         super().__init__()

@@ -1,4 +1,4 @@
-"""What a run says while it works, with a terminal and without."""
+"""The progress of a run, with a terminal and without."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Screen(io.StringIO):
 def test_without_a_terminal_short_stages_say_nothing_and_long_ones_a_line(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A part of a long one is not a line of its own; one that ends in an error says no more."""
+    """A part of a long stage has no line; a stage that ends in an error prints no more."""
     caplog.set_level(logging.INFO, "xplain")
     assert not isinstance(stages(), TerminalStages)
     told = stages()
@@ -59,7 +59,7 @@ def test_without_a_terminal_long_stages_tell_how_far_they_are(
 def test_on_a_terminal_lines_move_and_the_log_is_written_above_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Afterwards the log goes where it went."""
+    """Afterwards the log has its old destination."""
     screen = Screen()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")

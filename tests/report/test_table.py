@@ -1,4 +1,4 @@
-"""One table, four forms: each says what is in it, and none takes a name for a command."""
+"""One table in four forms: each contains all texts, and none treats a name as markup."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_every_form_has_every_number_in_the_order_of_the_rows(form: str) -> None
 
 
 def test_no_half_reaches_below_what_is_possible() -> None:
-    """Costs are at least 0: an interval that ends there is told by its ends."""
+    """Costs are at least 0: an interval that ends there is shown by its ends."""
     assert cell(Estimate(3.5, 0.0, 8.25)) == "3.50 [0.00, 8.25]"
 
 

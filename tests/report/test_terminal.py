@@ -1,4 +1,4 @@
-"""What the terminal says of a policy's value: how sure it is, and when chance is in it."""
+"""The policy's value on the terminal: its uncertainty, and notes about sampling error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which explanation a picture shows, and that it says so."""
+"""The explanation that a picture shows, and its description."""
 
 from __future__ import annotations
 

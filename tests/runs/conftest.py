@@ -1,4 +1,4 @@
-"""One finished sweep for all tests that compare with it, one empty store for those that start."""
+"""One finished sweep for all tests that compare with it, and one empty store for new sweeps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.runs import sweeps
 
 
 class Finished(NamedTuple):
-    """A sweep of six jobs, on all cores, that nothing happened to."""
+    """A sweep of six jobs, on all cores, without any failure."""
 
     folder: Path
     output: str
@@ -25,7 +25,7 @@ class Finished(NamedTuple):
 
 
 def once(factory: pytest.TempPathFactory, name: str, fill: Callable[[Path], None]) -> Path:
-    """A folder that is filled by one of the processes that run the tests, for all of them."""
+    """Returns a folder that one test process fills for all of them."""
     root = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         root = root.parent
@@ -63,7 +63,7 @@ def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path, empty_store: Path) -> Path:
-    """An empty folder but for MLflow's database, whose tables need not be made then."""
+    """A folder with only MLflow's database, so that its tables need not be made."""
     (tmp_path / "outputs").mkdir()
     shutil.copy(empty_store, tmp_path / "outputs" / "mlflow.db")
     return tmp_path

@@ -1,4 +1,4 @@
-"""Sweeps as the tests start them: tiny, in folders of their own, in process groups of their own."""
+"""Sweeps that the tests start: tiny, in separate folders and process groups."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ TINY = (
     "solver=qmdp,qhr",
     "lambda=0.5,1,2",
 )
-"""Six jobs of well under a second: what is learned, and how well, is no matter here."""
+"""Six jobs of less than a second; their results do not matter."""
 
 QUICK = (*TINY[:-1], "lambda=1", SERIAL)
 """Two jobs in one process."""
 
 SINGLE = (*(word for word in QUICK[1:-1] if word != "solver=qmdp,qhr"), "solver=qhr")
-"""One of them, on its own."""
+"""One of them, as a single run."""
 
 
 def planned(outputs: Path, jobs: int) -> SweepFolder:
-    """The folder of a sweep of so many jobs, of which none was begun."""
+    """Makes the folder of a sweep with this number of jobs, none of which has begun."""
     rows = [Listed("", (f"seed={i}",), {"seed": str(i)}, f"f{i}") for i in range(jobs)]
     folder = SweepFolder(outputs / "sweeps" / "tiny-1")
     folder.path.mkdir(parents=True)
@@ -75,7 +75,7 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def run(folder: Path, *arguments: str) -> tuple[int, str]:
-    """Exit code and all output; without a process started anew where the jobs need none either."""
+    """Returns exit code and all output; it starts no new process if the jobs need none."""
     if SERIAL in arguments:
         return forked.run(folder, *arguments)
     process = start(folder, *arguments)
@@ -109,7 +109,7 @@ def workers(process: subprocess.Popen[str]) -> list[int]:
 
 
 def kill(pid: int) -> None:
-    """kill -9, whether or not it is there still."""
+    """Kills the process with -9, even if it has ended."""
     with contextlib.suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
 

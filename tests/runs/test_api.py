@@ -229,7 +229,7 @@ def test_a_module_that_was_edited_and_loaded_again_is_another_address(
 def test_a_module_that_was_edited_and_not_loaded_again_is_refused(
     here: Path, monkeypatch: pytest.MonkeyPatch, ran_before: bool
 ) -> None:
-    """Its results would stand at the address of the new code."""
+    """Its results would be at the address of the new code."""
     monkeypatch.syspath_prepend(str(here))
     source = here / f"stale_{ran_before}.py"
     source.write_text("from xplain.solvers.simple import Silent\nclass Mine(Silent): pass\n")

@@ -1,4 +1,4 @@
-"""The folder of a sweep: who has it, and what states its files say."""
+"""The folder of a sweep: its lock, and the states in its files."""
 
 from __future__ import annotations
 

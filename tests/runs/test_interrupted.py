@@ -1,4 +1,4 @@
-"""Sweeps from the command line whose jobs fail, whose workers die, and that are interrupted."""
+"""Sweeps from the command line with failing jobs, dying workers, and interruptions."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_ctrl_c_leaves_no_run_open(folder):
 
 
 def test_four_at_once_on_an_empty_folder(tmp_path, finished):
-    """Two of one sweep, one that shares a job with it, and a single run."""
+    """The four are two of one sweep, one that shares a job with it, and a single run."""
     other = (*sweeps.QUICK[:-3], "solver=qhr,silent", *sweeps.QUICK[-2:])
     commands = [sweeps.QUICK, sweeps.QUICK, other, (*sweeps.SINGLE, "seed=2")]
     processes = []

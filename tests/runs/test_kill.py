@@ -1,4 +1,4 @@
-"""kill -9 at random moments: whatever was hit, the same command again completes the sweep."""
+"""After kill -9 at random moments of any process, the same command completes the sweep."""
 
 from __future__ import annotations
 
@@ -57,15 +57,15 @@ def check(folder: Path, undisturbed: Path) -> None:
 
 
 def rounds(count: int, seed: int) -> list[tuple[str, float]]:
-    """(whom, share of the undisturbed time), so often one of each: the main process, alone or with
-    all of its own, and then a worker."""
+    """Yields (process, share of the undisturbed time), equally often for the main process alone,
+    with all of its workers, and for a worker."""
     rng = random.Random(seed)
     whom = [kind for _ in range(count) for kind in (rng.choice(("main", "all")), "worker")]
     return [(kind, rng.uniform(0.1, 0.95)) for kind in whom]
 
 
 def seed() -> int:
-    """Another one each time; it is in the output of a test that fails."""
+    """A new seed each time; the output of a failed test has it."""
     drawn = time.time_ns()
     print(f"seed {drawn}")
     return drawn

@@ -1,4 +1,4 @@
-"""What MLflow holds of runs and sweeps, asked of its own client."""
+"""Runs and sweeps in MLflow, read with its own client."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PARENT = "mlflow.parentRunId"
 
 @pytest.fixture
 def outputs(tmp_path: Path, empty_store: Path) -> Path:
-    """With a database in which nothing is."""
+    """An outputs folder with an empty database."""
     shutil.copy(empty_store, tmp_path / "mlflow.db")
     return tmp_path
 

@@ -1,4 +1,4 @@
-"""Sweeps from the command line: what runs, what is skipped, what a failure does."""
+"""Sweeps from the command line: jobs that run, jobs that are skipped, and failures."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_only_what_is_missing_or_damaged_runs(finished):
 
 
 def test_many_jobs_are_batches_each_of_one_data_set(tmp_path):
-    """Each job is in one of them; those that make data sets begin."""
+    """Each job is in one batch; batches that make data sets come first."""
 
     def planned(data_sets, trade_offs, launcher):
         jobs = {
@@ -176,7 +176,7 @@ def test_a_sweep_runs_what_no_other_has_run(finished, tmp_path):
 
 
 def test_a_run_and_a_sweep_share_a_result(folder):
-    """Each also where the other began; one that is there is not computed again."""
+    """This holds in both orders; an existing result is not computed again."""
     code, output = forked.run(folder, *sweeps.SINGLE)
     assert code == 0, output
     assert "folder: outputs/runs/" in output
@@ -211,7 +211,7 @@ def test_hydras_own_sweeper_gives_the_same_results(finished, tmp_path):
 
 
 def test_forced_keys_are_the_same_keys(tmp_path):
-    """``++seed``, as Hydra advises where a key may exist."""
+    """An example is ``++seed``, which Hydra advises if a key may exist."""
     said = []
     for force in ("", "++"):
         words = (*sweeps.QUICK[:-2], sweeps.SERIAL, f"{force}seed=0,1", f"{force}lambda=1,2")
@@ -258,7 +258,7 @@ def test_a_sweep_without_a_list_is_refused(tmp_path, swept):
 
 
 def test_a_job_that_is_another_than_its_sweep_lists_fails_and_is_not_run(tmp_path):
-    """As where a file of choices is edited between planning and running."""
+    """This happens if a file of choices is edited between planning and running."""
     cfg = composed("tracking=none", f"outputs={tmp_path}")
     job = Job.of(cfg, dict.fromkeys(GROUPS, "chosen"))
     assert run_in_sweep(job, tmp_path / "own", "of another") is None

@@ -1,4 +1,4 @@
-"""A service in a thread, whose replies may be lost, and what it serves."""
+"""A service in a thread whose replies may be lost, and its task."""
 
 from __future__ import annotations
 

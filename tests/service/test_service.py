@@ -33,7 +33,8 @@ KINDS = ("session", "questionnaire")
 def reaction(
     task: Served, decided: Json, trace: list[int], said: set[str], wrong: set[str]
 ) -> Json:
-    """What somebody does who believes these facts incorrectly until they are told."""
+    """Returns the reaction of a person who believes these facts incorrectly until their
+    messages."""
     if decided["kind"] == "ask" and "question" in decided:
         texts = [row["text"] for row in task.description["transitions"]]
         return {"answer": task.labels(list(wrong), list(said))[texts.index(decided["about"])]}
@@ -47,7 +48,7 @@ def reaction(
 def go_through(
     talks: Talks, kind: str, person: str, wrong: set[str], anew: Any = None
 ) -> list[Json]:
-    """All decisions of a talk with somebody; ``anew`` gives the talks to go on with each time."""
+    """Returns all decisions of a talk with a person; ``anew`` gives the talks for each step."""
     trace, said, decisions = list(talks.task.traces[0]), set[str](), []
     half = len(trace) // 2
     begun = {"trace": trace[:half], "expected_steps": 0} if kind == "session" else {}
@@ -169,7 +170,7 @@ def test_more_of_a_trace_comes_once_and_leaves_what_is_open(running: Running) ->
 
 
 def test_a_person_like_no_observer_is_noticed(task: Served, talks: Talks) -> None:
-    """Somebody of a found type fits; somebody who believes all facts incorrectly does not."""
+    """A person of a found type fits; a person who believes all facts incorrectly does not."""
     trace, names, fits = list(task.traces[0]), task.types.messages, []
     found = {name for j, name in enumerate(names) if task.types.labelers[0].wrong[j] > 0.5}
     for person, wrong in (("known", found), ("unknown", {*names})):
@@ -305,7 +306,7 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
     acknowledged: dict[str, list[tuple[Json, Json]]] = {str(n): [] for n in range(8)}
 
     def surely(path: str, content: Json) -> Json:
-        """The reply to a request that is sent until it is acknowledged; {} where all is over."""
+        """Sends a request until it is acknowledged. Returns the reply, or {} after the end."""
         while not stop.is_set():
             try:
                 got = requests.post(f"{url}/{path}", json=content, timeout=5)

@@ -1,4 +1,4 @@
-"""Optimal values of known types by the plainest recursion: the oracle of tables and bounds."""
+"""Optimal values of known types by direct recursion, the reference for tables and bounds."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def plain_optimal_value(
     given: int = 0,
     messages: tuple[int, ...] | None = None,
 ) -> float:
-    """The Bellman recursion over single actions, as docs/method.md, section 5 states it: with these
-    messages, or those that have an effect on type t."""
+    """Computes the Bellman recursion over single actions (docs/method.md, section 5), with these
+    messages, or those with an effect on type t."""
     actions = messages if messages is not None else problem.table.effective()[t]
     per_message = problem.discount if problem.discount_per == "action" else 1.0
 

@@ -1,4 +1,4 @@
-"""Messages that may be said again: solvers and values against brute force."""
+"""Compares solvers and values with brute force if messages may be repeated."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def discounted(problem: Problem, discounts: tuple[str, float]) -> Problem:
 
 
 def known_optimum(problem: Problem, t: int) -> dict[int, float]:
-    """By row of the label table, what an explanation is worth to who sees it of a user of type t
-    after each action: every message and *explain* tried, nothing reduced."""
+    """Returns for each row of the label table the optimal value if the row of a user of type t is
+    visible after each action, by enumeration of all messages and *explain*."""
     n, table = problem.n_messages, problem.table
     accept, forget = float(problem.accept[t]), float(problem.forget[t])
 
@@ -159,8 +159,8 @@ def test_values_with_questions_are_exact_too(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_message_that_hardly_pays_waits_while_the_state_is_in_doubt(seed: int) -> None:
-    """Known for sure, QMDP gives what is best; in doubt, only what gains the margin, and what is
-    left out gains no more."""
+    """In a known state QMDP gives the best messages; otherwise only messages that gain the margin,
+    and no other message gains more."""
     problem, rng = needy(seed), np.random.default_rng(seed)
     policy, states = QMDP().plan(problem), np.eye(problem.start.size)
     for step, belief in product((0, 1), [*states, *rng.dirichlet(np.ones(len(states)), 40)]):

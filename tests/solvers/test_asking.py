@@ -1,4 +1,4 @@
-"""Solvers whose actions include questions, against brute force and each other."""
+"""Compares solvers whose actions include questions with brute force and with each other."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def asking_problem(rng: np.random.Generator, undiscounted: bool = False) -> Prob
 
 
 def test_certified_bounds_hold_and_close_on_the_optimum_with_questions() -> None:
-    """By brute force; asking changes the optimum of some."""
+    """The optimum comes from brute force; questions change it in some problems."""
     rng, helped = np.random.default_rng(10), 0
     for _ in range(60):
         problem = asking_problem(rng)
@@ -92,7 +92,7 @@ def test_what_certified_does_is_worth_the_optimum() -> None:
 
 @pytest.mark.parametrize("solver", [QMDP(), POMCP(simulations=300), Certified(nodes=3)])
 def test_the_value_of_a_policy_that_asks_is_exact(solver: QMDP | POMCP | Certified) -> None:
-    """Against enumeration without merging, and simulation within its error."""
+    """The value agrees with enumeration without merging, and with simulation within its error."""
     rng, asked = np.random.default_rng(12), 0
     for number in range(25):
         problem = asking_problem(rng)
@@ -193,7 +193,7 @@ def test_of_equally_good_questions_the_nearest() -> None:
 
 
 class AsksWhere:
-    """Says nothing, and asks all questions where it is told to."""
+    """A policy that gives no messages and asks all questions at given steps."""
 
     def __init__(self, questions: int, where: Callable[[int, np.ndarray], bool]) -> None:
         self.questions, self.where = questions, where

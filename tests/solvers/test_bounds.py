@@ -1,4 +1,4 @@
-"""Bounds and lookahead against brute force; the prices that every run reports."""
+"""Compares bounds and lookahead with brute force, and tests the figures that every run reports."""
 
 from __future__ import annotations
 
@@ -101,5 +101,6 @@ def _open(problem) -> bool:
 
 
 def _between(problem) -> float:
-    """Room for the tables of known types, not for those of the search."""
+    """Returns a memory limit that is enough for the tables of known types, but not for those of the
+    search."""
     return 1.1 * known_bytes(problem) / GIB

@@ -1,4 +1,4 @@
-"""Solvers answer alike whether a problem is kept by type or dense, where both fit."""
+"""Solvers decide alike for a problem by type and for the dense one."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def test_solvers_that_weigh_all_messages_together_answer_alike(both: Both) -> No
 @settings(deadline=None, max_examples=25)
 @given(pairs())
 def test_pomcp_answers_alike(both: Both) -> None:
-    """Simulation by simulation, as the random streams are the same: where no sum is rounded
-    otherwise, which might make another of two equal actions the better one."""
+    """All simulations are equal, because the random streams are the same. (Differences in rounding
+    could change the choice between two equal actions.)"""
     both = replace(both[0], discount_per="step"), replace(both[1], discount_per="step")
     assert_alike(POMCP(simulations=200), both)
 

@@ -1,4 +1,4 @@
-"""A cached policy decides as the policy does, in whatever order it is asked."""
+"""A cached policy decides like the policy, in any order of decisions."""
 
 from __future__ import annotations
 

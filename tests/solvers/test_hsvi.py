@@ -1,4 +1,4 @@
-"""Certified bounds against brute force, and the policy against its own certificate."""
+"""Compares certified bounds with brute force, and the policy with its certificate."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_what_was_found_is_not_searched_for_again() -> None:
 
 
 def test_a_belief_that_was_not_found_is_searched_from_there() -> None:
-    """However close to one that was: the values are bounds of what it is worth itself."""
+    """The values bound the belief's own optimum, however close it is to a known belief."""
     rng, unlike = np.random.default_rng(27), 0
     for _ in range(100):
         problem = random_problem(rng)
@@ -105,8 +105,8 @@ def rarely_needed() -> Problem:
 
 
 def test_unlikely_answers_left_untold_are_bounded_from_both_sides() -> None:
-    """At a gap of 3.2 the search does not follow the answer of one user in twenty; its share of the
-    upper bound must then hold for whoever knows the type, of the lower for a plan made blindly."""
+    """At a gap of 3.2 the search does not follow the answer of one user in twenty. Its upper bound
+    is then that of a known type, its lower bound that of a plan without answers."""
     problem, optimum = rarely_needed(), -0.05 * 78
     assert reduced_optimal_value(problem) == pytest.approx(optimum)
     coarse, fine = planned(problem, gap=3.2), planned(problem, gap=1e-6)

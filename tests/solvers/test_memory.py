@@ -1,4 +1,4 @@
-"""Tables are refused before they are taken, and large ones are told of."""
+"""Too large tables are refused before they are allocated, and large ones are logged."""
 
 from __future__ import annotations
 

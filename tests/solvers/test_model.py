@@ -1,4 +1,4 @@
-"""Tables against the plainest recursion, and what the simple solvers promise."""
+"""Compares tables with direct recursion, and tests properties of the simple solvers."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def idle_problem(**changes: object) -> Problem:
 
 @pytest.mark.parametrize("trade_off", [0.0, 0.001, 1.0])
 def test_a_message_without_effect_is_no_action(trade_off: float) -> None:
-    """Not even free of charge, though it would put off later costs."""
+    """This holds even at cost 0, although it would delay later costs."""
     problem = idle_problem(trade_off=trade_off, discount=0.5)
     assert problem.messages_with_effect == (0, 2)
     for solver in (QMDP(), QHR(), Conformant(), Baseline(), Certified(), Lookahead(), POMCP()):
@@ -237,7 +237,7 @@ def test_of_equal_sets_the_smaller_is_given(solver: Solver) -> None:
 @given(st.dictionaries(st.integers(0, 15), st.sampled_from([-2.0, -1.0, -1.0 - 1e-12, 3.0]),
                        min_size=1))  # fmt: skip
 def test_the_best_set_is_the_smallest_of_the_best_then_the_first(values: dict[int, float]) -> None:
-    """Whatever the order in which they come; values apart by rounding are equal."""
+    """This holds in any order; values that differ by rounding are equal."""
     tied = [chosen for chosen, value in values.items() if value > max(values.values()) - 1e-10]
     fewest = min(bin(chosen).count("1") for chosen in tied)
     first = min(chosen for chosen in tied if bin(chosen).count("1") == fewest)

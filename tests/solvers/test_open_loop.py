@@ -1,4 +1,4 @@
-"""Silence and saying everything: their costs by hand, and that no answer moves them."""
+"""Silence and saying everything: their costs by hand, independent of answers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_costs_of_a_trace_by_hand() -> None:
 @settings(deadline=None, max_examples=60)
 @given(tiny_problems())
 def test_what_they_are_worth_is_a_sum_over_prefixes(problem: Problem) -> None:
-    """An expectation without a belief: transition i is judged at the steps i … m − 1."""
+    """The expectation needs no belief: transition i is judged at the steps i … m − 1."""
     m, everything = problem.n_steps, (1 << problem.n_messages) - 1
     zeros = problem.prior @ (1 - problem.p_explicable).transpose(1, 0, 2)  # [m, 2^n]
     for solver, said in ((Silent(), 0), (SayAll(), everything)):

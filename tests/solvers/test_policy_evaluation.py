@@ -1,4 +1,4 @@
-"""The exact worth of policies against brute force over every label, and against simulation."""
+"""Compares exact values of policies with brute force over every label, and with simulation."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_simulation_agrees_with_every_label_enumerated(problem: Problem) -> None
 
 
 def test_simulation_has_no_noise_where_the_type_is_known() -> None:
-    """Nothing is left to chance then but the labels, which change no decision."""
+    """Only the labels are random then, and they change no decision."""
     problem = confident_problem()
     alone = problem.with_types(problem.p_explicable[:1], ("alone",))
     for policy in (QMDP().plan(alone), Conformant().plan(alone), Counting()):
@@ -78,7 +78,7 @@ def test_simulation_has_no_noise_where_the_type_is_known() -> None:
 
 @dataclass
 class Counting:
-    """Silence, and how often it was asked."""
+    """A silent policy that counts its decisions."""
 
     asked: int = 0
 

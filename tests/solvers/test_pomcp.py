@@ -1,4 +1,4 @@
-"""POMCP: against brute force, the literal POMDP and its own limits."""
+"""Compares POMCP with brute force, the literal POMDP and its own limits."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_who_errs_is_searched_for_by_answers() -> None:
 
 
 def test_the_mean_approaches_the_optimum_too() -> None:
-    """As the paper's POMCP does; more slowly, as the mean remembers what was tried."""
+    """The paper's POMCP does so, more slowly, because the mean includes all tries."""
     rng = np.random.default_rng(6)
     for _ in range(8):
         problem = random_problem(rng)
@@ -105,7 +105,7 @@ def test_steps_do_not_count_messages() -> None:
 
 
 def test_without_messages_the_value_is_the_cost() -> None:
-    """Nothing to decide: the exact expectation, whatever is drawn."""
+    """There is nothing to decide: the value is the exact expectation, for any draws."""
     problem = soft_problem(10, n=0, steps=3)
     zeros = np.cumsum(problem.prior @ (1 - problem.p_explicable[:, :, 0]))
     cost = sum(0.9**k * z for k, z in enumerate(zeros))
@@ -277,7 +277,7 @@ def test_threads_that_share_a_plan_decide_as_one_alone() -> None:
 
 
 def test_too_large_is_refused_with_the_size_before_memory_is_taken() -> None:
-    """For tables and for trees."""
+    """This holds for tables and for trees."""
     wide = Problem(np.random.default_rng(0).random((1, 1, 1 << 16)), np.zeros(16))
     with pytest.raises(TooLargeError, match=r"pomcp needs 0.\d+ GiB .* qhr"):
         POMCP(memory_gib=0.001).plan(wide)

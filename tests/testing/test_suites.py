@@ -1,4 +1,4 @@
-"""The suites have teeth: each fault that a component may have fails the test that is about it."""
+"""Each fault of a component fails the suite's test about it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from xplain.testing import (
 
 
 class Wrapped:
-    """A component whose parts can be put out of order one by one."""
+    """A component whose parts can be replaced by faulty ones."""
 
     def __init__(self, whole, **faults):
         self._whole, self._faults = whole, faults
@@ -198,7 +198,7 @@ class Hopeful:
 
 
 class Hasty:
-    """Learns from the first two hundred labels alone."""
+    """A labeler that learns from the first two hundred labels only."""
 
     def fit(self, dataset, seed):
         return LabelerTrainer().fit(dataset.take(np.arange(200)), seed)

@@ -1,4 +1,4 @@
-"""Solvers of somebody's own, for tests of how they are given from Python.
+"""A user's own solvers, for tests of the use from Python.
 
 A module by itself: a component's fingerprint covers its whole package with all that it imports, and
 that of the tests is large.
