@@ -5,10 +5,10 @@ an empty folder.
     python docs/run.py --write docs/tour.md    replaces the shown output by the real one
 
 In a `console` block a line that begins with `$ ` is a command (`\\` at its end continues it), the
-lines below it are its standard output; `...` stands for lines left out. Shown and real output may
-differ in digits, bars and blanks: figures depend on versions and machines. A `python` block is run
-as printed, after the blocks above it; what it prints is the `text` block that follows it. A block
-that begins with "```python path/of/a/file" shows that file.
+lines below it are its standard output; `...` replaces lines that are left out. Shown and real
+output may differ in digits, bars and blanks: figures depend on versions and machines. A `python`
+block is run as printed, after the blocks above it; what it prints is the `text` block that follows
+it. A block that begins with "```python path/of/a/file" shows that file.
 """
 
 from __future__ import annotations

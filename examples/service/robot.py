@@ -2,7 +2,7 @@
 
     python examples/service/robot.py http://127.0.0.1:8000
 
-It needs nothing but Python. ``react`` stands for the robot's own speech and buttons.
+It needs nothing but Python. ``react`` replaces the robot's own speech and buttons.
 """
 
 import asyncio

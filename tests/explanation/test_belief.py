@@ -68,7 +68,7 @@ def test_a_thousand_labels_do_not_underflow() -> None:
 
 
 def test_only_the_evidence_counts() -> None:
-    """Of three labels only the last is evidence."""
+    """Only the last of three labels is evidence."""
     p = np.array([[0.9, 0.8, 0.3], [0.2, 0.4, 0.6]])[:, :, None]
     problem = Problem(p, np.empty(0))
     labels = np.array([0, 1, 1], dtype=np.uint8)

@@ -126,8 +126,8 @@ def _with_truth(known, answers, facts, d, error, t, told, label):
 
 
 def people(known, facts, count, rng, error=0.0, contrary=()):
-    """Observers who hold ``facts`` wrong and answer ``count`` random questions; at transitions in
-    ``contrary`` the other way."""
+    """Observers who believe ``facts`` incorrectly and answer ``count`` random questions; at
+    transitions in ``contrary`` the other way."""
     h = known.hypotheses
     said = []
     for held in facts:

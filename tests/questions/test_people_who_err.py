@@ -25,8 +25,8 @@ def hypotheses(seed=1, facts=4, transitions=30):
 
 
 def asked(known, facts, each, rng, thinks=None, told=True):
-    """Observers who hold ``facts`` wrong and answer ``each`` random questions as they think:
-    ``thinks(label, transition)``, or by the hypotheses; and their labels."""
+    """Observers who believe ``facts`` incorrectly and answer ``each`` random questions as they
+    think: ``thinks(label, transition)``, or by the hypotheses; and their labels."""
     n, count = known.n_messages, known.n_transitions
     observer = np.repeat(np.arange(len(facts)), each)
     transition = np.concatenate([rng.permutation(np.resize(np.arange(count), each)) for _ in facts])

@@ -40,7 +40,7 @@ LEARNERS = {"tree": (8.8, 0.9), "practice": (8.5, 1.9), "hypotheses": (2.2, 1.3)
 
 
 def product(**values):
-    """Jobs of all combinations; ``users__count`` stands for ``users.count``."""
+    """Jobs of all combinations; ``users__count`` means ``users.count``."""
     keys = [key.replace("__", ".").replace("trade_off", "lambda") for key in values]
     return [
         dict(zip(keys, combination, strict=True))

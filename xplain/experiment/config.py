@@ -211,8 +211,7 @@ _OTHER_KIND = re.compile(
 
 
 def _causes(error: BaseException) -> list[BaseException]:
-    """The chain of an error's causes. If errors of this package are among them, the innermost of
-    these comes first."""
+    """The chain of an error's causes. Errors of this package come first."""
     chain: list[BaseException] = []
     current: BaseException | None = error
     while current is not None and current not in chain:

@@ -24,7 +24,7 @@ class Progress:
         return nullcontext()
 
     def note(self, text: str, done: int | None = None) -> None:
-        """Reports a text about the innermost stage, and the number of finished items."""
+        """Reports a text about the most recent open stage, and the number of finished items."""
 
 
 SILENT = Progress()

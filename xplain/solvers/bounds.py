@@ -87,9 +87,9 @@ def _simple_bounds(problem: Problem, memory_gib: float) -> Bounds:
     known = known_values(process)
     sure = known.now(0, 0)
     # A cheap message for other types delays the cost of a type.
-    idle = (process.relevant >> np.arange(process.n_messages)[:, None] & 1) == 0
+    ineffective = (process.relevant >> np.arange(process.n_messages)[:, None] & 1) == 0
     saved = (1 - process.message_discount) * -known.value.min()
-    delays = (idle & (process.price[:, None] < saved)).sum(axis=0)
+    delays = (ineffective & (process.price[:, None] < saved)).sum(axis=0)
     upper = float(process.start @ (process.message_discount**delays * sure))
     return Bounds(min(best_plan_value(process, known), upper), upper, upper)
 

@@ -315,7 +315,7 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
     size = 48 * (problem.n_steps + 1) * sets * problem.n_types
     check_memory("certified", size, memory_gib, "solver=qhr plans without tables")
     process = make_process(problem, dense=True)
-    known = known_values(process, idle=True)
+    known = known_values(process, without_effect=True)
     kept = tuple(sorted(kept, key=lambda j: float(process.price[j])))
     if process.jump is None and kept:
         kept = tuple(process.own[0][process.own[0] != NONE].tolist())

@@ -69,8 +69,8 @@ NODES, EDGES, MASK = 0, 1, 2
 ROOT, END = np.int64(0), -1
 """The node at which a search begins, and the end after the last *explain*."""
 UNVISITED, UNOPENED = 0, 0
-"""UNVISITED stands for "no node" in ``edge.child`` and ``entry.node``: the root is nobody's child.
-UNOPENED stands for "no edges yet" in ``node.edges``: the first edges are never used."""
+"""UNVISITED means "no node" in ``edge.child`` and ``entry.node``: the root is nobody's child.
+UNOPENED means "no edges yet" in ``node.edges``: the first edges are never used."""
 SETTLED = -1
 """A value in ``wanted``: the state needs no message from this step to the end."""
 CERTAIN = 1 - 1e-6

@@ -464,16 +464,16 @@ class KnownValues(NamedTuple):
         return self.explain[step, self.explain_cells.at(said)]
 
 
-def known_values(process: Process, idle: bool = False) -> KnownValues:
+def known_values(process: Process, without_effect: bool = False) -> KnownValues:
     """Solves the MDP of known states.
 
     Args:
         process: the model.
-        idle: True also allows messages that change nothing for the known type. A policy gives such
-            messages because of other types, and they delay costs. So if messages discount, Σ b V is
-            an upper bound of the optimum only if they are allowed.
+        without_effect: True also allows messages that change nothing for the known type. A policy
+            gives such messages because of other types, and they delay costs. So if messages
+            discount, Σ b V is an upper bound of the optimum only if they are allowed.
     """
-    prices = _bit_prices(process, idle)
+    prices = _bit_prices(process, without_effect)
     solve = _where_messages_land if process.jump is None else _where_messages_are_missed
     return solve(process, prices)
 
@@ -486,11 +486,11 @@ def known_bytes(problem: Problem) -> int:
     return 8 * (steps + 1) * rows * types * (rows + 3)
 
 
-def _bit_prices(process: Process, idle: bool) -> FloatArray:
+def _bit_prices(process: Process, without_effect: bool) -> FloatArray:
     """[r, N] price of the message of each bit; inf if there is none, or it changes nothing."""
     own, types = process.own.T, np.arange(process.n_types)
     exists = own != NONE
-    if not idle:
+    if not without_effect:
         exists &= (process.relevant[types] >> np.maximum(own, 0) & 1).astype(bool)
     prices = process.price[own] if process.n_messages else np.zeros(own.shape)
     return np.where(exists, prices, np.inf)

@@ -140,7 +140,7 @@ def partition(known: KnownTransitions, observers: list[Answers], concentration: 
     about = known, search.every, search.person, len(observers)
     candidates = search.facts[kept], search.log_new[kept]
     weight, answers, expected = mixture(*about, *candidates, search.level)
-    search.heed(answers)
+    search.use_errors(answers)
     state = np.asarray(kept[weight.argmax(axis=1)])
     search.merge(state)
     answers = search.learn(state)
@@ -196,10 +196,10 @@ class _Search:
         about = CellAnswers(cell, self.every.transition, self.person, self.every.label)
         sizes = self.known.share.shape[2], len(self.rows)
         made = answer_model.learn_answers(about, np.concatenate(priors), *sizes, self.level)
-        self.heed(made)
+        self.use_errors(made)
         return made
 
-    def heed(self, answers: AnswerModel) -> None:
+    def use_errors(self, answers: AnswerModel) -> None:
         """Changes the error model that the search uses."""
         about = self.every.transition, self.person, self.every.label
         self.given = answers.log_given(*about)[:, :, None]

@@ -193,7 +193,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
         """Returns the belief over user types, summed over habits and knowledge, for the log."""
         return tuple(self.plan.problem.type_belief(np.array(belief)).tolist())
 
-    def told(self, state: StudyState) -> dict[str, Any]:
+    def collect_content(self, state: StudyState) -> dict[str, Any]:
         """Collects the content that every page of the evaluation has: the briefing, the old
         messages and the new ones. A message that was given twice appears once, at its last
         position; ``again`` lists new messages that were also given before."""
@@ -223,7 +223,7 @@ class Evaluation(Stage["Explaining", StudyState]):
     def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
         """Shows the steps so far, the labels, the old messages and the new ones."""
         plan = flow.plan
-        return flow.told(state) | {
+        return flow.collect_content(state) | {
             "step": state.step,
             "trace": plan.trace[: state.step + 1],
             "n_steps": plan.n_steps,
@@ -267,7 +267,7 @@ class Asking(OneLabel["Explaining", StudyState]):
     def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
         """Shows the clip, and the messages so far."""
         question = state.asked[-1].question
-        return flow.told(state) | {
+        return flow.collect_content(state) | {
             "clip": flow.plan.clips[question],
             "transitions": (question,),
             "first_picture": flow.plan.n_steps,
