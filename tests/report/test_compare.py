@@ -22,7 +22,7 @@ from xplain.errors import InputError
 from xplain.experiment.results import Figure, load_results, save_results
 from xplain.interaction.statistics import Estimate
 from xplain.report import plots
-from xplain.report.claims import answer, undecided
+from xplain.report.claims import answer, list_undecided
 from xplain.report.compare import (
     differences_csv,
     regret_csv,
@@ -291,7 +291,7 @@ def test_each_difference_that_is_not_decided_has_its_seeds_and_minutes(tmp_path,
     for path in (tmp_path / "results").iterdir():  # 9 jobs of 20 s: a minute each seed
         save_results(path, replace(load_results(path), seconds={"explain": 20.0}))
     summary = Summary(tmp_path)
-    shown = undecided(summary)
+    shown = list_undecided(summary)
     ((way, _, seeds, minutes),) = shown.frame.to_numpy()  # the baseline's difference is decided
     assert way == "QHR − QMDP"
     (count,) = re.fullmatch(r"seed='range\((\d+)\)'", seeds).groups()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Parameter, Scene
-from xplain.domains.mdp import reached
+from xplain.domains.mdp import find_reached
 from xplain.errors import InputError, mapping, one_of, sentence
 
 Cell = tuple[int, int]
@@ -128,7 +128,7 @@ class Grid:
             InputError: it has none.
         """
         # Moves are reversible: cells that can be reached from the goal have a path to it.
-        if not reached(np.array([goal]), len(self.cells), self.neighbour.__getitem__)[cell]:
+        if not find_reached(np.array([goal]), len(self.cells), self.neighbour.__getitem__)[cell]:
             raise InputError(
                 MAP, self.position(cell), f"no path from the {what} to the {goal_name}"
             )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import Cell, parameters_of
-from xplain.domains.mdp import MDP, reached
+from xplain.domains.mdp import MDP, find_reached
 from xplain.errors import (
     Discount,
     InputError,
@@ -325,7 +325,7 @@ def read_model(
     starts = np.flatnonzero(start > 0)
     # Tables also contain unreachable states with meaningless outcomes.
     possible = (probability > 0) & ~terminal[:, None, None]
-    met = reached(starts, states, lambda s: successor[s][possible[s]])
+    met = find_reached(starts, states, lambda s: successor[s][possible[s]])
     goes_on = met[:, None, None] & possible & ~ended
     if len(torn := successor[goes_on & terminal[successor]]):
         reason = f"state {torn[0]} ends some episodes and not others, or lacks a row"

@@ -66,7 +66,7 @@ class TaskModel(Protocol):
         ...
 
 
-def reached(
+def find_reached(
     starts: NDArray[np.int64], states: int, after: Callable[[NDArray[np.int64]], NDArray[Any]]
 ) -> NDArray[np.bool_]:
     """[S] True for states that can be reached from the starts, including the starts.

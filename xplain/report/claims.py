@@ -276,10 +276,10 @@ def answer(summary: Summary) -> str:
     return f"{'; '.join(parts)}."
 
 
-def undecided(summary: Summary) -> Table:
+def list_undecided(summary: Summary) -> Table:
     """Lists the undecided differences to the best, or Table 1's undecided claims, with the number
     of seeds that would decide each, and the minutes for these seeds."""
-    found = _undecided_claims(summary) if summary.is_table1 else compare.undecided(summary)
+    found = _undecided_claims(summary) if summary.is_table1 else compare.find_undecided(summary)
     rows = []
     for heads, gap, shown in found:
         seeds, minutes = compare.effort(summary, gap)

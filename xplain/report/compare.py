@@ -29,7 +29,7 @@ from xplain.report.frame import (
     is_unreliable,
     warning_about_oracle,
 )
-from xplain.report.table import BEST, TIE, Table, cell, counted, number, table_of
+from xplain.report.table import BEST, TIE, Table, cell, count_things, number, table_of
 
 Way = tuple[Value, ...]
 
@@ -325,7 +325,7 @@ def _common(summary: Summary) -> str:
     keys = [key for key in ("domain", "solver", "lambda") if key not in summary.shown]
     parts = [label({key: own[0]}) for key in keys if len(own := summary.values(key)) == 1]
     traces = int(summary.episodes.groupby("seed")["trace"].nunique().max())
-    return ", ".join([*parts, counted(traces, "trace"), counted(summary.seeds, "seed")])
+    return ", ".join([*parts, count_things(traces, "trace"), count_things(summary.seeds, "seed")])
 
 
 def _caption(summary: Summary, is_marked: bool) -> str:
@@ -385,9 +385,8 @@ def least_cost(summary: Summary) -> str:
 
 def _few(summary: Summary) -> str:
     amount = int(summary.episodes[summary.replicate].nunique())
-    few = (
-        f" Only {counted(amount, summary.replicate)}: too few to decide all but large differences."
-    )
+    counted = count_things(amount, summary.replicate)
+    few = f" Only {counted}: too few to decide all but large differences."
     return few if amount < FEW else ""
 
 
@@ -427,7 +426,7 @@ Undecided = tuple[dict[str, str], Estimate, str]
 """Row headings, a difference, and the difference in words."""
 
 
-def undecided(summary: Summary) -> Iterator[Undecided]:
+def find_undecided(summary: Summary) -> Iterator[Undecided]:
     """The differences to the best solver or setting with an undecided sign."""
     for values, (best, *others) in verdicts(summary):
         heads = {heading(key): value_title(key, own) for key, own in values.items()}

@@ -15,7 +15,7 @@ from xplain.report.compare import differences_csv, heading, regret_csv, table, v
 from xplain.report.frame import TITLES, Summary, rank
 from xplain.report.paper import title
 from xplain.report.ratios import compute_ratios
-from xplain.report.table import Table, counted, number, table_of
+from xplain.report.table import Table, count_things, number, table_of
 from xplain.storage import write_text
 
 REPORT = "report"
@@ -45,7 +45,7 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
     report = folder / REPORT
     report.mkdir(exist_ok=True)
     if summary.results:
-        tables = {"table": table(summary), "undecided": claims.undecided(summary)}
+        tables = {"table": table(summary), "undecided": claims.list_undecided(summary)}
         if summary.is_table1:
             tables["claims"] = claims.claims_table(summary)
         if "explainee" in summary.posed:
@@ -77,7 +77,7 @@ def page(summary: Summary, tables: dict[str, Table], report: Path) -> str:
         answer=claims.answer(summary),
         code=f"{about['code']} (commit {commit}{dirty})",
         size=f"{len(summary.results)} of {len(summary.jobs)} jobs, {len(summary.episodes):,} "
-        f"episodes, {counted(summary.seeds, 'seed')}",
+        f"episodes, {count_things(summary.seeds, 'seed')}",
         tables=tables,
         pictures=draw(summary, report),
         examples=[example(summary, domain, report) for domain in summary.values("domain")],

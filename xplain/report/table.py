@@ -153,6 +153,6 @@ def interval(estimate: Estimate) -> str:
     return f"[{number(estimate.low)}, {number(estimate.high)}]" if known else ""
 
 
-def counted(amount: int, what: str) -> str:
+def count_things(amount: int, what: str) -> str:
     """``no message``, ``1 message``, ``2 messages``."""
     return f"{amount or 'no'} {what}{'' if amount == 1 else 's'}"

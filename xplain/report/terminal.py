@@ -11,11 +11,11 @@ from rich.console import Console
 from xplain.experiment.progress import is_terminal
 from xplain.experiment.results import Figure, Results
 from xplain.explanation.belief import NO_FIT
-from xplain.report.claims import answer, undecided
+from xplain.report.claims import answer, list_undecided
 from xplain.report.compare import table
 from xplain.report.frame import NO_REFERENCE, RIGHT, Summary, warning_about_oracle
 from xplain.report.paper import table1
-from xplain.report.table import counted, table_of
+from xplain.report.table import count_things, table_of
 
 WIDTH = 100
 """Columns if the output is no terminal; a wider table is not cut."""
@@ -43,8 +43,8 @@ def print_sweep(summary: Summary) -> None:
     own = table(summary)
     shown = own.text()
     needed = max(WIDTH, Console(width=10_000).measure(shown).maximum)
-    count = len(undecided(summary).frame)
-    more = f"{counted(count, 'undecided difference')}: the report says what would decide each."
+    count = len(list_undecided(summary).frame)
+    more = f"{count_things(count, 'undecided difference')}: the report says what would decide each."
     below = ((answer(summary), WIDTH), (more if count else "", WIDTH), (own.caption, WIDTH))
     for text, width in ((own.about, needed), (shown, needed), *below):
         if text:
@@ -123,8 +123,8 @@ def _headline(results: Results) -> str:
         results.domain,
         results.solver,
         f"λ = {results.trade_off:g}",
-        f"{counted(results.config['traces'], 'trace')} × "
-        f"{counted(len(results.types.true), 'type')}",
+        f"{count_things(results.config['traces'], 'trace')} × "
+        f"{count_things(len(results.types.true), 'type')}",
         "" if users == "exact" else f"explainee={users}",
         _asks(results),
         f"seed {results.seed}",
@@ -156,7 +156,7 @@ def _bounds(bounds: Mapping[str, float]) -> list[str]:
     name."""
     if not bounds:
         return []
-    traces = counted(int(bounds["traces"]), "trace")
+    traces = count_things(int(bounds["traces"]), "trace")
     lines = [
         f"certificates, {traces}, discounted returns under the learned model:",
         f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; "

@@ -20,7 +20,7 @@ from matplotlib.patches import Rectangle
 from xplain.domains.base import Scene
 from xplain.experiment.results import EPISODES, Results
 from xplain.report.plots import COLOURS, STYLE, STYLES
-from xplain.report.table import counted
+from xplain.report.table import count_things
 
 Story = Mapping[str, Any]
 """One episode: a line of ``episodes.jsonl`` (:func:`xplain.experiment.results.episode_lines`)."""
@@ -59,7 +59,7 @@ def describe_choice(story: Story, episodes: int) -> str:
     """Describes which of a run's episodes :func:`typical` chose, and by which rule."""
     return (
         f"trace {story['trace']}, user of type {story['type']}: cost {story['cost']:g}, the median "
-        f"of {counted(episodes, 'episode')} (the first that costs this)"
+        f"of {count_things(episodes, 'episode')} (the first that costs this)"
     )
 
 
@@ -215,7 +215,7 @@ def _draw_steps(axes: Axes, story: Story, names: Sequence[str], caption: str) ->
     for mark, colour, label in marks:
         axes.plot([], [], mark, color=colour, markersize=8, label=label)
     axes.legend(fontsize=8.5, loc="upper left", bbox_to_anchor=(1.02, 1))
-    *said, labels = (counted(n, what) for what, n in counts.items() if n or what != "question")
+    *said, labels = (count_things(n, what) for what, n in counts.items() if n or what != "question")
     title = f"What the robot says to a user of type {story['type']}: {', '.join(said)}; {labels}"
     axes.annotate(title, (0, 1), (0, 24), textcoords="offset points", weight="bold", **CORNER)
     axes.annotate(caption, (0, 1), (0, 10), textcoords="offset points", color="#666666", **CORNER)

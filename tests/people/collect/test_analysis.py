@@ -18,7 +18,7 @@ from xplain.people.collect.asking import ATTENTION, CollectState, mean_posterior
 from xplain.people.collect.bot import Habits, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import (
-    compared,
+    count_agreement,
     dataset_of,
     expected_new,
     export,
@@ -47,7 +47,7 @@ def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
         replace(CollectState(), belief={str(held): 0.9, "none": 0.1}, stated=stated)
         for held, stated in ((3, (1, 1, 0, 0)), (3, (0, 1, 2, 0)), (0, (1, 0, 0, 0)))
     ]
-    found = compared(plan, [*people, CollectState()])
+    found = count_agreement(plan, [*people, CollectState()])
     bridge, market, school, tunnel = (found[fact.name] for fact in plan.facts)
     assert bridge == {"said": 2, "inferred": 2, "agree": 1, "of": 3}
     assert market == {"said": 2, "inferred": 2, "agree": 3, "of": 3}
@@ -59,7 +59,7 @@ def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
         replace(CollectState(), belief=unlike, stated=(0,) * 4),
         replace(CollectState(), belief=known, stated=(2,) * 4),
     ]
-    assert compared(plan, nobody) == {}
+    assert count_agreement(plan, nobody) == {}
 
 
 @pytest.mark.parametrize(("error", "doubtful"), [(0.0, False), (0.05, False), (0.45, True)])

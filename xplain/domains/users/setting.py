@@ -176,7 +176,7 @@ class Setting:
         model, optimal = self.models[0], self.optimal[0]
         made = optimal[:, :, None] & (model.probability > 0)
         states = self.domain.starts
-        made &= mdp.reached(states, model.n_states, lambda s: model.successor[s][made[s]])[
+        made &= mdp.find_reached(states, model.n_states, lambda s: model.successor[s][made[s]])[
             :, None, None
         ]
         s, a, k = np.nonzero(made)

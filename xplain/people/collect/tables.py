@@ -170,13 +170,13 @@ def glance(collection: Collection, people: People) -> dict[str, Any]:
         "finished": len(kept),
         "left_out": {why: left_out.count(why) for why in sorted({*left_out} - {""})},
         "found": found[key],
-        "compared": compared(plan, list(kept.values())),
+        "compared": count_agreement(plan, list(kept.values())),
         "facts": {fact.name: fact.message for fact in plan.facts},
         "planned": plan.rules.people,
     }
 
 
-def compared(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dict[str, int]]:
+def count_agreement(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dict[str, int]]:
     """Counts for each fact the people with an opinion at the end ("of"), those who said that they
     believed it incorrectly ("said"), those whose answers show it ("inferred"), and those for whom
     both agree ("agree")."""

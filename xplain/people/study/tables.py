@@ -266,7 +266,7 @@ def interaction(events: Sequence[Event]) -> Row:
     evaluated = [e for e in events if e.kind == "shown" and e.payload["stage"] in EVALUATING]
     labels = [e for e in events if e.kind == "labels" and e.source == "protocol"]
     if evaluated and labels:
-        (took, clock), away = measure_seconds(evaluated[0], labels[-1]), hidden(events)
+        (took, clock), away = measure_seconds(evaluated[0], labels[-1]), measure_hidden(events)
     visible = None if took is None or away is None else max(0.0, took - away)
     return {
         "interaction_time_s": took,
@@ -298,7 +298,7 @@ def pages(events: Sequence[Event]) -> list[Row]:
     return rows
 
 
-def hidden(events: Sequence[Event]) -> float | None:
+def measure_hidden(events: Sequence[Event]) -> float | None:
     """Seconds of the evaluation in which no page was visible; None if no page reported.
 
     Pages report when they become visible and when they are hidden (by another tab or window, or

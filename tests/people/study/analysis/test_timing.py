@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from xplain.people.flow import Event
-from xplain.people.study.tables import hidden, interaction, pages
+from xplain.people.study.tables import interaction, measure_hidden, pages
 
 
 def event(source: str, kind: str, at: float, number: int = 0, **payload: Any) -> Event:
@@ -86,7 +86,7 @@ def test_a_clock_that_was_set_back_gives_no_time_that_cannot_be() -> None:
     ],
 )
 def test_hidden_time_is_when_no_page_is_looked_at(reports: list[Event], away: float | None) -> None:
-    assert hidden(reports) == (None if away is None else pytest.approx(away))
+    assert measure_hidden(reports) == (None if away is None else pytest.approx(away))
     found = interaction([*LABELS, *reports])
     assert found["visible_time_s"] == (None if away is None else pytest.approx(100 - away))
 
@@ -96,13 +96,13 @@ def test_clocks_of_two_devices_need_not_agree() -> None:
     slow = [seen(0), gone(20)]
     for one in slow:
         one.payload["at"] -= 600_000
-    assert hidden([*slow, seen(80, "b"), seen(90, "c", "quiz")]) == pytest.approx(60)
+    assert measure_hidden([*slow, seen(80, "b"), seen(90, "c", "quiz")]) == pytest.approx(60)
 
 
 def test_a_device_that_sleeps_is_not_looked_at() -> None:
     """Its wall clock goes on, the page's own clock stands still."""
     woke = event("tab:a", "active", 50, what="")._replace(browser=10_000.0)
-    assert hidden([seen(0), woke, seen(101, "c", "quiz")]) == pytest.approx(40)
+    assert measure_hidden([seen(0), woke, seen(101, "c", "quiz")]) == pytest.approx(40)
 
 
 def test_every_page_has_its_place_and_the_time_until_its_answer() -> None:
