@@ -1,17 +1,17 @@
 """Measures what well-chosen questions save: labels, and costs of explanations.
 
-    python benchmarks/questions.py identify      questions until it is known what one believes
-    incorrectly python benchmarks/questions.py grid          labels × design × labeler × errors →
-    types, costs python benchmarks/questions.py people        people who are not as assumed
-    (people.py) python benchmarks/questions.py labels        how many of their labels differ, by
-    kind python benchmarks/questions.py plot          the pictures, from the rows python
-    benchmarks/questions.py speed         how long a choice of a question takes python
-    benchmarks/questions.py --quick       a little of each, nothing written
+    python benchmarks/questions.py identify      questions until incorrect beliefs are known
+    python benchmarks/questions.py grid          labels × design × labeler × errors → types, costs
+    python benchmarks/questions.py people        people who are not as assumed (people.py)
+    python benchmarks/questions.py labels        how many of their labels differ, by kind
+    python benchmarks/questions.py plot          the pictures, from the rows
+    python benchmarks/questions.py speed         time to choose a question
+    python benchmarks/questions.py --quick       a little of each, nothing written
 
 Each seed has both domains and two random maps, on which nothing was tuned: a rescue map all of
-    whose cells are starts, and a four-rooms map with random goals, penalties and incorrect beliefs.
-    The seed draws two to five types, with three observers each. QMDP explains at λ = 1; costs are
-    means over traces and types.
+whose cells are starts, and a four-rooms map with random goals, penalties and incorrect beliefs. The
+seed draws two to five types, with three observers each. QMDP explains at λ = 1; costs are means
+over traces and types.
 
 Results go to benchmarks/results/. If a part runs with some options only, all other rows of its
 table stay, with the day of their measurement. Rows of the grid are saved one by one in

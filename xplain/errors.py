@@ -74,8 +74,8 @@ def first_line(error: BaseException) -> str:
 
 @contextmanager
 def left_at_once() -> Iterator[None]:
-    """A context for imports. In it Ctrl-C ends the process with one line; otherwise a library would
-    replace the interruption by another error, or Python would print a traceback."""
+    """A context for imports, in which Ctrl-C ends the process with one line. Without it a library
+    may replace the interruption by another error, or Python prints a traceback."""
 
     def leave(*_: object) -> None:
         print("xplain: interrupted", file=sys.stderr, flush=True)

@@ -42,7 +42,7 @@ def clustered_ratio(
     """Ratio of two means of numbers ≥ 0, measured on the same episodes.
 
     The interval is the linearised one: the quantity R + (a − R b) / mean(b) has the mean R and, in
-        large samples, the variance of the ratio. The interval is cut at 0.
+    large samples, the variance of the ratio. The interval is cut at 0.
 
     Args:
         above, below: [E]; the mean of ``below`` is above 0.

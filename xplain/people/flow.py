@@ -7,7 +7,7 @@ same events give the same states, and the replay checks this. A stage has one pa
 gives the next state.
 
 From every stage a participant may come to an end: declined, withdrawn, timed_out, and the flow's
-    own ends. After timed_out they may return to their stage.
+own ends. After timed_out they may return to their stage.
 """
 
 from __future__ import annotations

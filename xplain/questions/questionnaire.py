@@ -3,11 +3,10 @@
     Hypotheses ── Questionnaire ── next() / answer(label) ── … ── done, posterior
 
 Each question has the largest expected information about three unknowns: the facts that the person
-    believes incorrectly, their values (the variant of the hypotheses), and whether any hypothesis
-    fits. That is the largest mutual information under the current posterior (Lindley 1956; adaptive
-    design optimisation; computerised adaptive tests). The variant is included, because labels
-    depend on it and explanations depend on the
-labels: docs/what-to-ask.md.
+believes incorrectly, their values (the variant of the hypotheses), and whether any hypothesis fits.
+That is the largest mutual information under the current posterior (Lindley 1956; adaptive design
+optimisation; computerised adaptive tests). The variant is included, because labels depend on it and
+explanations depend on the labels: docs/what-to-ask.md.
 """
 
 from __future__ import annotations

@@ -440,8 +440,8 @@ def regret_csv(summary: Summary) -> str:
     """One row for each combination of the swept values, never pooled; six decimals.
 
     Columns: ``solver``, ``lambda``, every other swept key by its full name; then for each measure
-        the mean, the low and high end of the 95 % interval, and n, the number of seeds (with one
-        seed: traces).
+    the mean, the low and high end of the 95 % interval, and n, the number of seeds (with one seed:
+    traces).
     """
     keys = [*dict.fromkeys(["solver", "lambda", *summary.keys])]
     asks = summary.episodes["questions"].any()

@@ -555,8 +555,8 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
 @njit(nogil=True)
 def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-untyped-def]
     """Lists the sets of messages that may be optimal at a place for some belief. A set is left out
-    if in no state its upper bound exceeds the lower bound of giving nothing, or of giving the set
-    without one message. Returns False if the store is full."""
+    if, in every state, its upper bound is at most the lower bound of giving nothing, or of giving
+    the set without one message. Returns False if the store is full."""
     states, all_sets = store.belief.shape[1], len(tables.price)
     begin, row = store.used[SETS], store.used[PLACES]
     free = (all_sets - 1) & ~given
