@@ -16,6 +16,7 @@ from xplain.people.collect.bot import Habits, Observer, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import Flow, S
+from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study, StudyState
 
@@ -88,3 +89,17 @@ def truth_of(plan: CollectPlan, people: int) -> NDArray[np.int64]:
     known = plan.hypotheses
     held = np.array([plan.roles[i % len(plan.roles)].held for i in range(people)])
     return known.essential[known.row(held)]
+
+
+def attend(store: Store, person: Bot[Any, Any], stream: str = "person") -> str:
+    """Somebody with a new invitation, without pages: to the end, or to the page where they leave.
+    Everything is stored that a server would store. Returns their id."""
+    flow, who = store.flow, store.enter_invited(store.invite(1, stream)[0])
+    state, text = flow.STATE(), flow.plan.texts.consent_hash
+    while not state.over and not person.leaves(page_of(flow.view(state))):
+        store.show(store.participant(who), state)
+        kind, payload = answer(flow, person, state)
+        if kind == "consent":
+            payload |= {"text": text}
+        state = store.submit(who, state.accepted, kind, payload)
+    return who

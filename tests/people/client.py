@@ -9,10 +9,22 @@ from http.cookies import SimpleCookie
 from typing import Any
 from urllib.parse import unquote, urlencode, urlsplit
 
+import anyio.to_thread
 from starlette.datastructures import Headers
 
 LOCAL = threading.local()
 """An event loop for each thread."""
+_in_a_thread = anyio.to_thread.run_sync
+
+
+async def _at_once(function: Any, *args: Any, **more: Any) -> Any:
+    """Calls a handler where a client waits for it: a thread for each takes as long as the rest."""
+    if hasattr(LOCAL, "runner"):
+        return function(*args)
+    return await _in_a_thread(function, *args, **more)
+
+
+anyio.to_thread.run_sync = _at_once
 
 
 class Reply:

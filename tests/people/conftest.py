@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fastapi import FastAPI
@@ -12,16 +14,30 @@ from tests.people.client import Client
 from tests.people.study.conftest import person as person
 from tests.people.study.conftest import study as study
 from tests.people.visitors import GENEROUS, Visitor
+from xplain.people.log import Clock
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
 from xplain.people.web import create_app
 
+Opened = Callable[..., Store]
+
 
 @pytest.fixture
-def store(tmp_path: Path, study: Study) -> Iterator[Store]:
-    opened = Store(tmp_path / "study.sqlite", study)
-    yield opened
-    opened.close()
+def opened(tmp_path: Path) -> Iterator[Opened]:
+    """Opens stores of flows, which are closed at the end."""
+    with ExitStack() as stores:
+
+        def make(flow: Any, clock: Clock | None = None, name: str = "s") -> Store:
+            store = Store(tmp_path / f"{name}.sqlite", flow, clock)
+            stores.callback(store.close)
+            return store
+
+        yield make
+
+
+@pytest.fixture
+def store(opened: Opened, study: Study) -> Store:
+    return opened(study)
 
 
 @pytest.fixture

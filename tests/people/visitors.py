@@ -12,6 +12,7 @@ from xplain.people.export import find_differences
 from xplain.people.server import Server
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
+from xplain.people.web import create_app
 
 GENEROUS = Server(("invitation", "open"), burst=1e9, visitor_burst=1e9, blinded=False)
 
@@ -29,6 +30,11 @@ class Visitor(Browser):
         reply = self.client.open(path, method=method, data=fields, follow_redirects=True)
         return reply.status_code, reply.text
 
+    def answer(self, page: Page, *fields: tuple[str, str]) -> tuple[int, str, Page]:
+        """Answers a page. Returns the status, the next page's text, and the page."""
+        status, html = self.post("/study", [*page.hidden.items(), *fields])
+        return status, html, Page.of_html(html)
+
 
 def field(html: str, name: str) -> str:
     """The value of a hidden field."""
@@ -44,6 +50,12 @@ def enter(visitor: Visitor, invitation: str) -> str:
     status, html = visitor.post("/enter", fields)
     assert status == 200
     return html
+
+
+def arrive(store: Store, server: Server = GENEROUS, stream: str = "person") -> tuple[Visitor, Page]:
+    """Somebody with a new invitation and a new browser, at the consent."""
+    visitor = Visitor(Client(create_app(store, server)))
+    return visitor, Page.of_html(enter(visitor, store.invite(1, stream)[0]))
 
 
 def consent(store: Store, who: str) -> Any:

@@ -1,9 +1,9 @@
-"""A service in a thread whose replies may be lost, and its task."""
+"""A service, called directly or in a thread, whose replies may be lost, and what it serves."""
 
 from __future__ import annotations
 
+import json
 import random
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import requests
 import uvicorn
 
+from tests.people.client import Client, Reply
+from tests.people.server_process import free_port
 from xplain.experiment.config import compose_config
 from xplain.people.service.app import create_app
 from xplain.people.service.served import Served, make_served
@@ -32,10 +33,24 @@ def talks(task: Served, tmp_path: Path) -> Iterator[Talks]:
     opened.close()
 
 
-def free_port() -> int:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        return int(taken.getsockname()[1])
+class Direct:
+    """The service without a network; ``lose`` of the replies are lost on their way."""
+
+    def __init__(self, talks: Talks, **settings: Any) -> None:
+        self.client, self.lose = Client(create_app(talks, **settings)), 0.0
+        self.draw = random.Random(0)
+
+    def send(self, method: str, path: str, data: Any = None, **headers: str) -> Reply:
+        reply = self.client.open(f"/{path}", method=method, data=data, headers=headers)
+        if self.draw.random() < self.lose:
+            reply.status_code = 502
+        return reply
+
+    def get(self, path: str) -> Reply:
+        return self.send("GET", path)
+
+    def post(self, path: str, **content: Any) -> Reply:
+        return self.send("POST", path, json.dumps(content))
 
 
 class Running:
@@ -63,12 +78,14 @@ class Running:
         self.server.should_exit = True
         self.thread.join()
 
-    def post(self, path: str, **content: Any) -> requests.Response:
-        return requests.post(f"{self.url}/{path}", json=content, timeout=20)
+
+@pytest.fixture
+def service(talks: Talks) -> Direct:
+    return Direct(talks, origins=["https://lab.example.org", "null"])
 
 
 @pytest.fixture
 def running(talks: Talks) -> Iterator[Running]:
-    service = Running(talks, origins=["https://lab.example.org", "null"])
-    yield service
-    service.stop()
+    started = Running(talks)
+    yield started
+    started.stop()

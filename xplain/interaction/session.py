@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,6 +134,13 @@ class Session:
         self._expected_steps = expected_steps
         self._clips = clips
         self._talk = begin(self._trace, ())
+
+    def anew(self) -> Session:
+        """Begins to explain the same trace to another person. Both share its plan, whose decisions
+        must not be computed in two threads at once."""
+        other = copy(self)
+        other._talk = self._talk.at(0)
+        return other
 
     @property
     def trace(self) -> tuple[Any, ...]:

@@ -1,5 +1,4 @@
-"""Ways to enter: signed links, browsers without cookies, a server below a path; and the server's
-health."""
+"""Who comes in: invitations, platforms, signed links, a server below a path, its health."""
 
 from __future__ import annotations
 
@@ -7,6 +6,7 @@ import time
 from collections import namedtuple
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jwt
@@ -14,10 +14,12 @@ import pandas as pd
 import pytest
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
+from starlette.requests import Request
 
 from tests.people.client import Client
+from tests.people.conftest import Opened
 from tests.people.study.stand_in import street_study
-from tests.people.visitors import GENEROUS, Visitor, enter, field
+from tests.people.visitors import GENEROUS, Visitor, arrive, consent, enter, field
 from xplain.errors import InputError
 from xplain.people import web as application
 from xplain.people.bots import Page
@@ -25,6 +27,7 @@ from xplain.people.export import write_identifiers
 from xplain.people.log import backup
 from xplain.people.plan import make_typed
 from xplain.people.server import Server
+from xplain.people.site import Site, Visit, direction
 from xplain.people.store import Store
 from xplain.people.study.tables import export
 from xplain.people.web import create_app
@@ -32,31 +35,76 @@ from xplain.people.web import create_app
 SECRET = "s" * 40
 IDS = {"PROLIFIC_PID": "ann", "STUDY_ID": "s", "SESSION_ID": "x"}
 ADDRESS = "https://lab.example.org/robots"
+PLATFORM = replace(GENEROUS, entry=("platform",), studies=("s",))
+OF_LINK = "PROLIFIC_PID=a&STUDY_ID=s&SESSION_ID=x"
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Any:
-    opened = Store(tmp_path / "s.sqlite", street_study())
-    yield opened
-    opened.close()
-
-
-def comes(store: Store, server: Server, token: str) -> int:
-    """The status of somebody who opens a link with a signed token, and presses the button."""
+def comes(store: Store, server: Server, query: str = OF_LINK, **changed: str) -> int:
+    """Opens a link, and presses the button that its page has, with other values."""
     client = Client(create_app(store, server))
-    form = client.get(f"{server.path}/?signed={token}").text
-    sent = {"token": field(form, "token"), "id_signed": token}
-    return client.post(f"{server.path}/enter", data=sent).status_code
+    form = Page.of_html(client.get(f"{server.path}/?{query}").text)
+    return client.post(f"{server.path}/enter", data={**form.hidden, **changed}).status_code
+
+
+def signed(folder: Path, key: bytes, **more: Any) -> Server:
+    (folder / "key").write_bytes(key)
+    return replace(GENEROUS, entry=("signed",), signed_by=str(folder / "key"), **more)
+
+
+def test_entry_is_as_configured(store: Store) -> None:
+    platform = Client(create_app(store, PLATFORM))
+    html = platform.get("/").text
+    assert 'name="invitation"' not in html
+    assert "<button>Begin" not in html  # a link without ids lets nobody in
+    token, (invitation,) = field(html, "token"), store.invite(1, "person")
+    ids = {f"id_{name}": value for name, value in IDS.items()}
+    refused = ({"invitation": invitation}, {}, {"invitation": ""}, ids | {"token": ""})
+    wrong = ({"id_PROLIFIC_PID": "p" * 101}, {"id_PROLIFIC_PID": ""}, {"id_SESSION_ID": ""})
+    for data in (*refused, *(ids | one for one in wrong)):
+        assert platform.post("/enter", data={"token": token} | data).status_code == 403, data
+    assert platform.post("/enter", data=ids | {"token": token}).status_code == 303
+    for settings, key in (
+        ({"entry": ["anybody"]}, "entry"),
+        ({"entry": ["platform", "open"], "studies": ["ours"]}, "entry"),  # a paid person's pilot
+        ({"entry": ["signed"]}, "signed_by"),
+        ({"entri": ["invitation"]}, "entri"),
+        ({"codes": {"screendout": "S1"}}, "codes"),
+    ):
+        with pytest.raises(InputError, match=rf"server\.{key}"):
+            make_typed(Server, "server", settings)
+
+
+def test_an_id_is_a_person_however_it_is_written(store: Store) -> None:
+    for person in ("5f01", "5f01%20", "%095f01"):
+        assert comes(store, PLATFORM, f"PROLIFIC_PID={person}&STUDY_ID=s") == 403
+        assert comes(store, PLATFORM, f"PROLIFIC_PID={person}&STUDY_ID=s&SESSION_ID=x") == 303
+    for person in ("a\0b", "a\x1bb", "a\u202eb", "a\nb"):  # no table can hold these
+        assert comes(store, PLATFORM, id_PROLIFIC_PID=person) == 403
+    for name in ("token", "invitation", "kind"):  # as the forms' own fields are called
+        server = replace(PLATFORM, id_names=(name, "STUDY_ID"))
+        assert comes(store, server, f"{name}=5f01&STUDY_ID=s") == 303
+    assert len(store.people) == 1
+
+
+def test_a_list_of_ids_lets_nobody_else_in(store: Store, tmp_path: Path) -> None:
+    """Any platform that tells an id in its address; the file is read when somebody comes."""
+    file = tmp_path / "ids.txt"
+    file.write_bytes("\ufeffann \r\nbert lee\n\n".encode())
+    server = Server(entry=("platform",), id_names=("code",), ids=str(file))
+    came = ("ann", "made%20up", "", "ann", "carl", "bert%20lee")
+    expected = [303, 403, 403, 303, 403, 303]
+    assert [comes(store, server, f"code={who}") for who in came] == expected
+    file.write_text("ann\ncarl\n")
+    assert comes(store, server, "code=carl") == 303
+    assert len(store.people) == 3
+    for key, wrong in (("ids", "nowhere"), ("studies", ("s",)), ("id_names", ())):
+        with pytest.raises(ValueError, match=rf"server\.{key}"):
+            replace(server, **{key: wrong})
 
 
 def test_ids_that_nobody_signed_let_nobody_in(store: Store, tmp_path: Path) -> None:
-    file = tmp_path / "key"
-    file.write_text(SECRET)
-    server = replace(
-        GENEROUS, entry=("signed",), signed_by=str(file), signed_name="signed", address=ADDRESS
-    )
-    later = int(time.time()) + 600
-    good = {**IDS, "exp": later, "aud": "https://lab.example.org"}
+    server = signed(tmp_path, SECRET.encode(), signed_name="signed", address=ADDRESS)
+    good = {**IDS, "exp": int(time.time()) + 600, "aud": "https://lab.example.org"}
     wrong = [
         jwt.encode(good, "t" * 40, "HS256"),
         jwt.encode(good, None, "none"),
@@ -67,10 +115,13 @@ def test_ids_that_nobody_signed_let_nobody_in(store: Store, tmp_path: Path) -> N
         "no token",
         "",
     ]
-    assert [comes(store, server, token) for token in wrong] == [403] * len(wrong)
-    assert comes(store, server, jwt.encode(good, SECRET, "HS256")) == 303
-    assert comes(store, server, jwt.encode(good, SECRET, "HS256")) == 303
+    tokens = [*wrong, *[jwt.encode(good, SECRET, "HS256")] * 2]
+    assert [comes(store, server, f"signed={one}") for one in tokens] == [403] * 8 + [303] * 2
     assert len(store.people) == 1
+    # No other setting is needed.
+    plain = signed(tmp_path, SECRET.encode())
+    token = jwt.encode({**IDS, "exp": 1 << 33}, SECRET, "HS256")
+    assert comes(store, plain, f"{plain.signed_name}={token}") == 303
 
 
 def test_a_platform_signs_with_a_key_of_which_the_lab_has_the_public_half(
@@ -80,59 +131,47 @@ def test_a_platform_signs_with_a_key_of_which_the_lab_has_the_public_half(
     public = pair.public_key().public_bytes(
         serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo
     )
-    (tmp_path / "key.pem").write_bytes(public)
-    key = jwt.algorithms.RSAAlgorithm.to_jwk(pair.public_key(), as_dict=True)
-    jwks = jwt.PyJWKSet([key | {"alg": "RS256", "use": "sig", "kid": "1"}])
-    assert jwks.keys
-    server = replace(
-        GENEROUS, entry=("signed",), signed_by=str(tmp_path / "key.pem"), signed_name="signed"
-    )
+    server = signed(tmp_path, public, signed_name="signed")
     claims = {"prolific": IDS, "exp": int(time.time()) + 600}
-    assert comes(store, server, jwt.encode(claims, pair, "RS256")) == 303
-    # The public half is known to everybody: it must not pass for a secret.
-    with pytest.raises(jwt.InvalidKeyError):
-        jwt.encode(claims, public, "HS256")
-    forged = jwt.encode(claims, "x" * 40, "HS256")
-    assert comes(store, server, forged) == 403
-
-
-def test_a_paid_person_never_becomes_a_pilot_by_a_wrong_link() -> None:
-    with pytest.raises(InputError, match=r"server\.entry"):
-        make_typed(Server, "server", {"entry": ["platform", "open"], "studies": ["ours"]})
-    with pytest.raises(InputError, match=r"server\.signed_by"):
-        make_typed(Server, "server", {"entry": ["signed"]})
-    with pytest.raises(InputError, match=r"server\.entri"):
-        make_typed(Server, "server", {"entri": ["invitation"]})
+    assert comes(store, server, f"signed={jwt.encode(claims, pair, 'RS256')}") == 303
+    assert comes(store, server, f"signed={jwt.encode(claims, 'x' * 40, 'HS256')}") == 403
 
 
 def test_a_browser_without_cookies_is_told_so(store: Store) -> None:
     client = Client(create_app(store, GENEROUS), cookies=False)
-    form = client.get("/").text
-    reply = client.post("/enter", data={"token": field(form, "token")})
+    reply = client.post("/enter", data={"token": field(client.get("/").text, "token")})
     assert reply.status_code == 403
     assert "cookies" in reply.text
 
 
-def test_an_invitation_with_the_full_stop_of_a_sentence_is_found(store: Store) -> None:
-    made = store.invite(200, "person")
+def test_an_invitation_is_found_however_it_was_copied(store: Store) -> None:
+    app, made = create_app(store, GENEROUS), store.invite(200, "person")
     assert all(one.isalpha() for one in made)
-    visitor = Visitor(Client(create_app(store, GENEROUS)))
-    assert Page.of_html(enter(visitor, f"{made[0]}.")).stage == "consent"
+    token = made[0]
+    blanks = (f"{token}\u200b", f" {token}»", f"{token[:9]} {token[9:]}")
+    for copied in (f"{token}.", token.lower(), *blanks):
+        assert Page.of_html(enter(Visitor(Client(app)), copied)).stage == "consent"
+    assert len(store.people) == 1
 
 
 @pytest.mark.parametrize("given", ["/robots", ""])
 def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -> None:
-    """The proxy in front may remove the path or keep it."""
+    """Whether the proxy in front takes the path off or not."""
     client = Client(create_app(store, replace(GENEROUS, address=ADDRESS, https=False)))
     entrance = client.get(f"{given}/?invitation=x", headers={"X-Forwarded-Prefix": "/robots"})
     assert 'action="/robots/enter"' in entrance.text
     assert 'href="/robots/static/study.css"' in entrance.text
     assert client.get(f"{given}/static/study.css").status_code == 200
     assert "Path=/robots/" in entrance.headers["Set-Cookie"]
-    (token,) = store.invite(1, "person")
-    sent = {"token": field(entrance.text, "token"), "invitation": token}
+    sent = {"token": field(entrance.text, "token"), "invitation": store.invite(1, "person")[0]}
     reply = client.post("/robots/enter", data=sent, base_url="http://localhost")
     assert reply.headers["Location"] == "/robots/study"
+    # Monitors ask for the head alone, and a path may end in a slash.
+    for path in ("/alive", "/", ""):
+        assert client.open(f"{given}{path}", method="HEAD").status_code == 200
+    for path in ("/researcher/", "/alive/", "/"):
+        assert client.get(f"{given}{path}").status_code == 200
+    assert client.get(f"{given}/static/../../../etc/passwd").status_code == 404
 
 
 def test_a_full_disk_is_no_good_health(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,22 +205,27 @@ def test_nothing_in_the_data_says_who_is_who_but_a_file_apart(store: Store, tmp_
     assert found == {"participant": who, "completion_code": one.identity["code"], **IDS}
 
 
-def test_a_backup_is_made_while_the_server_runs(store: Store, tmp_path: Path) -> None:
-    (token,) = store.invite(1, "person")
-    who = store.enter_invited(token)
-    backup(store.path, tmp_path / "backup.sqlite")
+def test_after_a_backup_is_restored_nobody_is_lost(
+    store: Store, opened: Opened, tmp_path: Path
+) -> None:
+    """A page is open that the restored server never gave out: its answer is refused, and the page
+    shown that the server knows."""
+    visitor, page = arrive(store)
+    backup(store.path, tmp_path / "b.sqlite")  # while the server runs
     with pytest.raises(InputError, match="a new file"):
-        backup(store.path, tmp_path / "backup.sqlite")
-    restored = Store(tmp_path / "backup.sqlite", store.flow)
-    assert restored.enter_invited(token) == who  # by the key, which came along
-    restored.close()
+        backup(store.path, tmp_path / "b.sqlite")
+    _, _, shown = visitor.answer(page, ("agree", "1"))
+    restored = opened(store.flow, name="b")
+    visitor.client.app = create_app(restored, GENEROUS)
+    status, _, again = visitor.answer(shown)
+    assert (status, again.stage) == (409, "consent")
+    assert visitor.answer(again, ("agree", "1"))[2].stage == "briefing"
 
 
-def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(tmp_path: Path) -> None:
+def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(opened: Opened) -> None:
     study = street_study()
     texts = replace(study.plan.texts, consent=("Responsible: [EDIT: your institution].",))
-    unedited = replace(study, plan=replace(study.plan, texts=texts))
-    store = Store(tmp_path / "s.sqlite", unedited)
+    store = opened(replace(study, plan=replace(study.plan, texts=texts)))
     for server, host, status in (
         (GENEROUS, "https://lab.example.org", 403),
         (GENEROUS, "http://localhost", 303),
@@ -191,7 +235,6 @@ def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(tmp_path: 
         token = field(client.get("/", base_url=host).text, "token")
         sent = {"token": token, "invitation": store.invite(1, "pilot")[0]}
         assert client.post("/enter", data=sent, base_url=host).status_code == status
-    store.close()
 
 
 def test_pictures_and_consent_are_for_participants(store: Store) -> None:
@@ -200,26 +243,62 @@ def test_pictures_and_consent_are_for_participants(store: Store) -> None:
         assert client.get(path).status_code == 403
 
 
-def test_an_answer_to_a_page_that_was_not_shown_is_refused(store: Store) -> None:
-    client = Client(create_app(store, GENEROUS))
-    visitor = Visitor(client)
-    page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
-    agreed = [*page.hidden.items(), ("agree", "1")]
-    assert client.post("/study", data=dict(agreed)).status_code == 303  # and is not followed
-    unseen = {**page.hidden, "kind": "read", "sequence": "1"}
-    assert client.post("/study", data=unseen).status_code == 409
-    assert Page.of_html(visitor.get("/study")[1]).stage == "briefing"
-    assert client.post("/study", data=unseen).status_code == 303
-
-
-def test_two_studies_on_one_host_share_a_browser(store: Store, tmp_path: Path) -> None:
-    """Ports share cookies: the cookies of one study do not affect the participant of the other."""
-    other = Store(tmp_path / "other.sqlite", street_study())
-    one, two = (Visitor(Client(create_app(own, GENEROUS))) for own in (store, other))
+def test_two_studies_on_one_host_share_a_browser(store: Store, opened: Opened) -> None:
+    """Ports share cookies: those of one study leave the participant of the other where they are."""
+    (one, page), other = arrive(store), opened(street_study(), name="other")
+    two = Visitor(Client(create_app(other, GENEROUS)))
     two.client.cookies = one.client.cookies
-    page = Page.of_html(enter(one, store.invite(1, "person")[0]))
     enter(two, other.invite(1, "person")[0])
-    status, html = one.post("/study", [*page.hidden.items(), ("agree", "1")])
-    assert (status, Page.of_html(html).stage) == (200, "briefing")
+    status, _, after = one.answer(page, ("agree", "1"))
+    assert (status, after.stage) == (200, "briefing")
     assert Page.of_html(two.get("/study")[1]).stage == "consent"
-    other.close()
+
+
+def test_a_platform_gets_its_id_back_and_a_code_for_each_end(store: Store) -> None:
+    back = "https://example.org/credit?who={id}&code={code}"
+    with pytest.raises(ValueError, match=r"server\.completion_url"):
+        Server(completion_url=back)
+    server = replace(GENEROUS, keep_ids=True, completion_url=back, completion_code="C0DE")
+    found = store.participant(store.enter_from_platform(IDS | {"PROLIFIC_PID": "a&b"}, keep=True))
+    assert (
+        Site(store, server).back(found, "C0DE") == "https://example.org/credit?who=a%26b&code=C0DE"
+    )
+    for token in store.invite(len(store.flow.plan.cells) * 2, "person"):
+        consent(store, store.enter_invited(token))
+    for codes, code in (({}, ""), ({"full": "FULL1"}, "FULL1")):
+        visitor, page = arrive(store, replace(GENEROUS, codes=codes))
+        status, html, _ = visitor.answer(page, ("agree", "1"))
+        assert status == 503
+        assert "There is no free place" in html
+        assert ("FULL1" in html) == bool(code)
+
+
+@pytest.mark.parametrize(
+    ("language", "expected"),
+    [
+        *(("he_IL", "rtl"), ("AR", "rtl"), ("az-Arab-IR", "rtl"), ("iw", "rtl")),
+        *(("ar-Latn", "ltr"), ("en_GB", "ltr"), ("zh-Hant-TW", "ltr"), ("arn", "ltr")),
+    ],
+)
+def test_a_script_decides_the_direction_then_the_language(language: str, expected: str) -> None:
+    assert direction(language) == expected
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "same"),
+    [
+        ("192.0.2.1:40001", "192.0.2.1:40002", True),
+        ("[2001:db8::1]:443", "2001:db8::2", True),
+        ("2001:db8::1", "2001:db8:0:1::1", False),
+        ("192.0.2.1", "192.0.2.2", False),
+        ("unknown", "_hidden", False),
+    ],
+)
+def test_limits_are_by_person_whatever_the_proxy_writes(one: str, two: str, same: bool) -> None:
+    site: Any = SimpleNamespace(server=replace(GENEROUS, proxies=1))
+
+    def address(hop: str) -> str:
+        headers = [(b"x-forwarded-for", f"192.0.2.9, {hop}".encode())]
+        return Visit(site, Request({"type": "http", "headers": headers})).address
+
+    assert (address(one) == address(two)) == same

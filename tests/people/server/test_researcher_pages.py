@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import re
+import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from fastapi import FastAPI
 
 from tests.people.client import Client
-from tests.people.study.stand_in import street_study
-from tests.people.visitors import GENEROUS, consent, field
+from tests.people.collect.stand_in import street_collection
+from tests.people.conftest import Opened
+from tests.people.kinds import bot_of
+from tests.people.study.stand_in import PLACES
+from tests.people.visitors import GENEROUS, Visitor, consent, field
 from xplain.errors import Refused
+from xplain.people.bots import visit
 from xplain.people.log import Clock
 from xplain.people.server import Keys
 from xplain.people.store import Store, Unknown
+from xplain.people.study.flow import Study
 from xplain.people.web import create_app
+from xplain.runs.discovery import sentences_of
 
 
 def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> None:
@@ -57,26 +64,28 @@ def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> Non
     assert "at a glance" not in client.get("/researcher").text
 
 
+def overview(client: Client, store: Store) -> str:
+    """The page of a researcher who has logged in."""
+    client.post("/researcher/login", data={"key": Keys(store.secret).researcher})
+    return client.get("/researcher").text
+
+
 def logged_in(client: Client, store: Store) -> str:
     """The token of the researcher's forms."""
-    client.post("/researcher/login", data={"key": Keys(store.secret).researcher})
-    return field(client.get("/researcher").text, "token")
+    return field(overview(client, store), "token")
 
 
 def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
     store: Store, client: Client
 ) -> None:
     state = consent(store, store.enter_invited(store.invite(1, "person")[0]))
-    logged_in(client, store)
     names = [role.name for role in store.flow.plan.roles]
     hidden = {"Type": names[state.user_type], "Condition": state.condition}
     assert store.flow.about(state, blinded=False) == store.flow.about(state, True) | hidden
     assert hidden.keys().isdisjoint(store.flow.about(state, blinded=True))
     cell = re.compile(rf"<td>({'|'.join([*names, 'personalized', 'conformant'])})</td>")
-    assert cell.search(client.get("/researcher").text)
-    blind = Client(create_app(store, replace(GENEROUS, blinded=True)))
-    logged_in(blind, store)
-    html = blind.get("/researcher").text
+    assert cell.search(overview(client, store))
+    html = overview(Client(create_app(store, replace(GENEROUS, blinded=True))), store)
     assert "at a glance" in html
     assert not cell.search(html)
 
@@ -86,14 +95,8 @@ def test_links_come_from_the_configured_address_not_from_the_request(store: Stor
     client = Client(app)
     token = logged_in(client, store)
     good = {"token": token, "count": "1", "stream": "person"}
-    made = client.post("/researcher/invitations", data=good)
-    held, _ = client.cookies[f"researcher_{Keys(store.secret).mark}"]
-    headers = {
-        "Host": "evil.example.com",
-        "Cookie": f"researcher_{Keys(store.secret).mark}={held}",
-    }
-    visitor = Client(app, cookies=False)  # which sends the header as it is
-    html = visitor.get(made.headers["Location"], headers=headers).text
+    made = client.post("/researcher/invitations", data=good).headers["Location"]
+    html = client.get(made, base_url="http://evil.example.com").text
     assert "https://study.example.org/?invitation=" in html
     assert "evil" not in html
 
@@ -139,10 +142,10 @@ def test_the_researcher_erases_who_asks_for_it(store: Store, client: Client) -> 
         store.participant(who)
 
 
-def test_looking_writes_nothing(tmp_path: Path) -> None:
-    """Time-outs of silent participants are not written, either."""
+def test_looking_writes_nothing(opened: Opened, study: Study) -> None:
+    """Also not that somebody has been silent for too long."""
     now = [1000.0]
-    store = Store(tmp_path / "s.sqlite", street_study(), Clock(lambda: now[0], lambda: now[0], "b"))
+    store = opened(study, Clock(lambda: now[0], lambda: now[0], "b"))
     client = Client(create_app(store, GENEROUS))
     consent(store, store.enter_invited(store.invite(1, "person")[0]))
     logged_in(client, store)
@@ -151,4 +154,24 @@ def test_looking_writes_nothing(tmp_path: Path) -> None:
     for path in ("/researcher", "/", "/alive", "/study"):
         client.get(path)
     assert [*store.events()] == before
-    store.close()
+
+
+def test_the_researcher_sees_labels_types_and_what_more_people_bring(opened: Opened) -> None:
+    store = opened(street_collection())
+    client = Client(create_app(store, GENEROUS))
+    assert "Two people have to finish first" in overview(client, store)
+    app = create_app(store, GENEROUS)
+    for number, token in enumerate(store.invite(6, "person")):
+        visit(Visitor(Client(app)), bot_of(store.flow, 0, number), token)
+    html = overview(client, store)
+    assert "<strong>72</strong> labels" in html
+    assert "<strong>3</strong> types found" in html
+    for wrong in ("bridge, market", "market, school", "school, tunnel"):
+        assert f"<td>{wrong}</td>" in html
+    assert "another ten are expected to bring" in html
+    reply = client.post("/researcher/export", data={"token": field(html, "token")})
+    with zipfile.ZipFile(io.BytesIO(reply.data)) as archive:
+        names = ("labels.csv", "observers.csv", "clips.parquet", "events.csv")
+        assert {f"study/{name}" for name in names} <= {*archive.namelist()}
+        said = sentences_of(archive.extract("study/sentences.yaml", store.path.parent), PLACES)
+    assert said == {fact.name: fact.message for fact in store.flow.plan.facts}

@@ -1,4 +1,4 @@
-"""Cookies and tokens that only the server can make, and the limit of requests."""
+"""What every request passes through: signatures, limits, headers, errors that are pages."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from collections.abc import Callable
 from fastapi import FastAPI
 
 from tests.people.client import Client
-from tests.people.visitors import Visitor, enter, field
-from xplain.people.server import SESSION, Keys, RateLimit
+from tests.people.visitors import Visitor, arrive, enter, field
+from xplain.people.server import GUESSES, SESSION, Keys, RateLimit, Server
 from xplain.people.store import Store
+from xplain.people.web import create_app
 
 
 def test_nobody_can_be_somebody_else(
@@ -63,6 +64,64 @@ def test_a_bucket_fills_up_again_and_forgets_the_oldest() -> None:
     now[0] = 0.5
     assert [limit.allows("a") for _ in range(2)] == [True, False]
     limit.allows("b")
-    limit.allows("c")
-    assert len(limit._buckets) == 2
-    assert limit.allows("a")
+    limit.allows("c")  # no room is left for the first
+    assert [limit.allows("a") for _ in range(4)] == [True, True, True, False]
+
+
+def test_headers_keep_browsers_strict(client: Client, store: Store) -> None:
+    for path in ("/", "/study", "/nowhere", "/researcher", "/static/study.js"):
+        headers = client.get(path).headers
+        policy = headers["Content-Security-Policy"]
+        assert "unsafe" not in policy
+        assert "default-src 'none'" in policy
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert headers["X-Frame-Options"] == "DENY"
+        assert headers["Referrer-Policy"] == "no-referrer"
+        stored = headers["Cache-Control"]
+        assert stored == ("public, max-age=3600" if "static" in path else "no-store")
+    cookie = client.get("/").headers["Set-Cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=lax" in cookie
+    secure = Client(create_app(store, Server(https=True))).get("/")
+    assert "Secure" in secure.headers["Set-Cookie"]
+    assert "max-age" in secure.headers["Strict-Transport-Security"]
+
+
+def test_too_much_is_turned_away(store: Store) -> None:
+    visitor, page = arrive(store)
+    good, client, big = {**page.hidden}, visitor.client, "x" * 10_000_000
+    assert client.post("/study", data=good | {"agree": big}).status_code == 413
+    assert client.post("/events", data=big).status_code in (403, 413)
+    assert client.post("/enter", data={"invitation": big}).status_code == 413
+    many = {f"field{i}": "" for i in range(5000)}
+    assert client.post("/study", data=good | many).status_code in (400, 403, 413)
+    assert client.post("/events", data="[" * 60_000).status_code in (400, 403)
+    assert [one.state.accepted for one in store.present()] == [0]
+
+
+def test_requests_are_limited_by_participant_and_by_address(store: Store) -> None:
+    slow = {"requests_per_second": 1e-6, "visitors_per_second": 1e-6}
+    app, keys = create_app(store, Server(burst=20, visitor_burst=10, **slow)), Keys(store.secret)
+    client, other = Client(app), Client(app)
+    assert [client.get("/").status_code for _ in range(12)] == [200] * 10 + [429] * 2
+    assert client.get("/").headers["Retry-After"] == "5"
+    assert client.get("/static/study.css").status_code == 200
+    other.set_cookie(f"participant_{keys.mark}", keys.cookie(store.enter_as_pilot()))
+    assert other.get("/study").status_code == 200  # not held back by the crowd
+    assert {other.get("/study").status_code for _ in range(25)} == {200, 429}
+
+
+def test_wrong_keys_of_researchers_hold_nobody_back(store: Store) -> None:
+    app = create_app(store, Server(visitors_per_second=1e-6))
+    guesser, researcher, newcomer = (Client(app) for _ in range(3))
+    guesses = [guesser.post("/researcher/login", data={"key": f"{n}"}) for n in range(20)]
+    assert [reply.status_code for reply in guesses[:GUESSES]] == [403] * GUESSES
+    assert guesses[-1].status_code == 429
+    assert newcomer.get("/").status_code == 200
+    key = Keys(store.secret).researcher
+    reply = researcher.post("/researcher/login", data={"key": key}, follow_redirects=True)
+    assert (reply.status_code, "at a glance" in reply.text) == (200, True)
+    # A crowd at the address does not hold back who is logged in, either.
+    while newcomer.get("/").status_code == 200:
+        pass
+    assert researcher.get("/researcher").status_code == 200

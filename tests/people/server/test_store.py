@@ -1,5 +1,4 @@
-"""The store: answers are stored once, on the disk, for the right participant; conditions are
-balanced."""
+"""The store: once and only once, balanced, on the disk, nobody else's."""
 
 from __future__ import annotations
 
@@ -8,7 +7,7 @@ import json
 import sqlite3
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,23 +15,22 @@ import numpy as np
 import pytest
 from filelock import FileLock
 
-from tests.people.client import Client
+from tests.people.bare_flow import attend
+from tests.people.conftest import Opened
 from tests.people.server.test_fuzz import records
-from tests.people.study.stand_in import FAULTLESS, street_plan, street_study
-from tests.people.visitors import GENEROUS, Visitor, consent, differences, query
+from tests.people.study.stand_in import street_study
+from tests.people.visitors import consent, differences, query
 from xplain.errors import InputError, Refused, XplainError
-from xplain.people.bots import visit
 from xplain.people.flow import Conflict, Full
 from xplain.people.log import read_plan
 from xplain.people.store import MAX_TAB_EVENTS, Clock, Gone, Store, Unknown
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
-from xplain.people.web import create_app
 
 
 class Time:
-    """A clock that stands still until it is set."""
+    """A clock that stands still until it is told."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -47,17 +45,15 @@ def time() -> Time:
 
 
 def places(store: Store, own: str = "person") -> dict[int, str]:
-    """Returns the participants who have or have used the places of a stream."""
+    """Who holds or has used up which place of a stream."""
     people = [one for one in store.present() if one.stream == own]
     return {one.state.place: one.id for one in people if one.state.place is not None}
 
 
 @pytest.fixture
-def store(tmp_path: Path, study: Study, time: Time) -> Iterator[Store]:
-    """A store with a clock that the test sets."""
-    opened = Store(tmp_path / "s.sqlite", study, time.clock())
-    yield opened
-    opened.close()
+def store(opened: Opened, study: Study, time: Time) -> Store:
+    """One whose time is told."""
+    return opened(study, time.clock())
 
 
 def whole(store: Store) -> str:
@@ -69,75 +65,42 @@ def ids_of(person: str, study: str, session: str) -> dict[str, str]:
     return {"PROLIFIC_PID": person, "STUDY_ID": study, "SESSION_ID": session}
 
 
-def wrong_page(store: Store, who: str) -> None:
-    store.submit(who, 0, "labels", {"labels": [1]})
+PLATFORM = ids_of("P", "S", "X")
+REFUSALS: dict[str, Callable[[Store, str], object]] = {
+    "another page": lambda store, who: store.submit(who, 0, "labels", {"labels": [1]}),
+    "another number": lambda store, who: store.submit(who, 3, "read", {}),
+    "no choice": lambda store, who: store.submit(who, 0, "consent", {}),
+    # By then a place has been reserved, and silent participants have been timed out.
+    "another text": lambda store, who: store.submit(who, 0, "consent", {"agree": 1, "text": "x"}),
+    "nobody": lambda store, who: consent(store, "nobody"),
+    "no such invitation": lambda store, who: store.enter_invited("none"),
+    "another session": lambda store, who: store.enter_from_platform(
+        PLATFORM | {"SESSION_ID": "another"}, keep=True
+    ),
+    "too many events": lambda store, who: store.report(
+        who, "a" * 16, [(n, "visible", 1.0, {}) for n in range(MAX_TAB_EVENTS + 1)]
+    ),
+    "one event that cannot be kept": lambda store, who: store.report(
+        who, "a" * 16, [(0, "visible", 1.0, {}), (1, "visible", 2.0, {"at": {1}})]
+    ),
+}
 
 
-def wrong_sequence(store: Store, who: str) -> None:
-    store.submit(who, 3, "read", {})
-
-
-def no_choice(store: Store, who: str) -> None:
-    store.submit(who, 0, "consent", {})
-
-
-def another_consent_text(store: Store, who: str) -> None:
-    """By now a place has been reserved, and silent participants have been timed out."""
-    store.submit(who, 0, "consent", {"agree": 1, "text": "another"})
-
-
-def nobody(store: Store, who: str) -> None:
-    consent(store, "nobody")
-
-
-def no_such_invitation(store: Store, who: str) -> None:
-    store.enter_invited("none")
-
-
-def second_session(store: Store, who: str) -> None:
-    store.enter_from_platform(ids_of("P", "S", "another session"), keep=True)
-
-
-def too_many_events(store: Store, who: str) -> None:
-    store.report(who, "a" * 16, [(n, "visible", 1.0, {}) for n in range(MAX_TAB_EVENTS + 1)])
-
-
-def events_of_which_the_last_cannot_be_kept(store: Store, who: str) -> None:
-    store.report(who, "a" * 16, [(0, "visible", 1.0, {}), (1, "visible", 2.0, {"at": {1}})])
-
-
-@pytest.mark.parametrize(
-    "refused",
-    [
-        wrong_page,
-        wrong_sequence,
-        no_choice,
-        another_consent_text,
-        nobody,
-        no_such_invitation,
-        second_session,
-        too_many_events,
-        events_of_which_the_last_cannot_be_kept,
-    ],
-)
+@pytest.mark.parametrize("refused", REFUSALS)
 def test_a_refusal_leaves_the_database_as_it_was(
-    tmp_path: Path, study: Study, refused: Callable[[Store, str], None]
+    opened: Opened, study: Study, time: Time, refused: str
 ) -> None:
-    time = Time()
-    path = tmp_path / "s.sqlite"
-    store = Store(path, study, time.clock())
+    store = opened(study, time.clock())
     silent, who = (store.enter_invited(token) for token in store.invite(2, "person"))
     consent(store, silent)
-    consent(store, store.enter_from_platform(ids_of("P", "S", "X"), keep=True))
+    consent(store, store.enter_from_platform(PLATFORM, keep=True))
     time.now += 31 * 60
     before = whole(store)
     with pytest.raises((Refused, Unknown, TypeError)):
-        refused(store, who)
+        REFUSALS[refused](store, who)
     assert whole(store) == before
     store.close()
-    store = Store(path, study, time.clock())  # nor did anything reach the disk
-    assert whole(store) == before
-    store.close()
+    assert whole(opened(study, time.clock())) == before  # nor did anything reach the disk
 
 
 def test_the_same_answer_from_many_threads_counts_once(store: Store) -> None:
@@ -175,11 +138,11 @@ def test_only_completion_uses_a_place_up(store: Store, time: Time, study: Study)
     assert store.participant(everybody[0]).state.stage == "briefing"
 
 
-def test_who_sets_the_clock_times_nobody_out(tmp_path: Path, study: Study) -> None:
-    """The monotonic clock counts until the machine restarts, then the wall clock."""
-    wall, monotonic, path = [1e9], [50.0], tmp_path / "s.sqlite"
+def test_who_sets_the_clock_times_nobody_out(opened: Opened, study: Study) -> None:
+    """Within a boot of the machine the monotonic clock counts, and the wall clock after one."""
+    wall, monotonic = [1e9], [50.0]
     clock = Clock(lambda: wall[0], lambda: monotonic[0], "boot")
-    store = Store(path, study, clock)
+    store = opened(study, clock)
     who = store.enter_invited(store.invite(1, "person")[0])
     consent(store, who)
     for jump in (1e6, -2e6):
@@ -190,36 +153,27 @@ def test_who_sets_the_clock_times_nobody_out(tmp_path: Path, study: Study) -> No
     store.submit(who, 1, "return", {})
     store.close()
     monotonic[0] = 2.0
-    store = Store(path, study, replace(clock, boot="another"))
-    wall[0] += 1799
-    assert store.time_out_stale() == 0
-    wall[0] += 600
-    assert store.time_out_stale() == 1
-    store.close()
+    store = opened(study, replace(clock, boot="another"))
+    for seconds, expected in ((1799, 0), (600, 1)):
+        wall[0] += seconds
+        assert store.time_out_stale() == expected
 
 
-def test_cells_are_balanced_in_spite_of_drop_outs(tmp_path: Path) -> None:
-    study = street_study(
-        rules={"per_cell": 4, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
-    )
-    time = Time()
-    store = Store(tmp_path / "s.sqlite", study, time.clock())
-    app = create_app(store, GENEROUS)
-    stages: Counter[str] = Counter()
+def test_cells_are_balanced_in_spite_of_drop_outs(opened: Opened, time: Time) -> None:
+    rules = {"per_cell": 4, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
+    store, stages = opened(street_study(rules=rules), time.clock()), Counter[str]()
     for number in range(400):
         if stages["done"] == 24:
             break
-        habits = Habits(leaving=0.06, mistake=0.05)
-        person = StudyBot(study.plan, habits, np.random.default_rng(number))
-        token = store.invite(1, "person")[0]
-        stages[visit(Visitor(Client(app)), person, token)] += 1
+        rng = np.random.default_rng(number)
+        who = attend(store, StudyBot(store.flow.plan, Habits(leaving=0.06, mistake=0.05), rng))
+        stages[store.participant(who).state.stage] += 1
         time.now += 40 * 60  # whoever left has been silent for too long by now
     assert stages["done"] == 24
-    assert stages["left"] > 5
+    assert stages.total() > 24 + 5
     done = [one.state for one in store.present() if one.state.stage == "done"]
     cells = Counter((state.user_type, state.condition) for state in done)
-    assert cells == dict.fromkeys(study.plan.cells, 4)
-    store.close()
+    assert cells == dict.fromkeys(store.flow.plan.cells, 4)
 
 
 def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
@@ -241,16 +195,14 @@ def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
         "DELETE FROM event",
     ],
 )
-def test_the_log_only_grows(
-    store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot], sql: str
-) -> None:
-    visit(browser(), person(), store.invite(1, "bot")[0])
+def test_the_log_only_grows(store: Store, sql: str) -> None:
+    consent(store, store.enter_as_pilot())
     with pytest.raises(sqlite3.IntegrityError), store.changes():
         store._connection.execute(sql)
 
 
 def test_who_has_not_agreed_yet_is_never_timed_out(store: Store, time: Time, study: Study) -> None:
-    """A link stays valid after it was opened, or refused because the study was full."""
+    """A link that was opened, or refused at a full study, stays good."""
     places = len(study.plan.cells) * study.plan.rules.per_cell
     *first, late = (store.enter_invited(token) for token in store.invite(places + 1, "person"))
     for who in first:
@@ -303,13 +255,12 @@ def states_in_memory() -> set[str]:
     return {one.text for one in gc.get_objects() if isinstance(one, StudyState)}
 
 
-def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, study: Study) -> None:
-    path = tmp_path / "s.sqlite"
-    store = Store(path, study)
-    app = create_app(store, GENEROUS)
-    someone = [StudyBot(study.plan, FAULTLESS, np.random.default_rng(n)) for n in range(2)]
-    for person, token in zip(someone, store.invite(2, "person"), strict=True):
-        visit(Visitor(Client(app)), person, token)
+def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(
+    opened: Opened, study: Study, person: Callable[[int], StudyBot], tmp_path: Path
+) -> None:
+    store = opened(study)
+    for number in range(2):
+        attend(store, person(number))
     (gone, said), (kept, _) = ((one.id, one.text) for one in store.present())
     store.flow.STATE.from_text(said)
     assert said in states_in_memory()
@@ -373,38 +324,51 @@ def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: St
 
 
 def test_a_database_has_one_process_and_one_plan(
-    tmp_path: Path, study: Study, monkeypatch: pytest.MonkeyPatch
+    opened: Opened, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "s.sqlite"
-    store = Store(path, study)
-    acquire = FileLock.acquire
+    store, acquire = opened(study), FileLock.acquire
     with monkeypatch.context() as patch:
         patch.setattr(FileLock, "acquire", lambda lock, timeout: acquire(lock, timeout=0.1))
         with pytest.raises(XplainError, match="another process"):
-            Store(path, study)
-    assert path.stat().st_mode & 0o077 == 0
-    assert path.with_name("s.sqlite.key").stat().st_mode & 0o077 == 0
-    stored = read_plan(path, StudyPlan)
-    assert stored is not None
-    assert stored.hash == study.plan.hash
+            opened(study)
+    for path in (store.path, tmp_path / "s.sqlite.key"):
+        assert path.stat().st_mode & 0o077 == 0
     store.close()
+    other = street_study(seed=4)
+    assert other.plan.hash != study.plan.hash
     with pytest.raises(XplainError, match="another plan"):
-        Store(path, street_study(seed=4))
-    Store(path, study).close()
-    assert street_plan(seed=4).hash != study.plan.hash
+        opened(other)
+    opened(study).close()
+    # Another key would make every cookie, invitation and reference worthless.
+    (tmp_path / "s.sqlite.key").unlink()
+    with pytest.raises(InputError, match=r"database=.*s\.sqlite\.key is missing"):
+        opened(study)
+    assert not (tmp_path / "s.sqlite.key").exists()
 
 
-def test_a_damaged_or_foreign_file_is_named(tmp_path: Path, study: Study) -> None:
+def test_a_folder_may_have_any_name(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "50% of #1? it's ${x}"
+    folder.mkdir()
+    Store(folder / "s.sqlite", study).close()
+    monkeypatch.chdir(folder)
+    for path in (Path("s.sqlite"), folder / "s.sqlite"):
+        found = read_plan(path, StudyPlan)
+        assert found is not None
+        assert found.hash == study.plan.hash
+
+
+def test_a_damaged_or_foreign_file_is_named(opened: Opened, study: Study, tmp_path: Path) -> None:
     path = tmp_path / "s.sqlite"
     path.write_text("no database at all, but long enough to look like something\n" * 20)
     with pytest.raises(XplainError, match=r"s\.sqlite"):
         read_plan(path, StudyPlan)
-    with pytest.raises(XplainError, match=r"s\.sqlite") as error:
-        Store(path, study)
+    with pytest.raises(XplainError, match=r"s\.sqlite.*cannot be used"):
+        opened(study)
     # Once it is mended it can be used, though whoever keeps the error keeps what was open.
     path.unlink()
-    Store(path, study).close()
-    assert "cannot be used" in str(error.value)
+    opened(study)
 
 
 def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time: Time) -> None:
@@ -419,8 +383,7 @@ def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time
 
 
 def test_an_acknowledged_answer_is_the_one_that_is_kept(store: Store) -> None:
-    """The same answer is acknowledged again; another answer, or an answer to no page, is a
-    conflict."""
+    """The same one again is acknowledged; another one, or one to no page, is a conflict."""
     who = store.enter_invited(store.invite(1, "person")[0])
     consent(store, who)
     store.submit(who, 1, "read", {})
@@ -462,7 +425,7 @@ def test_a_link_of_somebody_erased_makes_nobody_new(store: Store) -> None:
 def test_who_comes_back_finds_the_place_of_somebody_who_is_silent_now(
     store: Store, time: Time, study: Study
 ) -> None:
-    """Nobody checked for silent participants meanwhile: the return itself does."""
+    """Nobody looked for the silent meanwhile: the return itself does."""
     places = len(study.plan.cells) * study.plan.rules.per_cell
     away, *others = (store.enter_invited(t) for t in store.invite(places + 1, "person"))
     consent(store, away)
@@ -476,14 +439,15 @@ def test_who_comes_back_finds_the_place_of_somebody_who_is_silent_now(
     assert store.submit(away, 1, "return", {}).stage == "briefing"
 
 
-def test_a_database_whose_key_is_lost_is_refused(tmp_path: Path, study: Study) -> None:
-    """Another key would make every cookie, invitation and reference worthless."""
-    path = tmp_path / "s.sqlite"
-    Store(path, study).close()
-    path.with_name("s.sqlite.key").unlink()
-    with pytest.raises(InputError, match=r"database=.*s\.sqlite\.key is missing"):
-        Store(path, study)
-    assert not path.with_name("s.sqlite.key").exists()
+def test_people_who_paused_come_back_while_nobody_new_is_let_in(store: Store, time: Time) -> None:
+    first, second = (store.enter_invited(token) for token in store.invite(2, "person"))
+    state = consent(store, first)
+    time.now = 1e6
+    assert store.time_out_stale() == 1
+    store.pause(True)
+    assert store.submit(first, state.accepted, "read", {}).stage == "briefing"
+    with pytest.raises(Refused, match="paused"):
+        consent(store, second)
 
 
 def test_of_who_declines_the_decision_alone_is_kept(store: Store) -> None:

@@ -5,9 +5,9 @@ configuration ── served ── explanations and questionnaires (talks.py)
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from xplain.experiment.pipeline import draw_trace
 from xplain.explanation.asking import Limits, nearest_first
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.explainer import Explainer
-from xplain.interaction.session import Candidate
+from xplain.interaction.session import Candidate, Session
 from xplain.learning.saved import LearnedTypes
 from xplain.people.material import learned_types
 from xplain.questions.own_transitions import known_facts, with_features
@@ -33,6 +33,8 @@ from xplain.storage import encode
 
 Transition = int | Sequence[float] | Mapping[str, float | str]
 """An index into the task's transitions, its features in order, or its columns by name."""
+PLANS = 100
+"""Maximum number of traces whose plans are kept for new sessions."""
 TRACES = 5
 """Number of traces of a domain's robot that a page can show."""
 
@@ -111,6 +113,19 @@ class Served:
             allowed = f"a number below {count}, {len(names)} features, or columns by name"
             raise InputError("trace", transition, allowed)
         return list(transition)
+
+    def session(self, trace: Sequence[Sequence[float]], expected_steps: int) -> Session:
+        """Begins to explain a trace to a new person. People with the same trace share its plan."""
+        return self._sessions(tuple(map(tuple, trace)), expected_steps).anew()
+
+    @cached_property
+    def _sessions(self) -> Callable[[tuple[tuple[float, ...], ...], int], Session]:
+        @lru_cache(PLANS)
+        def session(trace: tuple[tuple[float, ...], ...], expected_steps: int) -> Session:
+            rows = [list(row) for row in trace]
+            return self.explainer.session(rows, expected_steps, self.candidates(rows))
+
+        return session
 
     def candidates(self, trace: Sequence[Sequence[float]]) -> tuple[Candidate, ...]:
         """The transitions that may be asked about while a trace is explained, nearest first."""

@@ -48,9 +48,7 @@ class Explanation:
         trace = [task.row(one) for one in begun["trace"]]
         self.decided: Json = {}
         self.task = task
-        self.session = task.explainer.session(
-            trace, begun["expected_steps"], task.candidates(trace)
-        )
+        self.session = task.session(trace, begun["expected_steps"])
 
     def receive(self, key: str, came: Json) -> None:
         """Receives labels, the answer to a question, or more of the trace.
@@ -170,15 +168,14 @@ class Talks(Log[State]):
         who = person or f"p{secrets.token_hex(8)}"
         key, which = f"{kind} {who}", f"{kind[0]}{secrets.token_hex(12)}"
         begun = {**request, "person": who, "seed": derived_seed(self.task.seed, kind, who)}
-        if key not in self.keys:
-            talk = KINDS[kind](self.task, begun)
-            talk.decided = {"number": 1, **talk.decide()}  # slow: outside of the transaction
-            with self.changes():
-                if key not in self.keys:
-                    state = json.dumps(talk.decided)
-                    self.append(which, "protocol", "begin", begun, state=state)
-                    self.append(which, "identity", "identity", {"key": key})
-                    self._keep(which, talk)
+        with self.changes():  # plans are shared, and decide one after the other
+            if key not in self.keys:
+                talk = KINDS[kind](self.task, begun)
+                talk.decided = {"number": 1, **talk.decide()}
+                state = json.dumps(talk.decided)
+                self.append(which, "protocol", "begin", begun, state=state)
+                self.append(which, "identity", "identity", {"key": key})
+                self._keep(which, talk)
         which = self.keys[key]
         first = next(self.events(OWN, which))
         if first.payload != begun:
