@@ -27,7 +27,7 @@ from xplain.runs.discovery import sentences_of
 
 
 def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> None:
-    assert "Each participant" not in client.get("/researcher").text
+    assert "Overview of the study" not in client.get("/researcher").text
     for path in ("/researcher/invitations", "/researcher/export"):
         assert client.post(path, data={"count": "1", "stream": "bot"}).status_code == 403
     assert client.post("/researcher/login", data={"key": "guess"}).status_code == 403
@@ -37,7 +37,7 @@ def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> Non
     assert "SameSite=strict" in done.headers["Set-Cookie"]
     first = done.headers["Set-Cookie"]
     html = client.get("/researcher").text
-    assert "Each participant" in html
+    assert "Overview of the study" in html
     token = field(html, "token")
     good = {"token": token, "count": "3", "stream": "pilot"}
     for bad in ({"count": "0"}, {"count": "501"}, {"count": "x"}, {"stream": "king"}):
@@ -61,7 +61,7 @@ def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> Non
     held, _ = client.cookies[f"researcher_{Keys(store.secret).mark}"]
     assert client.post("/researcher/logout", data={"token": token}).status_code == 303
     client.set_cookie(f"researcher_{Keys(store.secret).mark}", held)
-    assert "Each participant" not in client.get("/researcher").text
+    assert "Overview of the study" not in client.get("/researcher").text
 
 
 def overview(client: Client, store: Store) -> str:
@@ -86,7 +86,7 @@ def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
     cell = re.compile(rf"<td>({'|'.join([*names, 'personalized', 'conformant'])})</td>")
     assert cell.search(overview(client, store))
     html = overview(Client(create_app(store, replace(GENEROUS, blinded=True))), store)
-    assert "Each participant" in html
+    assert "Overview of the study" in html
     assert not cell.search(html)
 
 
