@@ -40,7 +40,7 @@ def tasks(draw: Any) -> tuple[GoalTask, dict[tuple[int, int], int]]:
     return task, edges
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(tasks())
 def test_the_cost_to_go_is_that_of_the_cheapest_way_to_a_goal(made: Any) -> None:
     """Nobody leaves a goal; a state that costs as much as a dead end is one."""
@@ -54,7 +54,7 @@ def test_the_cost_to_go_is_that_of_the_cheapest_way_to_a_goal(made: Any) -> None
     assert task.to_go.tolist() == distance.tolist()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(tasks())
 def test_explicable_is_on_a_cheapest_plan_and_as_it_comes_out(made: Any) -> None:
     """By the definition, transition by transition; and dense tables say the same."""

@@ -74,6 +74,12 @@ PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
             "line 4: .*either",
         ),
         ("problem", "(on d a)", "(preference top (on d a))", "line 10: .*preference"),
+        (
+            "problem",
+            "(:metric",
+            "(:length (:serial 9))\n(:metric",
+            "line 11: After the goal .*length",
+        ),
         ("problem", "minimize", "maximize", "line 11: Invalid metric definition: .*maximize"),
         ("problem", "(on a b) (on b c) (on d a)", "(on a b) (on b a)", "unsolvable: the robot's"),
         ("problem", "(and (on a b) (on b c) (on d a))", "(clear c)", "does not hold yet"),

@@ -161,7 +161,9 @@ def plan_cost_here(file: str, problem: str) -> float | None:
         raise
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize(
+    "seed", [*range(15), *(pytest.param(s, marks=pytest.mark.slow) for s in range(15, 60))]
+)
 def test_a_random_task_is_read_as_fast_downward_reads_it(seed: int, tmp_path: Path) -> None:
     """Its best plan costs what Fast Downward's best plan costs, or both find none."""
     paths = [tmp_path / "domain.pddl", tmp_path / "problem.pddl"]

@@ -6,8 +6,6 @@ from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
-from hypothesis import strategies as st
-from hypothesis.strategies import composite
 
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
@@ -51,12 +49,13 @@ def pair_of_problems(rng: np.random.Generator, types: int, steps: int, n: int) -
     return tuple(problem.with_habits(habits) for problem in both)
 
 
-@composite
-def pairs(draw: st.DrawFn, types: int = 3, steps: int = 3, messages: int = 5) -> Any:
-    """Draws (by type, dense) with at most these numbers of types, steps and messages."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    size = (int(rng.integers(1, types + 1)), int(rng.integers(1, steps + 1)))
-    return pair_of_problems(rng, *size, int(rng.integers(1, messages + 1)))
+def random_pair(
+    rng: np.random.Generator, types: int = 3, steps: int = 3, messages: int = 5
+) -> tuple[Problem, Problem]:
+    """(by type, dense) of up to so many types, steps and messages."""
+    sizes = (int(rng.integers(1, most + 1)) for most in (types, steps, messages))
+    one, other = pair_of_problems(rng, *sizes)
+    return one, other
 
 
 def plain(problem: Problem) -> dict[str, Any]:

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 
-from tests.explanation.by_type_problems import pairs, plain
+from tests.explanation.by_type_problems import plain, random_pair
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.belief import update
 from xplain.explanation.files import load, save
@@ -17,52 +16,39 @@ from xplain.explanation.label_table import LabelTable, join_steps, stack_types
 from xplain.explanation.problem import Problem
 
 
-@settings(deadline=None, max_examples=100)
-@given(pairs())
-def test_labels_and_beliefs_are_those_of_the_dense_table(both: tuple[Problem, Problem]) -> None:
-    by_type, dense = both
-    assert np.array_equal(by_type.p_explicable, dense.p_explicable)
-    assert by_type.table.effective_of_any() == dense.table.effective_of_any()
-    rng = np.random.default_rng(0)
-    for shown in range(1 << dense.n_messages):
-        count = int(rng.integers(1, dense.n_steps + 1))
-        labels = rng.integers(0, 2, count).astype(np.uint8)
-        assert np.array_equal(
-            by_type.table.label_probabilities(count, shown),
-            dense.table.label_probabilities(count, shown),
-        )
-        assert update(by_type, by_type.prior, shown, labels) == pytest.approx(
-            update(dense, dense.prior, shown, labels), abs=1e-12
-        )
-
-
-@settings(deadline=None, max_examples=100)
-@given(pairs())
-def test_problems_made_of_it_are_those_made_of_the_dense_one(both: tuple[Problem, Problem]) -> None:
-    last = both[1].n_types - 1
-    made = [
-        (
-            problem.with_types(problem.table.of_types([last]), ("last",)),
-            problem.mixture(problem.prior),
-        )
-        for problem in both
-    ]
-    for mine, other in zip(*made, strict=True):
-        assert mine.p_explicable == pytest.approx(other.p_explicable, abs=1e-12)
-        assert mine.message_names == other.message_names
-        assert mine.message_cost.tolist() == other.message_cost.tolist()
-        assert (mine.type_names, mine.prior.tolist()) == (other.type_names, other.prior.tolist())
-
-
-@settings(deadline=None, max_examples=100)
-@given(pairs())
-def test_what_is_relevant_is_found_in_a_dense_table(both: tuple[Problem, Problem]) -> None:
-    by_type, dense = both
-    every = [range(dense.n_messages)] * dense.n_types
-    found = dense.table.select_messages(dense.table.effective())
-    assert found.rows == [list(row) for row in by_type.table.effective()]
-    assert dense.table.effective_of_any() == tuple(sorted(set().union(*found.rows)))
-    assert np.array_equal(found.select_messages(every).p, dense.table.p)
+def test_it_says_what_the_dense_table_says(rng_of_the_day: np.random.Generator) -> None:
+    """Labels, beliefs, what is relevant, and problems made of it."""
+    rng = rng_of_the_day
+    for _ in range(60):
+        by_type, dense = random_pair(rng)
+        assert np.array_equal(by_type.p_explicable, dense.p_explicable)
+        for shown in range(1 << dense.n_messages):
+            count = int(rng.integers(1, dense.n_steps + 1))
+            labels = rng.integers(0, 2, count).astype(np.uint8)
+            tables = [one.table.label_probabilities(count, shown) for one in (by_type, dense)]
+            assert np.array_equal(*tables)
+            assert update(by_type, by_type.prior, shown, labels) == pytest.approx(
+                update(dense, dense.prior, shown, labels), abs=1e-12
+            )
+        found = dense.table.select_messages(dense.table.effective())
+        assert found.rows == [list(row) for row in by_type.table.effective()]
+        every = by_type.table.effective_of_any()
+        assert every == dense.table.effective_of_any() == tuple(sorted(set().union(*found.rows)))
+        whole = found.select_messages([range(dense.n_messages)] * dense.n_types)
+        assert np.array_equal(whole.p, dense.table.p)
+        last = dense.n_types - 1
+        made = [
+            (one.with_types(one.table.of_types([last]), ("last",)), one.mixture(one.prior))
+            for one in (by_type, dense)
+        ]
+        for mine, other in zip(*made, strict=True):
+            assert mine.p_explicable == pytest.approx(other.p_explicable, abs=1e-12)
+            assert mine.message_names == other.message_names
+            assert mine.message_cost.tolist() == other.message_cost.tolist()
+            assert (mine.type_names, mine.prior.tolist()) == (
+                other.type_names,
+                other.prior.tolist(),
+            )
 
 
 def large(n: int = 60) -> Problem:

@@ -17,7 +17,7 @@ from xplain.testing.problems import with_questions
 
 @given(st.integers(0, 2**32 - 1), st.booleans())
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_a_saved_problem_carries_its_questions(tmp_path: Path, seed: int, words: bool) -> None:
     rng = np.random.default_rng(seed)

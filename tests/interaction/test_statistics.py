@@ -22,13 +22,13 @@ def test_with_one_value_a_cluster_it_is_the_t_interval(values):
 def test_intervals_cover_as_often_as_they_say():
     rng = np.random.default_rng(5)
     covered = 0
-    rounds = 1500
+    rounds = 600
     for _ in range(rounds):
         effect = np.repeat(rng.normal(size=12), 5)
         values = 3.0 + effect + rng.normal(size=60)
         estimate = clustered_mean(values, np.repeat(range(12), 5))
         covered += estimate.low <= 3.0 <= estimate.high
-    # 95 % of 1500 within four standard deviations of a binomial.
+    # 95 % of 600 within four standard deviations of a binomial.
     assert abs(covered / rounds - 0.95) < 4 * (0.95 * 0.05 / rounds) ** 0.5
 
 
@@ -43,7 +43,7 @@ def test_an_interval_of_a_share_is_one_of_shares(values):
 
 def test_ratios_cover_as_often_as_they_say_and_are_never_negative():
     rng = np.random.default_rng(6)
-    covered, rounds = 0, 1500
+    covered, rounds = 0, 600
     for _ in range(rounds):
         below = np.repeat(rng.gamma(4, size=40), 3)
         above = 1.5 * below + np.repeat(rng.gamma(2, size=40), 3)  # mean 8 over mean 4
@@ -78,7 +78,7 @@ def test_intervals_of_shares_cover_however_alike_the_cases_of_a_cluster_are(
     """Nested cases of a correlation ``alike`` (beta-binomial). Ten clusters of three cover 75 %
     when taken for thirty cases; four of twelve cover 84 % with the normal's quantile. (Four whose
     cases agree are four cases: there Wilson's own interval covers 87.5 % of halves.)"""
-    rng, rounds = np.random.default_rng(7), 1500
+    rng, rounds = np.random.default_rng(7), 600
     sizes = share * (1 / alike - 1), (1 - share) * (1 / alike - 1)
     covered = 0
     for chance in rng.beta(*sizes, size=(rounds, seeds)):

@@ -40,7 +40,7 @@ def test_with_all_sets_it_is_the_whole_table(most):
 
 
 @given(st.integers(0, 10_000), st.integers(1, 2))
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=12)
 def test_the_posterior_is_that_over_all_sets_within_the_list(seed, most):
     """… and no likely set lacks one next to it."""
     rng = np.random.default_rng(seed)

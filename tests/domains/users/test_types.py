@@ -85,7 +85,7 @@ def test_random_types_are_uniform_over_the_covers() -> None:
     frequent."""
     pairs = [(a, b) for a in range(1, 8) for b in range(1, 8) if a != b and a | b == 7]
     names = [p.name for p in Painted.parameters]
-    rng, count = np.random.default_rng(0), 4000
+    rng, count = np.random.default_rng(0), 2000
     found: Counter[tuple[int, ...]] = Counter()
     for _ in range(count):
         types = RandomCover(2, distinct=False).types(Painted(), rng)
@@ -99,7 +99,7 @@ def test_random_types_are_uniform_over_the_covers() -> None:
 def test_few_facts_are_as_many_as_said_and_any() -> None:
     """How many is drawn uniformly from 1, 2, 3, then which: each single one and each pair comes
     1 time in 9, all three 1 in 3."""
-    rng, count = np.random.default_rng(0), 900
+    rng, count = np.random.default_rng(0), 300
     found = Counter(
         frozenset(FewFacts(1, 1, 3).types(Painted(), rng)[0].inaccurate) for _ in range(count)
     )

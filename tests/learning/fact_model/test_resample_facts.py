@@ -23,11 +23,11 @@ def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
     log_new, room = np.log(CONCENTRATION) - N * np.log(2), np.zeros(2, dtype=np.int64)
     visits = np.zeros((20, 1 << N, 1 << N))
     for batch in visits:
-        for _ in range(1000):
+        for _ in range(300):
             used, members = np.unique(state.facts, return_counts=True)
             in_use = np.append(used, room), np.append(members, room), len(used)
             resample_facts(answers, prior, state, *in_use, log_new, 1.0, rng)
-            batch[tuple(state.facts)] += 1e-3
+            batch[tuple(state.facts)] += 1 / 300
     assert (state.counts == counted(answers, prior, state)).all()
     error = visits.std(axis=0, ddof=1) / len(visits) ** 0.5
     assert (np.abs(visits.mean(axis=0) - posterior(answers, prior, state)) < 5 * error + 1e-3).all()

@@ -173,7 +173,8 @@ class Source:
             at = len(self.text) - len(self.text.lstrip())
             raise self.refusal("an expression in brackets begins with (", at)
         depth = 0
-        for found in re.finditer(r"\(\s*:[^\s()]*|[()]", self.text):
+        # Parts of a task are no parts of others, but for those of the old (:length …).
+        for found in re.finditer(r"\(\s*:(?!serial|parallel)[^\s()]*|[()]", self.text):
             if ":" in found[0] and depth != 1:
                 reason = f"brackets do not match: {found[0]} is inside of another part"
                 raise self.refusal(reason, found.start())
