@@ -202,11 +202,10 @@ class Search:
         tree.tried[ROOT, -2:] = -1 if chosen else 0, -1
         tree.asked[:] = [visible.asked >> q & 1 for q in range(len(tree.asked))]
         missed = None if process.jump is None else True
-        asks = True if len(tree.asked) else None
         roots = _roots(1 << budget.bit_length())
         for done in range(0, budget, CHUNK):
             count = min(budget - done, CHUNK)
-            simulate(count, self.model, tree, self.options, missed, asks, *roots)
+            simulate(count, self.model, tree, self.options, missed, *roots)
         return tree
 
 

@@ -1,9 +1,8 @@
 """The compiled search of :mod:`xplain.solvers.pomcp`: select, expand, evaluate, back up.
 
-numba compiles this source once for each kind of problem. ``missed`` is None if messages land, and
-True if messages may be missed or forgotten: then they change the hidden state. ``asks`` is None if
-there are no questions. numba removes the branches of a None, so the paper's search does no work for
-the other kinds.
+numba compiles this source once for each kind of problem. ``missed`` is None where messages land,
+and True where messages may be missed or forgotten: they then change the hidden state. numba removes
+the branches of a None, so the paper's search does no work for the other kind.
 
 A label is *informative* if hidden states answer it differently; only these are drawn. Labels with
 the same column P(answer 1 | s) are exchangeable, so an observation is identified by its code
@@ -151,7 +150,7 @@ class Tree(NamedTuple):
 
 
 @kernel
-def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_root):  # type: ignore[no-untyped-def]
+def simulate(simulations, model, tree, options, missed, log_root, inverse_root):  # type: ignore[no-untyped-def]
     """Runs simulations from the root. The caller has set the root's belief.
 
     ``log_root[v]`` is sqrt(log v) and ``inverse_root[v]`` is 1 / sqrt(v), and 0 for v = 0. Both
@@ -167,7 +166,7 @@ def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_
         node, depth, length, is_new = ROOT, 0, 0, False
         while depth < options.depth and not is_new and node != END:
             if tree.nodes[node].edges == UNOPENED:
-                _open(model, tree, missed, asks, node)
+                _open(model, tree, missed, node)
             edge, action = _select(model, tree, options, missed, node, log_root, inverse_root)
             move = tree.path[length]
             move.node = node
@@ -178,7 +177,7 @@ def simulate(simulations, model, tree, options, missed, asks, log_root, inverse_
             length += 1
             if action <= n:  # a question costs no depth
                 depth += 1 if action == n else options.message_depth
-            node, is_new, state = _expand(model, tree, missed, asks, node, edge, action, state)
+            node, is_new, state = _expand(model, tree, missed, node, edge, action, state)
         value = _evaluate(model, tree, options, missed, node, is_new, state)
         _back_up(model, tree, options, node, length, value)
 
@@ -222,7 +221,7 @@ def _select(model, tree, options, missed, node, log_root, inverse_root):  # type
 
 
 @part
-def _expand(model, tree, missed, asks, node, edge, action, state):  # type: ignore[no-untyped-def]
+def _expand(model, tree, missed, node, edge, action, state):  # type: ignore[no-untyped-def]
     """Takes an action and draws what follows for a user in this state. Returns the next node (END
     after the last *explain*), whether the node is new, and the next state. Sets the belief of a
     new node."""
@@ -241,12 +240,10 @@ def _expand(model, tree, missed, asks, node, edge, action, state):  # type: igno
         if missed is not None:
             state = _draw_after_step(model, tree, state)
     else:
-        parent, code = node, uint64(0)
-        if asks is not None:
-            question = np.int64(tree.tried[node, action - n - 1])
-            yes = model.asked_answered[question, find_cell(model.question_stride, said, state)]
-            answer = next_uniform(tree.counter) < yes
-            code = splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
+        question = np.int64(tree.tried[node, action - n - 1])
+        yes = model.asked_answered[question, find_cell(model.question_stride, said, state)]
+        answer = next_uniform(tree.counter) < yes
+        parent, code = node, splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
     child = np.int64(tree.edges[edge].child)
     if child != UNVISITED and tree.nodes[child].code == code:  # the last answer, as often
         return child, False, state
@@ -272,7 +269,7 @@ def _expand(model, tree, missed, asks, node, edge, action, state):  # type: igno
             elif action == n:
                 record.given = 0
                 forget(model.forget, belief)
-        if asks is not None and action >= n:
+        if len(tree.asked) > 0 and action >= n:
             tree.tried[child, tree.tried.shape[1] - 1] = question
             if action > n:
                 _hear_answer(model, question, said, answer, belief)
@@ -405,14 +402,14 @@ def _add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
 
 
 @part
-def _open(model, tree, missed, asks, node):  # type: ignore[no-untyped-def]
+def _open(model, tree, missed, node):  # type: ignore[no-untyped-def]
     """Gives a node its edges, and computes the expected reward of *explain*. There is one edge for
     each message that has an effect on a possible state and was not given yet, one for *explain*,
     and, if a step begins at the node, one for each of the most informative questions."""
     record, n = tree.nodes[node], len(model.price)
     belief = tree.beliefs[record.base if missed is None else node]
     questions = 0
-    if asks is not None and record.base == node:
+    if len(tree.asked) > 0 and record.base == node:
         questions = _find_questions(model, tree, node, record.step, record.given, belief)
     record.actions = _find_relevant(model, belief) & ~record.given | ((2 << questions) - 1) << n
     record.untried = record.actions
