@@ -60,7 +60,7 @@ def main() -> None:
         for number, batch in enumerate(batches):
             save_batch(path := outputs / "batches" / f"{number}.json", batch)
             with stage("a batch begun"):
-                load([])
+                compose("batch", ["batch=0"], return_hydra_config=True)
             with stage("all of it"):
                 run_batch(path)
             assert all((job.address / "results.json").exists() for job in batch)

@@ -52,10 +52,11 @@ class XplainSweeper(Sweeper):
         from xplain.runs.signals import end_on_signals
         from xplain.runs.sweep import run_missing
 
-        assert self.config is not None  # Hydra has called setup
+        config = self.config
+        assert config is not None  # Hydra has called setup
         end_on_signals()
-        plan = Plan.of(self.config, arguments, {}, self._compose)
-        escaped = self.config.hydra.sweep.dir = str(plan.folder.path).replace("${", r"\${")
+        plan = Plan.of(config, arguments, {}, self._compose)
+        escaped = config.hydra.sweep.dir = str(plan.folder.path).replace("${", r"\${")
 
         def launch(batches: Sequence[Path]) -> Any:
             own = [
@@ -63,7 +64,9 @@ class XplainSweeper(Sweeper):
                 "hydra.sweep.subdir=batches",
                 "hydra/job_logging=none",  # a job in this process would take the sweep's words
             ]
+            if config.hydra.job.config_name == "config":  # somebody's own file may have more
+                config.hydra.job.config_name = "batch"
             words = [quote(str(path).replace("${", r"\${")) for path in batches]
-            return self._launcher().launch([[*own, f"+batch={one}"] for one in words], 0)
+            return self._launcher().launch([[*own, f"++batch={one}"] for one in words], 0)
 
         return run_missing(plan, launch)

@@ -10,6 +10,7 @@ import itertools
 import json
 import re
 import shlex
+import shutil
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -203,8 +204,36 @@ def test_the_page_says_who_costs_least_and_how_to_see_an_explanation(tmp_path):
 def test_the_report_is_the_same_bytes_each_time(known):
     report = known / "report"
     before = {path.name: path.read_bytes() for path in report.iterdir()}
+    shutil.rmtree(report)
     write_report(known)
     assert {path.name: path.read_bytes() for path in report.iterdir()} == before
+
+
+def test_a_report_is_made_again_when_what_it_shows_has_changed(tmp_path, monkeypatch):
+    folder = handmade.sweep(tmp_path, [{"solver": own} for own in METHODS], lambda *_: 1.0)
+
+    def is_made(measure=None):
+        (_, report), marked = write_report(folder, measure), tmp_path / "report" / "table.md"
+        made = marked.read_text() != "mine"
+        assert (report / "index.html").exists()
+        marked.write_text("mine")
+        return made
+
+    assert is_made()
+    assert not is_made()
+    address = folder / "results" / "solver=qhr"
+    save_results(address, replace(load_results(address), seconds={"explain": 5.0}))
+    assert is_made()
+    assert is_made("cost")
+    (address / "results.json").unlink()
+    assert is_made("cost")
+    failed = folder / "jobs" / "solver=qhr" / "failure.json"
+    failed.parent.mkdir(parents=True)
+    failed.write_text(json.dumps({"error": "no memory"}))
+    assert is_made("cost")
+    monkeypatch.setattr("xplain.report.page.code_version", lambda: "other sources")
+    assert is_made("cost")
+    assert not is_made("cost")
 
 
 def test_only_a_reproduction_of_table_1_says_it_is_one(tmp_path, known):

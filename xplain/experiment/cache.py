@@ -17,6 +17,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +55,7 @@ def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepa
     from filelock import FileLock
 
     path = folder / f"{key}.npz"
-    kept = _read(path)
-    if kept is not None:
+    if (kept := _kept(path)) is not None:
         return kept
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -63,22 +63,27 @@ def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepa
     except OSError:
         return make()
     with lock:
-        kept = _read(path)
-        if kept is None:
+        if (kept := _kept(path)) is None:
             kept = make()
             _write(path, kept)
         return kept
 
 
-def _read(path: Path) -> Prepared | None:
+def _kept(path: Path) -> Prepared | None:
     try:
-        with path.open("rb") as stored, np.load(stored, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        content = json.loads(str(arrays["content"]))
-        prepared: Prepared = decode(Prepared, content, arrays)
-        return prepared
+        return _read(path, path.stat().st_mtime_ns)
     except (OSError, EOFError, ValueError, LookupError, TypeError, zipfile.BadZipFile, zlib.error):
         return None
+
+
+@lru_cache(maxsize=1)
+def _read(path: Path, written: int) -> Prepared:
+    """Reads an entry. A batch has jobs of one data set, so the last one is kept."""
+    with path.open("rb") as stored, np.load(stored, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    content = json.loads(str(arrays["content"]))
+    prepared: Prepared = decode(Prepared, content, arrays)
+    return prepared
 
 
 def _write(path: Path, prepared: Prepared) -> None:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import json
 import shlex
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import pandas as pd
 
+from xplain.experiment.fingerprint import code_version, library_versions
+from xplain.experiment.results import RESULTS
 from xplain.report import claims, plots, trace
 from xplain.report.compare import differences_csv, heading, regret_csv, table, value_title
 from xplain.report.frame import TITLES, Summary, rank
@@ -32,7 +37,8 @@ LEARNING = {
 
 
 def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Path]:
-    """Writes everything below ``<sweep>/report`` from the finished jobs.
+    """Writes everything below ``<sweep>/report`` from the finished jobs, unless a report of the
+    same content is there.
 
     Args:
         folder: folder of the sweep.
@@ -44,7 +50,10 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
     summary = Summary(folder, measure)
     report = folder / REPORT
     report.mkdir(exist_ok=True)
-    if summary.results:
+    made_of = digest_content(summary)
+    last = report / "index.html"
+    is_there = last.exists() and made_of in last.read_text(encoding="utf-8")
+    if summary.results and not is_there:
         tables = {"table": table(summary), "undecided": claims.list_undecided(summary)}
         if summary.is_table1:
             tables["claims"] = claims.claims_table(summary)
@@ -58,12 +67,30 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
         write_text(report / "table.tex", tables["table"].latex())
         write_text(report / "regret.csv", regret_csv(summary))
         write_text(report / "differences.csv", differences_csv(summary))
-        write_text(report / "index.html", page(summary, tables, report))
+        write_text(last, page(summary, tables, report, made_of))
     return summary, report
 
 
-def page(summary: Summary, tables: dict[str, Table], report: Path) -> str:
-    """HTML of the whole page, with its content inside; its pictures are also files."""
+def digest_content(summary: Summary) -> str:
+    """A digest of all that decides a report: the sweep with its results and failures, the measure,
+    this package, and the libraries that calculate and draw."""
+    own = sorted(path for path in Path(__file__).parent.iterdir() if path.is_file())
+    results = [summary.folder.address(job) / RESULTS for job, _ in summary.results]
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in (*own, *results)))
+    versions = [code_version(), library_versions(), matplotlib.__version__]
+    words = [summary.about, summary.measure.name, summary.failures] if summary.results else []
+    digest.update(json.dumps([versions, *words], sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+def page(summary: Summary, tables: dict[str, Table], report: Path, made_of: str) -> str:
+    """HTML of the whole page, with its content inside; its pictures are also files.
+
+    Args:
+        summary, tables: of the sweep.
+        report: receives the pictures.
+        made_of: digest of the content, kept in the page.
+    """
     from jinja2 import Environment, StrictUndefined
 
     source = files("xplain.report").joinpath("page.html").read_text(encoding="utf-8")
@@ -73,6 +100,7 @@ def page(summary: Summary, tables: dict[str, Table], report: Path) -> str:
     template = Environment(autoescape=True, undefined=StrictUndefined).from_string(source)
     return template.render(
         summary=summary,
+        made_of=made_of,
         heading=_heading(summary),
         answer=claims.answer(summary),
         code=f"{about['code']} (commit {commit}{dirty})",

@@ -12,6 +12,7 @@ import json
 import logging
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,7 @@ class Plan:
         keys: Any = OmegaConf.to_container(config.hydra.sweeper)
         file = _File(**{key: value for key, value in keys.items() if not key.startswith("_")})
         settings = [{**file.params, **setting} for setting in file.settings or [{}]]
-        composer = _Composer(compose, set(config.hydra.runtime.choices))
+        composer = _Composer(compose, config)
         jobs, rows = dict[str, Job](), dict[str, Listed]()
         combinations = _combinations(settings, _parse(words))
         for texts, values in itertools.product(combinations, itertools.product(*given.values())):
@@ -255,17 +256,18 @@ def _text(value: Any) -> str:
 
 
 class _Composer:
-    """Calls Hydra once for each choice of groups, because a call takes a fifth of a second.
-    Overrides that only set a value (``lambda=1.5``) change an existing configuration. Everything
-    else, including errors, is left to Hydra.
+    """Calls Hydra once for each choice of groups that the planning process did not make itself,
+    because a call takes a fifth of a second. Overrides that only set a value (``lambda=1.5``)
+    change an existing configuration. Everything else, including errors, is left to Hydra.
 
     Args:
         load: Hydra's composition.
-        groups: keys that choose a file.
+        config: the configuration of the planning process, with its own choices.
     """
 
-    def __init__(self, load: Compose, groups: set[str]) -> None:
-        self._load, self._groups = load, groups
+    def __init__(self, load: Compose, config: DictConfig) -> None:
+        self._load, self._config = load, config
+        self._choices = config.hydra.runtime.choices
         self._like: dict[tuple[str, ...], DictConfig] = {}
         self._lacking: dict[str, tuple[Exception, dict[str, None]]] = {}
 
@@ -297,8 +299,11 @@ class _Composer:
     def _composed(self, overrides: list[str]) -> DictConfig:
         parsed = OverridesParser.create().parse_overrides(overrides)
         values = [override for override in parsed if self._sets_a_value(override)]
-        others = (override.input_line or "" for override in parsed if override not in values)
-        kind = (*others, "", *(override.key_or_group for override in values))
+        others = [override for override in parsed if override not in values]
+        kind = tuple(override.input_line or "" for override in others)
+        kind += ("", *(override.key_or_group for override in values))
+        if kind not in self._like and all(map(self._is_chosen, others)):
+            self._like[kind] = deepcopy(self._config)
         try:
             config = self._like[kind]
             for override in values:
@@ -314,7 +319,12 @@ class _Composer:
             override.is_add() or override.is_force_add() or override.is_delete()
         )
         scalar = isinstance(override.value(), (str, int, float, bool, type(None)))
-        return plain and scalar and key not in self._groups and key.partition(".")[0] != "hydra"
+        return plain and scalar and key not in self._choices and key.partition(".")[0] != "hydra"
+
+    def _is_chosen(self, override: Override) -> bool:
+        """True if the planning process has made this choice."""
+        key = override.key_or_group
+        return override.input_line == f"{key}={self._choices.get(key)}"
 
 
 def command(config: DictConfig) -> str:
