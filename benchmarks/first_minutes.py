@@ -21,7 +21,7 @@ from pathlib import Path
 from statistics import median
 
 RUN = ["-m", "xplain", "solver=pomcp", "domain=rescue", "lambda=1.5"]
-SHORT = ["traces=1", "certify.traces=1", "points=20", "labeler=tree"]
+SHORT = ["traces=1", "points=20", "labeler=tree"]
 BARE = """
 import mlflow
 from sklearn.tree import DecisionTreeClassifier
