@@ -24,3 +24,15 @@ def test_every_interval_is_inside_its_panel(least: float) -> None:
         assert bottom <= own["low"].min()
         assert top >= own["high"].max()
         assert least < 0 or bottom == 0
+
+
+def test_points_of_four_lines_stay_at_two_ticks() -> None:
+    points = pd.DataFrame(
+        {"panel": "a", "line": line, "x": x, "mean": 1.0, "low": 0.5, "high": 1.5}
+        for line in "pqrs"
+        for x in (0.5, 2.0)
+    )
+    (axes,) = draw(points, "x", "y").axes
+    drawn = [line.get_xdata() for line in axes.lines if len(line.get_xdata()) == 2]
+    assert len(drawn) >= 4
+    assert np.abs(np.array(drawn) - [0.5, 2.0]).max() < 0.1

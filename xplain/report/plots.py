@@ -105,7 +105,9 @@ def draw(
     is_numeric = not any(isinstance(tick, str) for tick in ticks)
     place = {tick: tick if is_numeric else i for i, tick in enumerate(ticks)}
     gap = min(np.diff(sorted(place.values())), default=1.0)
-    spread = 0.12 * gap * points["low"].notna().any()
+    span = np.ptp([*place.values()]) if len(ticks) > 1 else 4.0
+    apart = min(0.12 * gap, 0.03 * span) if is_numeric else 0.12 * gap  # a point stays at its tick
+    spread = apart * points["low"].notna().any()
     columns = min(per_row, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
