@@ -273,7 +273,7 @@ def answer(summary: Summary) -> str:
         decided = verdicts["holds"] + verdicts["does not hold"]
         words = f"{decided} of {verdicts.total()} claims are decided, {verdicts['holds']} hold"
         parts.append(f"{group}: {words}" if group else words)
-    return f"{'; '.join(parts)}."
+    return f"{'; '.join(parts)}." if parts else ""
 
 
 def list_undecided(summary: Summary) -> Table:

@@ -236,7 +236,8 @@ def table(summary: Summary) -> Table:
                 row[title, label(way)] = cell(shown, after, below, bool(grouping))
         rows.append(row)
     about = f"{summary.measure.title}: {_common(summary)}"
-    return table_of(rows, len(down), _caption(summary, True), about)
+    caption = _caption(summary, True) + " In parentheses the paper's values." * is_beside
+    return table_of(rows, len(down), caption, about)
 
 
 def _list(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
@@ -351,7 +352,6 @@ def _caption(summary: Summary, is_marked: bool) -> str:
     if summary.missing:
         text.append(f"{summary.missing} of {len(summary.jobs)} jobs are missing.")
         text += ["Ways are compared on traces and users that all of them have."] * is_marked
-    text += ["In parentheses the paper's values."] * is_beside_paper(summary)
     return " ".join(filter(None, text))
 
 
