@@ -231,7 +231,7 @@ def _draw_belief(axes: Axes, story: Story, types: Sequence[str]) -> None:
     for index, t in enumerate(sorted(shown)):
         colour, style = COLOURS[index % len(COLOURS)], STYLES[index % len(STYLES)]
         line, at = [belief[t] for belief in beliefs], [0.5, *range(1, len(beliefs))]
-        axes.plot(at, line, color=colour, ls=style, lw=1.6, label=f"type {types[t]}")
+        axes.plot(at, line, color=colour, ls=style, lw=1.6, label=types[t])
     axes.set(ylim=(-0.02, 1.02), ylabel="belief after it", xlim=(0.5, len(beliefs) - 0.5))
     axes.set_xticks(range(1, len(beliefs)))
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.02, 1))

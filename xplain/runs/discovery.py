@@ -148,13 +148,14 @@ class Discovery:
         """Prints the types and the places of their files on standard output."""
         table = Table("type", "observers", "labels", "explicable", "confidence", "needs to be told")
         for one in _summarised(self.dataset, self.types):
+            needs = one["needs"] if self.dataset.messages else None
             table.add_row(
                 one["name"],
                 str(one["observers"]),
                 str(one["labels"]),
                 f"{one['explicable']:.1%}",
                 f"{one['confidence']:.3f}",
-                "?" if one["needs"] is None else ", ".join(one["needs"]) or "nothing",
+                "?" if needs is None else ", ".join(needs) or "nothing",
             )
         console, row = Console(), self.row
         found = f"{row['n_types']} user types ({row['method']}, {row['rule']})"
