@@ -15,5 +15,5 @@ while not session.finished:
     beliefs.append(session.belief)
 for name in beliefs[0]:
     plt.plot([belief[name] for belief in beliefs], label=name, marker="o")
-plt.xlabel("steps shown"), plt.ylabel("belief"), plt.legend()
+plt.xlabel("steps shown"), plt.ylabel("belief, a probability"), plt.legend()
 plt.savefig("belief.png", dpi=120)
