@@ -60,7 +60,7 @@ def test_the_picture_says_what_the_robot_says_and_which_episode_it_is(scene: Sce
     assert caption == (
         "trace 12, user of type E: cost 2.5, the median of 100 episodes (the first that costs this)"
     )
-    figure = draw_trace(scene, one, caption, SENTENCES, ["1", "2 (the user's)"])
+    figure = draw_trace(scene, one, caption, SENTENCES, ["type_1", "type_2 (the user's)"])
     FigureCanvasAgg(figure).draw()
     texts = [text.get_text() for text in figure.findobj(Text)]
     assert caption in texts
@@ -70,5 +70,5 @@ def test_the_picture_says_what_the_robot_says_and_which_episode_it_is(scene: Sce
     assert "Never said" not in said
     drawn = (line for axes in figure.findobj(Axes) for line in axes.get_lines())
     lines = {line.get_label(): line.get_ydata() for line in drawn}
-    for number, name in enumerate(("type 1", "type 2 (the user's)")):
+    for number, name in enumerate(("type_1", "type_2 (the user's)")):
         np.testing.assert_array_equal(lines[name], [[0.5, 0.8, 0.9], [0.5, 0.2, 0.1]][number])
