@@ -139,4 +139,4 @@ def test_the_schema_has_types_and_no_values() -> None:
     typed = {str(key) for key in schema()} - {"outputs"}  # a folder: known at the start alone
     assert all(OmegaConf.is_missing(schema(), key) for key in typed)
     untyped = {str(key) for key in file} - typed
-    assert untyped == {"defaults", "hydra", "certify"}
+    assert untyped == {"defaults", "certify"}
