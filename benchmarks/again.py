@@ -32,7 +32,7 @@ PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "again.png"
 
 def messages(quick: bool) -> None:
     """Makes the table and the picture of messages that are missed, from ``sweeps=again``."""
-    few = ("seed=0", "traces=1", "domain=four_rooms", "explainee=heedless", "explainee.forget=0.03")
+    few = ("seed=0,1", "traces=1", "explainee=heedless", "explainee.forget=0.03,0.15")
     rows = xplain.sweep("sweeps=again", "tracking=none", *(few if quick else ())).frame()
     rows["way"] = np.where(rows["belief"] == "told", "told", "paper")
     rows.loc[rows["belief.accept"] == "learned", "way"] = "learned"
