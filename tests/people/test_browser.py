@@ -290,14 +290,18 @@ def out_of_sight(driver: Driver) -> list[float]:
 
 
 def cut_off(driver: Driver) -> float:
-    """Measures the part of the new messages that a phone shows only after scrolling."""
-    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
-    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    below: float = driver.execute_script(
-        "const end = document.querySelector('.slots').getBoundingClientRect().bottom;"
-        "const news = [...document.querySelectorAll('.message.new')];"
-        "return Math.max(0, ...news.map(one => one.getBoundingClientRect().bottom - end))"
-    )
+    """Measures the part of the new messages that one sees only after scrolling: on a phone, and on
+    a small laptop at 200 % zoom."""
+    below = 0.0
+    for width, height in ((390, 844), (640, 400)):
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        hidden = driver.execute_script(
+            "const end = document.querySelector('.slots').getBoundingClientRect().bottom;"
+            "const news = [...document.querySelectorAll('.message.new')];"
+            "return Math.max(0, ...news.map(one => one.getBoundingClientRect().bottom - end))"
+        )
+        below = max(below, hidden)
     driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     return below
 
