@@ -321,5 +321,5 @@ def test_a_lab_goes_the_whole_way_of_its_page(tmp_path):
         timeout=900,
     )
     assert done.returncode == 0, done.stdout
-    assert "say [" in done.stdout  # the robot
+    assert re.search(r"^say \(.*\) and show \d+$", done.stdout, re.MULTILINE)  # the robot
     assert [*(tmp_path / "study").rglob("table2.csv")]
