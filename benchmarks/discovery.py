@@ -147,7 +147,7 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
     cost: dict[str, list[float]] = {"found": [], "true": [], "oracle": []}
     for index in range(traces):
         rng = stream(seed, "traces", index)
-        trace = sample_trace(setting.models[0], setting.optimal[0], setting.domain.starts, rng, 40)
+        trace = sample_trace(setting.models[0], setting.domain.starts, rng, 40)
         features, labels = transition_features(setting.domain, trace), setting.label_table(trace)
         n = setting.n_messages
         problems = {

@@ -97,7 +97,7 @@ def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[st
     n = setting.n_messages
     for index in range(traces):
         rng = stream(seed, "traces", index)
-        trace = sample_trace(setting.models[0], setting.optimal[0], setting.domain.starts, rng, 40)
+        trace = sample_trace(setting.models[0], setting.domain.starts, rng, 40)
         labels = setting.label_table(trace)
         p = label_table(types.labelers, transition_features(setting.domain, trace)).array(n)
         unknown = Problem(p, np.ones(n))

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from xplain import Hypotheses
 from xplain.domains.base import Domain, Parameter
 from xplain.domains.users.hypotheses import hypotheses_of
-from xplain.domains.users.inaccurate_values import FactLabels
 from xplain.domains.users.setting import Setting, UserType
 from xplain.domains.users.types import RandomCover
 from xplain.errors import XplainError
@@ -66,9 +65,7 @@ def setting_of(domain: Domain, people: str, seed: int) -> Setting:
     own = []
     for one in types:
         wanted = {fact.name: believed(domain, fact, people, rng) for fact in domain.parameters}
-        every = np.arange(1 << len(domain.parameters))
-        values, _ = FactLabels(domain, np.zeros((0, 3), np.int64)).without_ties(wanted, every)
-        own.append(UserType(one.name, {name: values[name] for name in one.inaccurate}))
+        own.append(UserType(one.name, {name: wanted[name] for name in one.inaccurate}))
     return Setting.build(domain, tuple(own))
 
 

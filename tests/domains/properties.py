@@ -52,8 +52,8 @@ def on_policy_traces(
     setting: Setting, count: int, rng: np.random.Generator, max_length: int = MAX_LENGTH
 ) -> list[Trace]:
     """``count`` random traces of the robot, each [m, 3]."""
-    model, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
-    return [sample_trace(model, optimal, starts, rng, max_length) for _ in range(count)]
+    model, starts = setting.models[0], setting.domain.starts
+    return [sample_trace(model, starts, rng, max_length) for _ in range(count)]
 
 
 def count_traces(setting: Setting, max_length: int = MAX_LENGTH) -> int:
@@ -86,7 +86,8 @@ def inexplicable_alone(domain: Domain, traces: Sequence[Trace]) -> dict[str, flo
         for parameter in domain.parameters
     ]
     names = [f"who holds {parameter.name} inaccurately" for parameter in domain.parameters]
-    labels = models[0].solve(models, names).labels(np.concatenate(traces))
+    every = np.concatenate(traces)
+    labels = np.array([model.labels(every) for model in models[0].solve(models, names)])
     shares = 1 - labels.mean(axis=1)
     return {p.name: float(share) for p, share in zip(domain.parameters, shares, strict=True)}
 

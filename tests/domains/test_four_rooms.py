@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.domains.configs import domain_of, given, setting_of
+from tests.domains.configs import domain_of, given
 from xplain.domains.four_rooms import DOORS, FourRooms
 from xplain.errors import InputError
-from xplain.learning.data.queries import sample_trace
-from xplain.randomness import stream
 
 FOUR_ROOMS = "domain=four_rooms"
 
@@ -70,15 +68,6 @@ def test_rewards_are_for_entering_and_add_up() -> None:
     for state in (domain.grid.number[1, 2], domain.grid.number[2, 1], goal):
         enters = (model.successor[state] == goal) & (state != goal)
         assert model.reward[state] == pytest.approx(np.where(enters, -0.25 + 5 - 2, -0.25))
-
-
-def test_traces_end_at_a_goal() -> None:
-    setting = setting_of(FOUR_ROOMS)
-    model, optimal = setting.models[0], setting.optimal[0]
-    rng = stream(0, "test", "traces")
-    for _ in range(50):
-        trace = sample_trace(model, optimal, setting.domain.starts, rng, 100)
-        assert model.terminal[trace[-1, 2]]
 
 
 def edited(path: str, value: Any) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def test_explicable_is_on_a_cheapest_plan_and_as_it_comes_out(made: Any) -> None
         )
         for s, a, t in every.tolist()
     ]
-    assert task.explicable(every).tolist() == expected
+    assert task.labels(every).tolist() == expected
     table = np.zeros((n, actions), dtype=bool)
     for (s, a, _), good in zip(every.tolist(), expected, strict=True):
         table[s, a] |= good
@@ -126,7 +126,7 @@ def test_an_imagined_state_is_judged_in_place_of_the_real_one() -> None:
     imagined = np.array([1, 1, 2])
     dreamer = GoalTask(task.space, task.cost, task.terminal, 100.0, 0, imagined)
     transitions = np.array([[0, 0, 2], [0, 1, 1], [0, 2, 2], [1, 2, 2]])
-    assert task.explicable(transitions).tolist() == [True, True, False, True]
-    assert dreamer.explicable(transitions).tolist() == [False, False, True, True]
+    assert task.labels(transitions).tolist() == [True, True, False, True]
+    assert dreamer.labels(transitions).tolist() == [False, False, True, True]
     nowhere = GoalTask(task.space, task.cost, task.terminal, 100.0, 0, np.array([-1, 1, 2]))
-    assert nowhere.explicable(transitions).tolist() == [False, False, False, True]
+    assert nowhere.labels(transitions).tolist() == [False, False, False, True]

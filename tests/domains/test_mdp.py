@@ -66,6 +66,12 @@ def scale(model: MDP) -> float:
     )
 
 
+def solve(models: list[MDP]) -> np.ndarray:
+    """[B, S, A] the optimal actions."""
+    names = [f"model {i}" for i in range(len(models))]
+    return np.array([model.optimal for model in MDP.solve(models, names)])
+
+
 @settings(max_examples=40, deadline=None)
 @given(small_mdps(), st.sampled_from([0.1, 0.3, 0.6, 0.9]), st.sampled_from([0.03, 0.1]))
 def test_values_and_optimal_actions_are_those_of_the_best_policy(
@@ -79,7 +85,7 @@ def test_values_and_optimal_actions_are_those_of_the_best_policy(
     assert np.abs(solved[finite] - true[finite]).max(initial=0) <= 2 * mdp.SOLVED * scale(model)
     gap = (true.max(axis=1, keepdims=True) - true)[live] / scale(model)
     if not ((gap > mdp.TIE / 2) & (gap < 2 * mdp.CLEAR)).any():
-        optimal = mdp.optimal_actions([model])[0]
+        optimal = solve([model])[0]
         assert np.array_equal(optimal[live], gap < mdp.TIE)
         assert not optimal[model.terminal].any()
     model = replace(model, discount=discount)
@@ -94,14 +100,14 @@ def test_values_and_optimal_actions_are_those_of_the_best_policy(
 def test_labels_follow_the_definition(model: MDP, seed: int) -> None:
     rng = np.random.default_rng(seed)
     transitions = rng.integers(0, [model.n_states, model.n_actions, model.n_states], (30, 3))
-    optimal = rng.random((1, model.n_states, model.n_actions)) < 0.5
-    got = mdp.MDPSolution((model,), optimal).labels(transitions)[0]
+    model = replace(model, optimal=rng.random((model.n_states, model.n_actions)) < 0.5)
+    got = model.labels(transitions)
     for (s, a, after), label in zip(transitions, got, strict=True):
         happens = any(
             model.successor[s, a, k] == after and model.probability[s, a, k] > 0
             for k in range(model.successor.shape[2])
         )
-        assert label == (optimal[0, s, a] and happens)
+        assert label == (model.optimal[s, a] and happens)
 
 
 def choice(gain: float, discount: float = 0.9) -> MDP:
@@ -118,14 +124,14 @@ def choice(gain: float, discount: float = 0.9) -> MDP:
 def test_an_ambiguous_gap_is_refused_and_names_the_model() -> None:
     gain = 10 * np.sqrt(mdp.TIE * mdp.CLEAR)
     with pytest.raises(DomainError, match="ambiguous tie in the second, state 0, action 0"):
-        mdp.optimal_actions([choice(1), choice(gain)], ["the first", "the second"])
+        MDP.solve([choice(1), choice(gain)], ["the first", "the second"])
 
 
 def test_a_gap_is_small_against_its_own_models_scale() -> None:
     """It is solved together with a model whose rewards are a million times larger."""
     models = [choice(1e-6), replace(choice(0.5), reward=choice(0.5).reward * 1e6)]
     for order in (models, models[::-1]):
-        optimal = mdp.optimal_actions(order)[:, 0].tolist()
+        optimal = solve(order)[:, 0].tolist()
         assert optimal == [[False, True], [False, True]]
 
 
@@ -148,12 +154,12 @@ def test_what_cannot_happen_does_not_matter() -> None:
     ambiguous = 10 * np.sqrt(mdp.TIE * mdp.CLEAR)
     for reward in (0.0, 1e9):
         models = [widened(gain, reward) for gain in (0.0, 1e-6, -1.0)]
-        optimal = mdp.optimal_actions(models)[:, 0].tolist()
+        optimal = solve(models)[:, 0].tolist()
         assert optimal == [[True, True, False], [False, True, False], [True, False, False]]
         values = mdp.q_values(models)[:, 0, :2]
         assert values == pytest.approx(np.array([[1, 1], [1, 1 + 1e-6], [1, 0]]), abs=1e-9)
         with pytest.raises(DomainError, match="ambiguous tie"):
-            mdp.optimal_actions([widened(ambiguous, reward)])
+            solve([widened(ambiguous, reward)])
 
 
 def test_models_are_solved_alike_alone_and_together() -> None:

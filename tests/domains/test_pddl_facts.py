@@ -16,6 +16,7 @@ from tests.domains.configs import given
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.facts import Words, describe, find_differences, read_changes
 from xplain.domains.pddl.task import Source, apply_changes, read_task, texts
+from xplain.errors import InputError
 
 pytest.importorskip("fast_downward", reason="pip install 'xplain-hri[pddl]'")
 
@@ -35,7 +36,7 @@ def pair(tmp_path: Path, name: str, domain: list[Edit], problem: list[Edit]) -> 
         paths.append(tmp_path / f"{key}.pddl")
         paths[-1].write_text(text, encoding="utf-8")
     robot = read_task(own["file"], own["problem"], KEYS)
-    return robot, read_task(str(paths[0]), str(paths[1]), KEYS, robot.items)
+    return robot, read_task(str(paths[0]), str(paths[1]), KEYS)
 
 
 PAIRS: list[tuple[str, list[Edit], list[Edit], dict[str, Any]]] = [
@@ -45,23 +46,6 @@ PAIRS: list[tuple[str, list[Edit], list[Edit], dict[str, Any]]] = [
         [("(clear ?x) (ontable ?x) (handempty))", "(ontable ?x) (clear ?x))")],
         [],
         {"pick_up_needs_handempty": {"action": "pick-up", "drop_precondition": "(handempty)"}},
-    ),
-    (  # only names and order differ
-        "blocks",
-        [
-            (
-                ":parameters (?x - block ?y - block)\n"
-                "    :precondition (and (holding ?x) (clear ?y))",
-                ":parameters (?top - block ?y - block)\n"
-                "    :precondition (and (clear ?y) (holding ?top))",
-            ),
-            (
-                "(and (on ?x ?y) (clear ?x) (handempty) (not (holding ?x)) (not (clear ?y))",
-                "(and (not (clear ?y)) (on ?top ?y) (clear ?top) (handempty) (not (holding ?top))",
-            ),
-        ],
-        [],
-        {},
     ),
     (
         "blocks",
@@ -173,6 +157,15 @@ def test_two_tasks_differ_in_what_was_edited_no_more_and_no_less(
     assert not find_differences(again, robot, "")
 
 
+def test_an_action_with_other_parameters_is_refused(tmp_path: Path) -> None:
+    edit = ":parameters (?x - block ?y - block)\n    :precondition (and (holding ?x)"
+    robot, believed = pair(
+        tmp_path, "blocks", [(edit, edit.replace("block)", "block ?z - block)"))], []
+    )
+    with pytest.raises(InputError, match=r"believed\.stack=.*robot's parameters: \?x - block \?y"):
+        find_differences(robot, believed, "domain.believed")
+
+
 def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: Path) -> None:
     """People who believe all of them incorrectly give the same labels as people with the believed
     task."""
@@ -193,7 +186,7 @@ def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: 
         ("lift_needs_treated", "First treat, then lift."),
         ("medkit", "At the start: not a medkit in office. At the start: a medkit in store."),
     ]
-    assert made.parameters[0].belief == "Lifting does not need: the victim treated."
+    assert made.parameters[0].belief == "The action lift does not need: the victim treated."
     wrong = made.model({p.name: p.inaccurate for p in made.parameters})
     other = {"top": {"change": {"action": "treat", "cost": 2}}}
     theirs = PDDL(**own | paths | {"facts": other})
@@ -208,8 +201,8 @@ def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: 
         before, then = (made.state(int(wrong.imagined[x])) for x in (s, after))
         if before in number and then in number and made.actions[a] in action:
             same = np.array([[number[before], action[made.actions[a]], number[then]]])
-            mine = wrong.explicable(np.array([[s, a, after]]))
-            assert mine.tolist() == task.explicable(same).tolist(), made.actions[a]
+            mine = wrong.labels(np.array([[s, a, after]]))
+            assert mine.tolist() == task.labels(same).tolist(), made.actions[a]
             seen += 1
     assert seen > 20
 
@@ -248,10 +241,10 @@ def test_a_fact_that_matters_only_with_another_is_not_said_to_have_no_effect(
     accurate = {p.name: p.accurate for p in made.parameters}
     transitions = made.model(accurate).on_policy(made.starts)
     values = {p.name: p.inaccurate for p in made.parameters}
-    alone = made.model(accurate | {"longer": values["longer"]}).explicable(transitions)
+    alone = made.model(accurate | {"longer": values["longer"]}).labels(transitions)
     assert alone.all()
-    jam = made.model(accurate | {"jam": values["jam"]}).explicable(transitions)
-    both = made.model(values | {"letter": []}).explicable(transitions)
+    jam = made.model(accurate | {"jam": values["jam"]}).labels(transitions)
+    both = made.model(values | {"letter": []}).labels(transitions)
     assert not np.array_equal(jam, both)
     assert not caplog.messages
 
@@ -261,19 +254,19 @@ CHANGES: list[tuple[str, Any, Callable[[Any, Any], bool], str]] = [
         "blocks",
         {"action": "Pick-Up", "add_precondition": "(not (on ?x a))"},
         lambda a, b: len([*texts(b, "precondition", "pick-up")]) == 4,
-        "Picking up does not need: not the block on a.",
+        "The action pick up does not need: not the block on a.",
     ),
     (
         "blocks",
         {"action": "stack", "add_effect": "(when (clear a) (not (ontable ?y)))"},
         lambda a, b: len([*texts(b, "effect", "stack")]) == 6,
-        "Stacking does not lead to: not block y on the table (if nothing on a).",
+        "The action stack does not lead to: not block y on the table (if nothing on a).",
     ),
     (
         "logistics",
         {"action": "load", "cost": "(length ?l north)"},
         lambda a, b: b["cost", "load", ""] == "(length ?l north)",
-        "Loading costs 1.",
+        "The action load costs 1.",
     ),
     (
         "blocks",

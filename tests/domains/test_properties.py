@@ -17,8 +17,10 @@ from tests.domains.properties import (
     problems,
     share_through,
 )
+from tests.domains.users.corridor import Corridor
 from xplain.domains.base import cell_name
 from xplain.domains.four_rooms import DOORS
+from xplain.domains.users.setting import Setting, UserType
 from xplain.randomness import stream
 
 FOUR_ROOMS, RESCUE = "domain=four_rooms", "domain=rescue"
@@ -85,3 +87,30 @@ def test_columns_are_letters_however_many_there_are() -> None:
     names = [cell_name(0, column) for column in (0, 25, 26, 51, 52, 701, 702)]
     assert names == ["A1", "Z1", "AA1", "AZ1", "BA1", "ZZ1", "AAA1"]
     assert cell_name(9, 1) == "B10"
+
+
+LEFT, TOLL = UserType("left", {"end": "left"}), UserType("toll", {"toll": -5.0})
+
+
+def walk(*cells: int) -> np.ndarray:
+    """To the right through these cells of the corridor."""
+    return np.array([[s, 1, s + 1] for s in cells])
+
+
+def test_the_corridor_is_as_by_hand() -> None:
+    """People who believe that the goal is on the left find every step inexplicable. People who
+    believe in the toll, which costs five rewards from cell 2 to 3, find only this step
+    inexplicable: left of it nothing can be gained, and right of it there is no toll."""
+    domain = Corridor()
+    setting = Setting.build(domain, (LEFT, TOLL))
+    traces = [walk(1, 2, 3, 4), walk(2, 3, 4), walk(3, 4), walk(4)]
+    found = problems(setting, traces)
+    assert found.smallest.tolist() == [[1, 1], [1, 1], [1, 0], [1, 0]]
+    # Silence: type "left" labels 0 each of m transitions, m + … + 1 times in all: 10, 6, 3, 1.
+    # Type "toll" labels 0 the step from cell 2: shown 3 times, 3 times, never, never.
+    assert found.worth.tolist() == [[True, True], [True, True], [True, False], [False, False]]
+    assert found.tables == 4
+    assert found.commonest == 0.25
+    assert found.puzzling == 0.5
+    assert count_traces(setting) == 4
+    assert inexplicable_alone(domain, traces) == {"end": 1.0, "toll": pytest.approx(2 / 10)}

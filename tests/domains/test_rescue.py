@@ -164,43 +164,6 @@ def test_bad_input_is_one_clear_line(changes: dict, key: str, text: str) -> None
     assert "\n" not in str(caught.value)
 
 
-def told(domain: Rescue, script: str) -> list[str]:
-    """Returns the phrases of a walk from the start."""
-    model = domain.model(VALUES)
-    state, phrases = int(domain.starts[0]), []
-    for letter in script:
-        r, c = domain.position(state)
-        action = act(domain, ROWS[r][c]) if letter == "+" else "udlr".index(letter)
-        after = int(model.successor[state, action, 0])
-        phrases.append(domain.describe(np.array([state, action, after])))
-        state = after
-    return phrases
-
-
-def test_phrases_tell_what_happens() -> None:
-    assert told(rescue(), "ur+rr+d") == [
-        "tries to move up and stays at (0, 0)",
-        "moves right to (0, 1)",
-        "picks up the first aid",
-        "moves right through the puddle at (0, 2)",
-        "moves right to (0, 3)",
-        "extinguishes the fire",
-        "moves down over the fence at (1, 3)",
-    ]
-    assert told(rescue(), "ddr+rr+lll") == [
-        "moves down to (1, 0)",
-        "moves down to (2, 0)",
-        "moves right to (2, 1)",
-        "picks up the victim",
-        "carries the victim right over the rubble at (2, 2)",
-        "carries the victim right to (2, 3)",
-        "refuels",
-        "carries the victim left over the rubble at (2, 2)",
-        "carries the victim left to (2, 1)",
-        "carries the victim left into the shelter",
-    ]
-
-
 def test_the_scene_shows_every_item_in_its_place() -> None:
     scene = rescue().scene
     assert (scene.rows, scene.columns, scene.walls) == (3, 4, ((1, 1),))

@@ -192,7 +192,7 @@ def test_traces_are_walks_of_the_robot_from_a_start_to_the_end_or_the_limit(prep
         walk = case.transitions
         assert walk[0, 0] in domain.starts
         assert (walk[1:, 0] == walk[:-1, 2]).all()
-        assert setting.optimal[0][walk[:, 0], walk[:, 1]].all()
+        assert setting.models[0].optimal[walk[:, 0], walk[:, 1]].all()
         assert len(walk) <= 7
         assert len(walk) == 7 or setting.models[0].terminal[walk[-1, 2]]
         assert np.array_equal(case.labels.array(6), setting.label_table(walk))

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from tests.people.server_process import ROOT, ServerProcess
+from xplain.learning.saved import LearnedTypes
 
 Kept = dict[str, Any]
 
@@ -94,10 +95,22 @@ def discovery(folder: Path) -> Kept:
 
 
 def numbers(path: Path) -> Kept:
-    """The numbers of an .npz file; of tables the means over message sets."""
-    with np.load(path, allow_pickle=False) as file:
-        read = {name: file[name] for name in file.files if file[name].dtype.kind in "iufb"}
-    return {name: (a.mean(axis=-1) if a.ndim > 1 else a).tolist() for name, a in read.items()}
+    """The numbers of saved types; of tables the means over message sets."""
+    types = LearnedTypes.load(path)
+    labelers, habits = [*types.labelers, types.about_everything], types.habits
+    values = {
+        "prior": types.prior,
+        **{f"habits/{key}": getattr(habits, key) for key in ("error", "accept", "forget", "prior")},
+        "wrong": types.wrong,
+        "new": types.new,
+        **{f"{t}/{key}": own for t, x in enumerate(labelers) for key, own in x.arrays().items()},
+        **{
+            key: [getattr(labeler, key) for labeler in labelers]
+            for key in ("confidence", "accuracy", "n_train", "n_test")
+        },
+    }
+    arrays = {name: np.asarray(own) for name, own in values.items()}
+    return {name: (a.mean(axis=-1) if a.ndim > 1 else a).tolist() for name, a in arrays.items()}
 
 
 def collection(folder: Path) -> Kept:

@@ -25,17 +25,6 @@ from xplain.learning.mixture.sampler import (
 TYPES = [[0, 1], [2], [1, 3]]
 
 
-def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
-    dataset, truth = made(np.random.default_rng(4), TYPES, per_type=4, size=200, noise=0.08)
-    rng = np.random.default_rng(0)
-    keep = rng.random(len(dataset)) < np.where(dataset.observer % 4 == 1, 0.4, 1.0)
-    keep[dataset.observer == 0] = False
-    keep[0] = True
-    dataset = dataset.take(np.flatnonzero(keep))
-    found = DirichletMixture().cluster(Observed(dataset), 1)
-    assert adjusted_rand_score(truth[1:], found.assignment[1:]) == 1
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.1, 0.15])
 def test_types_are_found_and_noise_makes_none(noise: float) -> None:
     """Nobody answers the same questions. A model that fits the errors finds a type an observer."""

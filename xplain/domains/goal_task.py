@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from xplain.domains.mdp import CLEAR, TIE
+from xplain.domains.mdp import CLEAR, TIE, TaskModel
 from xplain.errors import DomainError
 
 
@@ -72,7 +72,7 @@ class StateSpace:
 
 
 @dataclass(frozen=True, eq=False)
-class GoalTask:
+class GoalTask(TaskModel):
     """The task as the robot or a user sees it.
 
     Attributes:
@@ -93,11 +93,6 @@ class GoalTask:
     imagined: NDArray[np.int64] | None = None
 
     discount = 1.0
-
-    @property
-    def n_states(self) -> int:
-        """S, the number of states, terminal ones included."""
-        return self.space.n_states
 
     @property
     def n_actions(self) -> int:
@@ -157,15 +152,16 @@ class GoalTask:
         shape = self.n_states, self.n_actions, self.n_states
         return np.asarray(np.ravel_multi_index(transitions, shape))
 
-    def explicable(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """[T] True if a transition [T, 3] is on a cheapest plan and has the believed result."""
+    def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """[T] labels of transitions [T, 3]: 1 (explicable) if one is on a cheapest plan and
+        has the believed result, 0 otherwise."""
         s, a, after = transitions.T
         if self.imagined is not None:
             s, after = self.imagined[s], self.imagined[after]
         result = (s >= 0) & (after >= 0)
         seen = self._keys(s[result], a[result], after[result])
         result[result] = np.isin(seen, self._keys(*self.on_policy().T))
-        return result
+        return result.astype(np.uint8)
 
     def steps_from(self, state: int) -> NDArray[np.float64]:
         """[S] the number of actions on the shortest path from a state; ∞ if there is none."""
@@ -173,7 +169,7 @@ class GoalTask:
         return self.space.shortest(length, np.array([state]))
 
     @cached_property
-    def optimal(self) -> NDArray[np.bool_]:
+    def optimal(self) -> NDArray[np.bool_]:  # type: ignore[override]
         """[S, A] the actions on a cheapest plan from each true state."""
         result = np.zeros((self.n_states, self.n_actions), dtype=bool)
         s, a, _ = self.on_policy().T
@@ -181,12 +177,12 @@ class GoalTask:
         return result
 
     @cached_property
-    def successor(self) -> NDArray[np.int32]:
+    def successor(self) -> NDArray[np.int32]:  # type: ignore[override]
         """[S, A, 1] as in :class:`~xplain.domains.mdp.MDP`; made on demand."""
         return self._table(self.space.successor, np.int32)
 
     @cached_property
-    def probability(self) -> NDArray[np.float32]:
+    def probability(self) -> NDArray[np.float32]:  # type: ignore[override]
         """[S, A, 1] of 0 and 1, as in :class:`~xplain.domains.mdp.MDP`."""
         return self._table(np.ones(len(self.space.variant)), np.float32)
 
@@ -229,28 +225,8 @@ class GoalTask:
             )
 
     @staticmethod
-    def solve(models: Sequence[GoalTask], names: Sequence[str]) -> GoalSolution:
-        """Solves all models.
-
-        Raises:
-            DomainError: see :meth:`GoalTask.solved`.
-        """
+    def solve(models: Sequence[GoalTask], names: Sequence[str]) -> tuple[GoalTask, ...]:
+        """Checks all models (:meth:`solved`); each solves itself on demand."""
         for model, name in zip(models, names, strict=True):
             model.solved(name)
-        return GoalSolution(tuple(models))
-
-
-@dataclass(frozen=True)
-class GoalSolution:
-    """The optimal actions in each of B goal tasks (:class:`xplain.domains.mdp.Solution`)."""
-
-    models: tuple[GoalTask, ...]
-
-    def __getitem__(self, index: int) -> NDArray[np.bool_]:
-        """[S, A] the optimal actions of one task; the table is made on demand."""
-        return self.models[index].optimal
-
-    def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[B, T] 1 for explicable transitions, 0 for others."""
-        found = [model.explicable(transitions) for model in self.models]
-        return np.array(found, dtype=np.uint8)
+        return tuple(models)

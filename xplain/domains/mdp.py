@@ -7,8 +7,8 @@ solved in one batch, with an accuracy that decides safely whether an action is o
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,43 +27,43 @@ LARGEST_BATCH = 1 << 17
 """Maximum number of outcomes (of all states, actions and models) in one sweep."""
 
 
-class TaskModel(Protocol):
+class TaskModel:
     """A model of the task, the robot's or a user's: an :class:`MDP`, or a
-    :class:`~xplain.domains.goal_task.GoalTask`. The arrays are those of :class:`MDP`."""
+    :class:`~xplain.domains.goal_task.GoalTask`.
+
+    Attributes:
+        successor, probability, terminal: as in :class:`MDP`.
+        optimal: [S, A] the optimal actions, once the model is solved.
+    """
+
+    successor: NDArray[Any]
+    probability: NDArray[Any]
+    terminal: NDArray[np.bool_]
+    optimal: NDArray[np.bool_]
 
     @property
     def n_states(self) -> int:
         """S, the number of states, terminal ones included."""
-        ...
+        return len(self.terminal)
 
     @property
     def n_actions(self) -> int:
         """A, the number of actions, whether available in a state or not."""
-        ...
+        return int(self.successor.shape[1])
 
-    @property
-    def successor(self) -> NDArray[Any]:
-        """[S, A, K] the next state of each outcome."""
-        ...
-
-    @property
-    def probability(self) -> NDArray[Any]:
-        """[S, A, K] the probability of each outcome."""
-        ...
-
-    @property
-    def terminal(self) -> NDArray[np.bool_]:
-        """[S] True for terminal states."""
-        ...
+    def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """[T] labels of transitions [T, 3] once the model is solved: 1 (explicable) for an optimal
+        action with a possible outcome, 0 otherwise."""
+        raise NotImplementedError
 
     @staticmethod
-    def solve(models: Any, names: Sequence[str]) -> Solution:
-        """The optimal actions in models of this class.
+    def solve(models: Any, names: Sequence[str]) -> tuple[Any, ...]:
+        """Solves models of this class over the same states and actions.
 
         Raises:
             DomainError: ties are ambiguous; ``names`` identifies the model.
         """
-        ...
+        raise NotImplementedError
 
 
 def find_reached(
@@ -85,21 +85,8 @@ def find_reached(
     return seen
 
 
-class Solution(Protocol):
-    """The optimal actions in each of B models over the same states and actions."""
-
-    def __getitem__(self, index: int) -> NDArray[np.bool_]:
-        """[S, A] the optimal actions of one model."""
-        ...
-
-    def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[B, T] labels of transitions [T, 3]: 1 (explicable) for an optimal action with a possible
-        outcome, 0 otherwise."""
-        ...
-
-
 @dataclass(frozen=True)
-class MDP:
+class MDP(TaskModel):
     """A finite discounted MDP, sparse: K outcome slots for each state and action.
 
     Attributes:
@@ -109,6 +96,7 @@ class MDP:
         reward: [S, A, K] float64, R(s, a, s').
         discount: γ in [0, 1).
         terminal: [S] bool; nothing happens after a terminal state, its value is 0.
+        optimal: [S, A] the optimal actions; empty until :meth:`solve` finds them.
     """
 
     successor: NDArray[np.int64]
@@ -116,6 +104,7 @@ class MDP:
     reward: NDArray[np.float64]
     discount: float
     terminal: NDArray[np.bool_]
+    optimal: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
 
     def __post_init__(self) -> None:
         """Checks shapes and probabilities.
@@ -128,62 +117,54 @@ class MDP:
             raise DomainError(f"MDP: successor, probability, reward must share [S, A, K]: {shape}")
         if self.terminal.shape != shape[:1]:
             raise DomainError(f"MDP: terminal must be [S] = [{shape[0]}]")
-        if not 0 <= self.discount < 1:
-            raise DomainError(f"MDP: discount={self.discount}: a number in [0, 1)")
-        if not np.isfinite(self.reward).all():
-            raise DomainError("MDP: every reward must be a finite number")
         total = self.probability.sum(axis=2)
-        if (self.probability < 0).any() or not np.all((total == 0) | np.isclose(total, 1)):
-            raise DomainError("MDP: outcome probabilities of an action must sum to 1 (or all be 0)")
-        if ((total == 0).all(axis=1) & ~self.terminal).any():
-            raise DomainError("MDP: every state that is not terminal needs an action")
-        if (self.successor < 0).any() or (self.successor >= shape[0]).any():
-            raise DomainError("MDP: successor names a state that does not exist")
-
-    @property
-    def n_states(self) -> int:
-        """S, the number of states, terminal ones included."""
-        return int(self.successor.shape[0])
-
-    @property
-    def n_actions(self) -> int:
-        """A, the number of actions, whether available in a state or not."""
-        return int(self.successor.shape[1])
-
-    def possible(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """[T] True if a transition (s, a, s') of [T, 3] has positive probability."""
-        s, a, after = transitions.T
-        reached = (self.successor[s, a] == after[:, None]) & (self.probability[s, a] > 0)
-        return np.asarray(reached.any(axis=1))
-
-    @staticmethod
-    def solve(models: Sequence[MDP], names: Sequence[str]) -> MDPSolution:
-        """Solves all models (:func:`optimal_actions`)."""
-        return MDPSolution(tuple(models), optimal_actions(models, names))
-
-
-@dataclass(frozen=True)
-class MDPSolution:
-    """The optimal actions in each of B MDPs (:class:`Solution`).
-
-    Attributes:
-        models: B models.
-        optimal: [B, S, A].
-    """
-
-    models: tuple[MDP, ...]
-    optimal: NDArray[np.bool_]
-
-    def __getitem__(self, index: int) -> NDArray[np.bool_]:
-        """[S, A] the optimal actions of one model."""
-        return np.asarray(self.optimal[index])
+        for broken, reason in (
+            (not 0 <= self.discount < 1, f"discount={self.discount}: a number in [0, 1)"),
+            (not np.isfinite(self.reward).all(), "every reward must be a finite number"),
+            (
+                (self.probability < 0).any() or not np.all((total == 0) | np.isclose(total, 1)),
+                "outcome probabilities of an action must sum to 1 (or all be 0)",
+            ),
+            (
+                ((total == 0).all(axis=1) & ~self.terminal).any(),
+                "every state that is not terminal needs an action",
+            ),
+            (
+                (self.successor < 0).any() or (self.successor >= shape[0]).any(),
+                "successor names a state that does not exist",
+            ),
+        ):
+            if broken:
+                raise DomainError(f"MDP: {reason}")
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[B, T] labels: 1 (explicable) for an optimal action with a possible outcome, 0
-        otherwise."""
-        s, a, _ = transitions.T
-        possible = np.array([model.possible(transitions) for model in self.models])
-        return np.asarray(self.optimal[:, s, a] & possible, dtype=np.uint8)
+        """See :meth:`TaskModel.labels`."""
+        s, a, after = transitions.T
+        possible = (self.successor[s, a] == after[:, None]) & (self.probability[s, a] > 0)
+        return np.asarray(self.optimal[s, a] & possible.any(axis=1), dtype=np.uint8)
+
+    @staticmethod
+    def solve(models: Sequence[MDP], names: Sequence[str]) -> tuple[MDP, ...]:
+        """Solves all models together.
+
+        Raises:
+            DomainError: the gap between two actions is too small to tell whether they tie, or a
+                discount is too close to 1.
+        """
+        q = q_values(models)
+        best = q.max(axis=2, keepdims=True)
+        scale = np.array([_scale(model) for model in models])[:, None, None]
+        gap = np.where(np.isfinite(q), best - q, np.inf) / scale
+        for b, s, a in np.argwhere((gap > TIE) & (gap < CLEAR)):
+            raise DomainError(
+                f"domain: ambiguous tie in {names[b]}, state {s}, action {a}: its value is "
+                f"{gap[b, s, a]:.1e} of the largest possible value below the best; change a reward "
+                f"or the discount so that gaps are 0 or above {CLEAR:g}"
+            )
+        return tuple(
+            replace(model, optimal=(own <= TIE) & ~model.terminal[:, None])
+            for model, own in zip(models, gap, strict=True)
+        )
 
 
 def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
@@ -249,31 +230,6 @@ def _solved(models: Sequence[MDP]) -> NDArray[np.float64]:
         f"domain: a model with discount {discount.max():g} cannot be solved to the accuracy "
         "that safe ties need; use a smaller discount"
     )
-
-
-def optimal_actions(models: Sequence[MDP], names: Sequence[str] = ()) -> NDArray[np.bool_]:
-    """[B, S, A] True for optimal actions.
-
-    Args:
-        models: B models, solved together.
-        names: names of the models, for errors.
-
-    Raises:
-        DomainError: the gap between two actions is too small to tell whether they tie.
-    """
-    q = q_values(models)
-    best = q.max(axis=2, keepdims=True)
-    scale = np.array([_scale(model) for model in models])[:, None, None]
-    gap = np.where(np.isfinite(q), best - q, np.inf) / scale
-    for b, s, a in np.argwhere((gap > TIE) & (gap < CLEAR)):
-        who = names[b] if names else f"model {b}"
-        raise DomainError(
-            f"domain: ambiguous tie in {who}, state {s}, action {a}: its value is "
-            f"{gap[b, s, a]:.1e} of the largest possible value below the best; change a reward "
-            f"or the discount so that gaps are 0 or above {CLEAR:g}"
-        )
-    terminal = np.array([model.terminal for model in models])
-    return np.asarray((gap <= TIE) & ~terminal[:, :, None])
 
 
 def _scale(model: MDP) -> float:

@@ -191,8 +191,7 @@ def observe(
 def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArray[np.int64]:
     """[m, 3] the trace with this index: it starts at random and follows the robot's policy."""
     rng = stream(seed, "traces", index)
-    robot, optimal = setting.models[0], setting.optimal[0]
-    return sample_trace(robot, optimal, setting.domain.starts, rng, max_steps)
+    return sample_trace(setting.models[0], setting.domain.starts, rng, max_steps)
 
 
 def build_case(

@@ -6,9 +6,10 @@ labeler of hypotheses is stored as a table of its probabilities.
 
 from __future__ import annotations
 
+import json
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 import skops.io
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import InputError, refuse_if
 from xplain.explanation.belief import OPEN, fact_sets
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
@@ -24,6 +25,7 @@ from xplain.learning.data.dataset import Dataset, places
 from xplain.learning.data.label_file import MAX_MASK, encode_transition
 from xplain.learning.labelers import FittedLabeler, Labeler, MeasuredLabeler
 from xplain.learning.user_types import UserTypes, label_table
+from xplain.storage import decode, encode
 
 TREE = "sklearn.tree._tree.Tree"
 """A class that skops does not trust, because its arrays may not form a tree. This module checks
@@ -56,13 +58,22 @@ class TableLabeler(MeasuredLabeler):
         return {"rows": self.rows, "table": self.values}
 
 
+FIGURES = {"confidence": float, "accuracy": float, "n_train": int, "n_test": int}
+"""The measured attributes of a labeler, with their types."""
+
+
+def _values(labeler: Labeler) -> dict[str, Any]:
+    """The values of a labeler in a file."""
+    return {key: getattr(labeler, key) for key in FIGURES} | labeler.arrays()
+
+
 def _labeler(
-    arrays: Mapping[str, NDArray[Any]], t: int, features: int, messages: int, trusted: Sequence[str]
+    kept: Mapping[str, Any], t: int, features: int, messages: int, trusted: Sequence[str]
 ) -> Labeler:
-    """Reads the labeler of type t from a file of :meth:`LearnedTypes.save`.
+    """Makes the labeler of type t from its values (:func:`_values`).
 
     Args:
-        arrays: arrays of the file; those of type t have names ``t/…``.
+        kept: the values.
         t: index of the type.
         features, messages: number of features, and of messages.
         trusted: classes outside scikit-learn that skops may create, by full name.
@@ -70,16 +81,24 @@ def _labeler(
     Raises:
         InputError: the arrays contradict each other, or skops may not create the labeler.
     """
-    figures = {key: arrays[key][t].item() for key in FIGURES}
-    if f"{t}/table" in arrays:
-        rows, table = arrays[f"{t}/rows"], arrays[f"{t}/table"]
-        if rows.shape != (len(rows), features) or table.shape != (len(rows), 1 << messages):
-            raise InputError("types", f"table of type {t}", "arrays of a table, as saved")
-        if not ((table > 0) & (table < 1)).all():
-            raise InputError("types", f"table of type {t}", "probabilities inside (0, 1)")
+    figures: dict[str, Any] = {key: kind(kept[key]) for key, kind in FIGURES.items()}
+    if "table" in kept:
+        rows, table = kept["rows"], kept["table"]
+        refuse_if(
+            rows.shape != (len(rows), features) or table.shape != (len(rows), 1 << messages),
+            "types",
+            f"table of type {t}",
+            "arrays of a table, as saved",
+        )
+        refuse_if(
+            not ((table > 0) & (table < 1)).all(),
+            "types",
+            f"table of type {t}",
+            "probabilities inside (0, 1)",
+        )
         rows, table = rows.astype(np.float32), table.astype(np.float64)
         return TableLabeler(rows=rows, values=table, n_messages=messages, **figures)
-    data = arrays[f"{t}/skops"].tobytes()
+    data = kept["skops"].tobytes()
     unknown = {*skops.io.get_untrusted_types(data=data)} - {TREE, *trusted}
     if unknown:
         allowed = "classes to name in trusted=, if you trust them"
@@ -88,9 +107,13 @@ def _labeler(
     inputs = features + messages
     trees = [classifier, *np.ravel(getattr(classifier, "estimators_", []))]
     sound = (_is_sound(one.tree_, inputs) for one in trees if hasattr(one, "tree_"))
-    if getattr(classifier, "n_features_in_", inputs) != inputs or not all(sound):
-        raise InputError("types", f"classifier of type {t}", "a fitted classifier, as saved")
-    calibrated = bool(arrays[f"{t}/calibrated"])
+    refuse_if(
+        getattr(classifier, "n_features_in_", inputs) != inputs or not all(sound),
+        "types",
+        f"classifier of type {t}",
+        "a fitted classifier, as saved",
+    )
+    calibrated = bool(kept["calibrated"])
     return FittedLabeler(
         classifier=classifier, n_messages=messages, calibrated=calibrated, **figures
     )
@@ -106,8 +129,8 @@ def _is_sound(tree: Any, inputs: int) -> bool:
     return bool(whole and all(map(np.all, (*ends, asked))))
 
 
-FORMAT = 1
-FIGURES = ("confidence", "accuracy", "n_train", "n_test")
+WHOLE = "types"
+"""In a file: the name of the text that assigns the arrays to fields."""
 
 
 @dataclass(frozen=True)
@@ -187,10 +210,10 @@ class LearnedTypes:
             rows = np.asarray(transitions, dtype=np.float64)
         except (TypeError, ValueError):
             raise InputError("trace", transitions, wanted) from None
-        if rows.ndim != 2 or rows.shape[1] != len(self.feature_names):
-            raise InputError("trace", rows.shape, wanted)
-        if not np.isfinite(rows).all():
-            raise InputError("trace", "NaN or infinite", wanted)
+        refuse_if(
+            rows.ndim != 2 or rows.shape[1] != len(self.feature_names), "trace", rows.shape, wanted
+        )
+        refuse_if(not np.isfinite(rows).all(), "trace", "NaN or infinite", wanted)
         return label_table(self.labelers, rows)
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
@@ -201,31 +224,16 @@ class LearnedTypes:
         return self.about_everything.table(np.asarray(transitions, dtype=np.float64))
 
     def save(self, path: str | Path) -> None:
-        """Writes an ``.npz`` file.
+        """Writes an ``.npz`` file: all arrays, and ``types``, a text in JSON with everything else.
 
         Raises:
             InputError: skops cannot write a classifier.
         """
-        arrays: dict[str, Any] = {
-            "format": FORMAT,
-            "names": np.array(self.names, dtype=np.str_),
-            "prior": self.prior,
-            "messages": np.array(self.messages, dtype=np.str_),
-            "feature_names": np.array(self.feature_names, dtype=np.str_),
-            "sentences": np.array([self.sentences.get(m, "") for m in self.messages], np.str_),
-        }
-        if self.habits is not None:
-            arrays |= {
-                f"habits/{own.name}": getattr(self.habits, own.name) for own in fields(Habits)
-            }
-        labelers = [*self.labelers]
-        if self.about_everything is not None and self.wrong is not None:
-            arrays |= {"wrong": np.array(self.wrong), "new": self.new}
-            labelers.append(self.about_everything)
-        for t, labeler in enumerate(labelers):
-            arrays |= {f"{t}/{key}": own for key, own in labeler.arrays().items()}
-        for key in FIGURES:
-            arrays[key] = np.array([getattr(labeler, key) for labeler in labelers])
+        arrays: dict[str, Any] = {}
+        kept = {own.name: getattr(self, own.name) for own in fields(self)}
+        kept["labelers"] = [_values(labeler) for labeler in self.labelers]
+        kept["about_everything"] = self.about_everything and _values(self.about_everything)
+        arrays[WHOLE] = np.array(json.dumps(encode(kept, arrays)))
         with Path(path).open("wb") as file:  # an open file keeps its name as it is
             np.savez_compressed(file, **arrays)
 
@@ -243,29 +251,14 @@ class LearnedTypes:
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}
-            if int(arrays["format"]) != FORMAT:
-                raise InputError("types", int(arrays["format"]), f"a file of format {FORMAT}")
-            names, messages, features, sentences = (
-                tuple(str(name) for name in arrays[key].tolist())
-                for key in ("names", "messages", "feature_names", "sentences")
+            kept = decode(cls, json.loads(arrays[WHOLE].item()), arrays)
+            size = len(kept.feature_names), len(kept.messages)
+            refuse_if(size[1] > MAX_MASK, "types", size[1], f"at most {MAX_MASK} messages")
+            *labelers, everything = (
+                own and _labeler({k: arrays.get(x, x) for k, x in own.items()}, t, *size, trusted)
+                for t, own in enumerate([*kept.labelers, kept.about_everything])
             )
-            if len(messages) > MAX_MASK:
-                raise InputError("types", len(messages), f"at most {MAX_MASK} messages")
-            labelers = tuple(
-                _labeler(arrays, t, len(features), len(messages), trusted)
-                for t in range(len(names))
-            )
-            prior = np.asarray(arrays["prior"], dtype=np.float64)
-            about: tuple[Any, ...] = ()
-            if "wrong" in arrays:
-                wrong = tuple(arrays["wrong"].astype(int).tolist())
-                last = _labeler(arrays, len(names), len(features), len(messages), trusted)
-                about = wrong, last, float(arrays["new"])
-            habits = None
-            if "habits/prior" in arrays:
-                habits = Habits(
-                    **{own.name: arrays[f"habits/{own.name}"] for own in fields(Habits)}
-                )
+            prior = np.asarray(kept.prior, dtype=np.float64)
         except InputError:
             raise
         except (OSError, KeyError, ValueError, IndexError, AttributeError, TypeError,
@@ -274,9 +267,12 @@ class LearnedTypes:
             raise InputError(
                 "types", str(path), f"a file of LearnedTypes.save ({reason})"
             ) from None
-        if not labelers or prior.shape != (len(labelers),):
-            raise InputError("types", str(path), "one prior and one labeler a type")
-        said = {m: text for m, text in zip(messages, sentences, strict=True) if text}
-        if about and len(about[0]) != len(labelers):
-            raise InputError("types", str(path), "the facts of each type")
-        return cls(labelers, names, prior, messages, features, said, habits, *about)
+        each = [kept.names, prior, *([] if kept.wrong is None else [kept.wrong])]
+        refuse_if(
+            not labelers or prior.ndim != 1 or any(len(own) != len(labelers) for own in each),
+            "types",
+            str(path),
+            "one name, one prior and one labeler a type",
+        )
+        every = tuple(labelers)
+        return replace(kept, labelers=every, prior=prior, about_everything=everything)

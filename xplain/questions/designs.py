@@ -300,8 +300,8 @@ class _Checks:
         setting: Setting,
         rng: np.random.Generator,
     ) -> _Checks:
-        model, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
-        visits = RARE + expected_visits(model, optimal, starts, setting.reachable, LONGEST)
+        model, starts = setting.models[0], setting.domain.starts
+        visits = RARE + expected_visits(model, starts, setting.reachable, LONGEST)
         weight = visits[places(transitions, setting.reachable)] * known.tables[0, 0]
         return cls(int(np.bitwise_or.reduce(known.facts)), weight, rng)
 

@@ -35,7 +35,7 @@ def test_the_label_table_is_what_each_corrected_model_says() -> None:
             for j, p in enumerate(domain.parameters)
         }
         model = domain.model(values)
-        expected = mdp.MDP.solve([model], ["theirs"]).labels(transitions)[0]
+        expected = mdp.MDP.solve([model], ["theirs"])[0].labels(transitions)
         assert np.array_equal(table[t, :, given], expected)
         one_by_one = setting.labels(t, transitions, np.full(len(transitions), given))
         assert np.array_equal(one_by_one, expected)
@@ -53,7 +53,7 @@ def test_each_distinct_model_is_solved_once() -> None:
 
 def test_reachable_is_what_every_optimal_policy_can_do() -> None:
     setting = setting_of(RESCUE)
-    model, optimal = setting.models[0], setting.optimal[0]
+    model, optimal = setting.models[0], setting.models[0].optimal
     found, todo = set(), {int(s) for s in setting.domain.starts}
     seen: set[int] = set()
     while todo:

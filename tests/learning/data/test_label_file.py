@@ -39,6 +39,15 @@ def table(tmp_path: Path, **changes: object) -> Path:
     return path
 
 
+def followed(text: str, advice: str) -> list[str]:
+    """Returns the value that the advice in a text gives to its key."""
+    (word,) = shlex.split(text.partition(advice)[2].partition("\n")[0] if advice else text)
+    (override,) = OverridesParser.create().parse_overrides([word])
+    value = override.value()
+    assert isinstance(value, list)
+    return value
+
+
 def test_columns_become_a_dataset(tmp_path: Path) -> None:
     dataset = read_table(table(tmp_path))
     assert dataset.observers == ("a", "b")
@@ -89,39 +98,33 @@ def test_bad_tables_are_named_in_a_line(
 
 
 def test_unknown_messages_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"='m1': unknown message .* row 2; known: m0, m9"):
-        read_table(table(tmp_path), messages=("m0", "m9"))
     with pytest.raises(
-        InputError, match="data='m1;m0': unknown message in 1 rows of messages, first in row 3"
+        InputError, match=r"data='m1': unknown message in 2 rows .* row 2; known: m0, m9"
     ):
-        read_table(table(tmp_path, messages=["", "", "m1;m0", *[""] * 3]), messages=("m9",))
+        read_table(table(tmp_path), messages=("m0", "m9"))
 
 
-@pytest.mark.parametrize("name", ["nowhere.csv", "labels.xlsx"])
-def test_files_that_cannot_be_read(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match=name):
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("nowhere.csv", None, "nowhere.csv"),
+        ("labels.xlsx", None, "labels.xlsx"),
+        ("bad.csv", b"\x00\x01\xff" * 9, "not in UTF-8"),
+        ("bad.parquet", b"\x00\x01\xff" * 9, "not a readable table"),
+        ("empty.csv", b"", "not a readable table"),
+        ("empty.parquet", b"", "not a readable table"),
+        ("cut.csv.gz", gzip.compress(b"observer,label,row\na,1,2\n")[:-12], "not a readable table"),
+        ("twice.csv", b"observer,label,label\na,1,2\n", "data='label': two columns"),
+        ("header.csv", b"observer,label,row\n", "has no rows"),
+    ],
+)
+def test_files_that_are_no_tables(
+    name: str, content: bytes | None, said: str, tmp_path: Path
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=said):
         read_table(tmp_path / name)
-
-
-@pytest.mark.parametrize("name", ["bad.csv", "bad.parquet"])
-def test_files_that_are_no_tables(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_bytes(b"\x00\x01\xff" * 9)
-    with pytest.raises(InputError):
-        read_table(tmp_path / name)
-    (tmp_path / name).write_bytes(b"")
-    with pytest.raises(InputError, match="not a readable table"):
-        read_table(tmp_path / name)
-    written = table(tmp_path).read_text()
-    (tmp_path / "cut.csv.gz").write_bytes(gzip.compress(written.encode())[:-12])
-    (tmp_path / "twice.csv").write_text(written.replace("row,action", "label,action", 1))
-    (tmp_path / "header.csv").write_text(written.splitlines()[0] + "\n")
-    for broken, said in (
-        ("cut.csv.gz", "not a readable table"),
-        ("twice.csv", "data='label': two columns"),
-        ("header.csv", "has no rows"),
-    ):
-        with pytest.raises(InputError, match=said):
-            read_table(tmp_path / broken)
 
 
 def test_a_feature_may_have_thousands_of_values(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -285,9 +288,7 @@ def test_a_random_table_is_the_same_after_writing_and_reading(
 
 @given(st.lists(st.text(st.characters(exclude_categories=("Cc", "Cs"))), min_size=1))
 def test_what_to_write_reaches_the_configuration_as_it_is(values: list[str]) -> None:
-    (word,) = shlex.split(option("data", "ignore", *values))
-    (override,) = OverridesParser.create().parse_overrides([word])
-    assert override.value() == values
+    assert followed(option("data", "ignore", *values), "") == values
 
 
 def test_columns_that_cannot_be_features_are_named_and_the_advice_works(
@@ -300,19 +301,8 @@ def test_columns_that_cannot_be_features_are_named_and_the_advice_works(
     assert "steps by the features row, action" in caplog.text
     assert "age (the same in all rows of a person)" in caplog.text
     assert "Duration (s) (another value in nearly every row)" in caplog.text
-    advice, _, _ = caplog.text.partition("to take all: ")[2].partition("\n")
-    (word,) = shlex.split(advice)
-    advised = OverridesParser.create().parse_overrides([word])[0].value()
+    advised = followed(caplog.text, "to take all: ")
     assert len(read_table(path, features=advised).feature_names) == 5
-
-
-def followed(text: str, advice: str) -> list[str]:
-    """Returns the value that the advice in a text gives to its key."""
-    (word,) = shlex.split(text.partition(advice)[2].partition("\n")[0])
-    (override,) = OverridesParser.create().parse_overrides([word])
-    value = override.value()
-    assert isinstance(value, list)
-    return value
 
 
 def test_where_nearly_every_answer_is_about_another_step_the_advice_works(
@@ -380,6 +370,7 @@ def test_numbers_that_name_the_steps_are_features(tmp_path: Path) -> None:
         ("MESSAGES", "messages"),
         ("message", "messages"),
         ("Label", "label"),
+        ("zone=river", "row"),
     ],
 )
 def test_a_column_with_nearly_the_name_is_asked_about_and_the_advice_works(
@@ -388,34 +379,28 @@ def test_a_column_with_nearly_the_name_is_asked_about_and_the_advice_works(
     path = table(tmp_path)
     written, expected = path.read_text(), read_table(path)
     path.write_text(written.replace(meant, header, 1))
-    with pytest.raises(InputError, match=f"data='{header}': rename this column to {meant}$"):
+    with pytest.raises(InputError, match=f"data='{header}': rename this column"):
         read_table(path)
     path.write_text(written.replace(meant, f"{meant} ", 1))
     assert read_table(path).messages == expected.messages
 
 
-@pytest.mark.parametrize("alike", ["Up", "up\u200b", "\uff55p"])
+@pytest.mark.parametrize("column", ["action", "observer"])
+@pytest.mark.parametrize("alike", ["P0", "p0\u200b", "\uff500", "p0.0"])
 def test_values_that_look_alike_are_named(
-    alike: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    column: str, alike: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    path = table(tmp_path, action=["up", alike, "left", "up", alike, "left"])
-    assert f"action={alike}" in read_table(path).feature_names
-    assert "in the column action look alike; they count as two" in caplog.text
-
-
-def test_a_name_that_would_be_that_of_a_value_is_refused(tmp_path: Path) -> None:
-    path = table(tmp_path)
-    path.write_text(path.read_text().replace("row", "zone=river", 1))
-    with pytest.raises(InputError, match="data='zone=river': rename this column"):
-        read_table(path)
+    dataset = read_table(table(tmp_path, **{column: ["p0", alike, "p1", "p0", alike, "p1"]}))
+    names = dataset.feature_names[1:] if column == "action" else dataset.observers
+    assert len(names) == 3
+    assert f"in the column {column} look alike; they count as two" in caplog.text
 
 
 def test_where_no_column_can_be_a_feature_it_is_asked_and_the_advice_works(tmp_path: Path) -> None:
     path = table(tmp_path, row=[1, 1, 1, 2, 2, 2], action=None)
     with pytest.raises(InputError, match="the same in all rows of a person") as caught:
         read_table(path)
-    (word,) = shlex.split(str(caught.value).partition("if it is a feature: ")[2])
-    advised = OverridesParser.create().parse_overrides([word])[0].value()
+    advised = followed(str(caught.value), "if it is a feature: ")
     assert read_table(path, features=advised).feature_names == ("row",)
 
 
@@ -452,8 +437,7 @@ def test_odd_messages_are_asked_about_and_the_advice_works(
     path = table(tmp_path, messages=told)
     with pytest.raises(InputError, match=said) as caught:
         read_table(path)
-    (word,) = shlex.split(str(caught.value).partition("if it is one message: ")[2])
-    advised = OverridesParser.create().parse_overrides([word])[0].value()
+    advised = followed(str(caught.value), "if it is one message: ")
     written = {name for cell in told for name in cell.split(";")} - {""}
     written = {" ".join(name.split()) for name in written}
     assert set(read_table(path, messages=advised).messages) == written
@@ -539,15 +523,6 @@ def test_what_a_sheet_has_above_or_behind_the_table_is_named_or_left_out(tmp_pat
     with pytest.raises(InputError, match="line 2 has 6 cells") as caught:
         read_table(path)
     assert "begin the header" not in str(caught.value)  # it would shift every column
-
-
-@pytest.mark.parametrize("alike", ["P0", "p0\u200b", "\uff500", "p0.0"])
-def test_observers_that_look_alike_are_named(
-    alike: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = table(tmp_path, observer=["p0", alike, "p1", "p0", alike, "p1"])
-    assert len(read_table(path).observers) == 3
-    assert "look alike; they count as two" in caplog.text
 
 
 def test_the_further_header_rows_of_qualtrics_are_left_out(tmp_path: Path) -> None:

@@ -80,22 +80,21 @@ def near(expected: float) -> object:
     return pytest.approx(expected, abs=4 * (expected * (1 - expected) / COUNT) ** 0.5)
 
 
-def small() -> tuple[MDP, NDArray[np.bool_]]:
+def small() -> MDP:
     """States 0 and 1, which may take actions 0 and 2, lead to state 2 or, one time in five, back to
     state 0; no outcome leads to state 3. State 2 ends a trace."""
     successor = np.tile([2, 0, 3], (4, 3, 1))
     probability = np.tile([0.8, 0.2, 0.0], (4, 3, 1))
     terminal = np.array([False, False, True, False])
-    model = MDP(successor, probability, np.zeros((4, 3, 3)), 0.9, terminal)
-    return model, np.tile([True, False, True], (4, 1))
+    optimal = np.tile([True, False, True], (4, 1))
+    return MDP(successor, probability, np.zeros((4, 3, 3)), 0.9, terminal, optimal)
 
 
 @pytest.fixture(scope="module")
 def traces() -> list[list[tuple[int, int, int]]]:
     """From states 0 and 1."""
-    model, optimal = small()
     rng = np.random.default_rng(5)
-    found = [sample_trace(model, optimal, np.array([0, 1]), rng, 3) for _ in range(COUNT)]
+    found = [sample_trace(small(), np.array([0, 1]), rng, 3) for _ in range(COUNT)]
     return [[tuple(step) for step in trace.tolist()] for trace in found]
 
 
@@ -125,8 +124,7 @@ def test_expected_visits_are_the_mean_of_many_traces(
     traces: list[list[tuple[int, int, int]]],
 ) -> None:
     every = [(s, a, to) for s in (0, 1) for a in (0, 2) for to in (0, 2)]
-    model, optimal = small()
-    found = expected_visits(model, optimal, np.array([0, 1]), np.array(every), 3)
+    found = expected_visits(small(), np.array([0, 1]), np.array(every), 3)
     # From 0 and 1 as often; two actions; on to 0 one time in five, at most twice more.
     of_zero = 0.5 + 0.2 + 0.04
     by_hand = {0: of_zero / 2, 1: 0.25}

@@ -11,8 +11,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from xplain.domains.pddl.task import Item, Items, Source, Task, apply_changes, read_text, write
-from xplain.errors import InputError, Range, number, one_of
+from xplain.domains.pddl.task import (
+    Item,
+    Items,
+    Source,
+    Task,
+    apply_changes,
+    declare,
+    read_text,
+    write,
+)
+from xplain.errors import InputError, Range, number, one_of, refuse_if
 
 Atom = tuple[str, ...]
 INFIX = ("above", "at", "behind", "below", "beside", "in", "inside", "near", "on", "under")
@@ -43,8 +52,12 @@ class Words:
         }
         for name, template in self._given.items():
             key = f"domain.words.{one_of('domain.words', name, self._names, 'name')}"
-            if not isinstance(template, str) or not template.strip() or "\n" in template:
-                raise InputError(key, template, "a line of text")
+            refuse_if(
+                not isinstance(template, str) or not template.strip() or "\n" in template,
+                key,
+                template,
+                "a line of text",
+            )
             for used in re.findall(r"\{(.*?)\}", template):
                 if used not in self._names[name]:
                     allowed = f"{used} is none of {', '.join(self._names[name])}"
@@ -84,7 +97,7 @@ class Words:
     def describe(self, item: Item, robots: Any, believed: Any) -> tuple[str, str]:
         """Describes the robot's and people's version of an item, as two sentences."""
         kind, action, text = item
-        subject = gerund(action) if action else "The goal"
+        subject = f"The action {plain(action)}" if action else "The goal"
         if kind in ("cost", "function"):
             name = self.literal(text).capitalize() if text else subject
             values = (
@@ -140,18 +153,6 @@ def plain(name: str) -> str:
     return name.replace("-", " ").replace("_", " ")
 
 
-def gerund(name: str) -> str:
-    """An action's name as a subject: "Picking up"."""
-    first, *rest = plain(name).split()
-    if re.search(r"[^aeiou]e$|ue$", first) and first != "be":
-        stem = first[:-1]
-    elif re.fullmatch(r"[^aeiou]*[aeiou][^aeiouwxy]", first):
-        stem = first + first[-1]
-    else:
-        stem = first
-    return " ".join([f"{stem}ing", *rest]).capitalize()
-
-
 Change = Mapping[str, Any]
 OF_ACTIONS = ("drop_precondition", "add_precondition", "drop_effect", "add_effect", "cost")
 """Kinds of change of a named action; a change has one of them."""
@@ -182,8 +183,12 @@ def read_changes(key: str, value: Any, task: Task, other: Items) -> Items:
         InputError: a change has an invalid form, or does not fit the task.
     """
     listed = [value] if isinstance(value, Mapping) else value
-    if isinstance(listed, str) or not isinstance(listed, Sequence) or not listed:
-        raise InputError(key, value, "a change or a list of changes")
+    refuse_if(
+        isinstance(listed, str) or not isinstance(listed, Sequence) or not listed,
+        key,
+        value,
+        "a change or a list of changes",
+    )
     made: dict[Item, Any] = {}
     for change in listed:
         fields = set(change) if isinstance(change, Mapping) else set()
@@ -225,8 +230,12 @@ def _read_change(key: str, kind: str, change: Change, task: Task, other: Items) 
         value = change["value"]
         return {Item(kind, "", text): value if value is None else number(key, value, Range(0))}
     item = Item(what, owner, text)
-    if what == "initial" and item.text.startswith("(not"):
-        raise InputError(source.key, source.value, "an atom such as (on a b)")
+    refuse_if(
+        what == "initial" and item.text.startswith("(not"),
+        source.key,
+        source.value,
+        "an atom such as (on a b)",
+    )
     if (item in task.items) == (does == "add"):
         known = sorted(x.text for x in task.items if x[:2] == item[:2])
         absent = f"does not exist; known: {', '.join(known) or 'none'}"
@@ -242,7 +251,7 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
     """Finds each item in which two tasks differ, by a unique name such as pick_up_needs_handempty,
     with the believed version.
 
-    Parameters of actions are compared by position. All items with a predicate that only one task
+    All items with a predicate that only one task
     has are one difference. If only one task has the value of a function, the value belongs to an
     initial atom with the same arguments that only this task has, if there is one.
 
@@ -255,9 +264,9 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
             raise InputError(key, other[0], "objects and types must be the same")
     items = believed.items
     for item in (x for x in robot.items if x.kind == "action" and x in items):
-        own, other = ([kind for _, kind in x.items[item]] for x in (robot, believed))
-        if own != other:
-            raise InputError(f"{key}.{item.owner}", other, f"parameters of the types {own}")
+        robots, others = (declare(x.items[item]) for x in (robot, believed))
+        allowed = f"the robot's parameters: {robots}"
+        refuse_if(robots != others, f"{key}.{item.owner}", others, allowed)
     unknown = {*robot.predicates} ^ {*believed.predicates}
     both = {*_actions(robot.items)} & {*_actions(items)} | {""}
     found: dict[str, dict[Item, Any]] = {}

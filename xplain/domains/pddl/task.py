@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, refuse_if
 
 try:
     from fast_downward.translate import build_model, instantiate, normalize, options, pddl_to_prolog
@@ -212,15 +212,12 @@ class Source:
             ) from None
 
 
-def read_task(
-    file: object, problem: object, keys: tuple[str, str], like: Items | None = None
-) -> Task:
+def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
     """Reads the task of a domain and a problem file.
 
     Args:
         file, problem: their paths.
         keys: their configuration keys, for errors.
-        like: items of another task; actions with equal names take its names of parameters.
 
     Raises:
         XplainError: the translator is not installed.
@@ -231,7 +228,6 @@ def read_task(
     parts, inside = ([x for x in y.nested() if x[:1] != [":requirements"]] for y in (domain, own))
     with domain.translated(problem=own):
         inside = [[":domain", *parts[1][1:]] if x[0] == ":domain" else x for x in inside]
-        parts = [_rename(x, like) for x in parts] if like else parts
         found = parsing_functions.parse_task(_number(parts, numbers), _number(inside, numbers))
     if found.axioms:
         raise domain.refusal("derived predicates are not supported", domain.find("(:derived"))
@@ -290,18 +286,6 @@ def _refuse_universal(condition: Any, source: Source, action: str = "") -> None:
         raise source.refusal(reason, source.find("(forall", action))
 
 
-def _rename(node: Any, like: Items) -> Any:
-    """Renames the parameters of an action in a part of a domain to those of another task."""
-    own = like.get(Item("action", node[1]), ()) if node[0] == ":action" else ()
-    theirs = [x for x in node[3] if isinstance(x, str) and x[0] == "?"] if own else []
-    binding = {x: y for x, (y, _) in zip(theirs, own, strict=False)}
-
-    def rename(part: Any) -> Any:
-        return binding.get(part, part) if isinstance(part, str) else [*map(rename, part)]
-
-    return rename(node)
-
-
 def _number(node: Any, numbers: dict[int, float]) -> Any:
     """Replaces decimals by integers that represent them, because the translator reads only
     integers."""
@@ -349,8 +333,7 @@ def read_text(task: Task, signature: Signature, source: Source, effect: bool = F
     found = [
         x for y in actions for x in (y.effects if effect else split_conjunction(y.precondition))
     ]
-    if len(found) != 1:
-        raise InputError(source.key, source.value, "one literal such as (on ?x b)")
+    refuse_if(len(found) != 1, source.key, source.value, "one literal such as (on ?x b)")
     _refuse_universal(found[0].condition if effect else found[0], source)
     return found[0]
 

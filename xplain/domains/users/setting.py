@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xplain.domains import mdp
 from xplain.domains.base import Domain
-from xplain.errors import InputError, TooLargeError, one_of
+from xplain.errors import InputError, TooLargeError, one_of, refuse_if
 from xplain.explanation.label_table import LabelTable
 
 MAX_MODELS = 1 << 14
@@ -49,8 +49,7 @@ class Setting:
 
     Attributes:
         domain, types: the domain and the types.
-        models: the distinct models; the first is the robot's.
-        optimal: [S, A] optimal actions of each model, by index.
+        models: the distinct models, solved; the first is the robot's.
         bits: for each type, the positions of the messages that change its beliefs.
         table: for each type, [2^len(bits)] index of its model after each set of these messages.
     """
@@ -58,7 +57,6 @@ class Setting:
     domain: Domain
     types: tuple[UserType, ...]
     models: tuple[mdp.TaskModel, ...]
-    optimal: mdp.Solution
     bits: tuple[tuple[int, ...], ...]
     table: tuple[NDArray[np.int64], ...]
 
@@ -73,11 +71,11 @@ class Setting:
             TooLargeError: more than MAX_MODELS distinct models.
         """
         names = [parameter.name for parameter in domain.parameters]
-        if not types:
-            raise InputError("users", [], "at least one user type")
+        refuse_if(not types, "users", [], "at least one user type")
         called = [user_type.name for user_type in types]
-        if len(set(called)) < len(called):
-            raise InputError("users", called, "user types need different names")
+        refuse_if(
+            len(set(called)) < len(called), "users", called, "user types need different names"
+        )
         for user_type in types:
             for name in user_type.inaccurate:
                 one_of(f"users.{user_type.name}", name, names, f"parameter of {domain.name}")
@@ -114,8 +112,7 @@ class Setting:
                 row[given] = model_of(values, f"type {user_type.name} wrong on {wrong}")
             bits.append(own)
             table.append(row)
-        optimal = models[0].solve(models, whose)
-        return cls(domain, types, tuple(models), optimal, tuple(bits), tuple(table))
+        return cls(domain, types, models[0].solve(models, whose), tuple(bits), tuple(table))
 
     @property
     def message_names(self) -> tuple[str, ...]:
@@ -142,7 +139,7 @@ class Setting:
 
     def label_by_model(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
         """[B, T] labels of transitions [T, 3] under every distinct model."""
-        return self.optimal.labels(transitions)
+        return np.array([model.labels(transitions) for model in self.models])
 
     def labels(
         self, user_type: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
@@ -173,8 +170,8 @@ class Setting:
     @cached_property
     def reachable(self) -> NDArray[np.int64]:
         """[T, 3] every transition of the robot's optimal policies from any start."""
-        model, optimal = self.models[0], self.optimal[0]
-        made = optimal[:, :, None] & (model.probability > 0)
+        model = self.models[0]
+        made = model.optimal[:, :, None] & (model.probability > 0)
         states = self.domain.starts
         made &= mdp.find_reached(states, model.n_states, lambda s: model.successor[s][made[s]])[
             :, None, None

@@ -18,7 +18,6 @@ from xplain.randomness import stream
 
 def sample_trace(
     model: TaskModel,
-    optimal: NDArray[np.bool_],
     starts: NDArray[np.int64],
     rng: np.random.Generator,
     max_length: int,
@@ -26,8 +25,7 @@ def sample_trace(
     """Draws one trace: [m, 3] transitions (s, a, s'), 1 ≤ m ≤ max_length.
 
     Args:
-        model: the robot's model.
-        optimal: [S, A] its optimal actions; ties are broken at random.
+        model: the robot's model, solved; ties are broken at random.
         starts: start states, equally likely.
         rng: random stream.
         max_length: the trace is cut here if it reaches no terminal state before.
@@ -35,7 +33,7 @@ def sample_trace(
     state = int(starts[rng.integers(len(starts))])
     steps: list[tuple[int, int, int]] = []
     while len(steps) < max_length and not model.terminal[state]:
-        actions = optimal[state].nonzero()[0]
+        actions = model.optimal[state].nonzero()[0]
         action = int(actions[rng.integers(len(actions))])
         # Draws like choice(p=…) in a third of the time.
         share = model.probability[state, action].cumsum()
@@ -48,7 +46,6 @@ def sample_trace(
 
 def expected_visits(
     model: TaskModel,
-    optimal: NDArray[np.bool_],
     starts: NDArray[np.int64],
     transitions: NDArray[np.int64],
     max_length: int,
@@ -56,12 +53,13 @@ def expected_visits(
     """[T] expected number of times that a trace of :func:`sample_trace` contains each transition.
 
     Args:
-        model, optimal, starts, max_length: see :func:`sample_trace`.
+        model, starts, max_length: see :func:`sample_trace`.
         transitions: [T, 3] all possible transitions, each once.
     """
     before, action, after = transitions.T
     leads = model.successor[before, action] == after[:, None]
-    share = (model.probability[before, action] * leads).sum(axis=1) / optimal[before].sum(axis=1)
+    share = (model.probability[before, action] * leads).sum(axis=1)
+    share = share / model.optimal[before].sum(axis=1)
     here: NDArray[np.float64] = np.bincount(starts, minlength=model.n_states) / len(starts)
     visits = np.zeros(len(transitions))
     for _ in range(max_length):
@@ -146,12 +144,12 @@ class RandomTraces:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Draws transitions [count, 3] and their message sets [count]; the last trace is cut."""
         weights = 1 << np.arange(setting.n_messages, dtype=np.int64)
-        robot, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
+        robot, starts = setting.models[0], setting.domain.starts
         traces: list[NDArray[np.int64]] = []
         message_sets: list[NDArray[np.int64]] = []
         total = 0
         while total < count:
-            traces.append(sample_trace(robot, optimal, starts, rng, self.trace_length))
+            traces.append(sample_trace(robot, starts, rng, self.trace_length))
             given = rng.random(setting.n_messages) < self.message_probability
             message_sets.append(np.full(len(traces[-1]), int(weights[given].sum())))
             total += len(traces[-1])

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import TooLargeError, refuse_if
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import bits_of, indices, names_of, subsets
 from xplain.learning.answers import AnswerModel
@@ -438,8 +438,12 @@ class HypothesisTrainer(LabelerTrainer):
             InputError: no hypotheses, or hypotheses without features.
         """
         hypotheses = self.hypotheses or hypotheses_of(None, self.path)
-        if hypotheses.features is None:
-            raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
+        refuse_if(
+            hypotheses.features is None,
+            "hypotheses.features",
+            None,
+            "needed to match labels with hypotheses",
+        )
         return KnownTransitions.of(hypotheses)
 
     def fitted_to(self, dataset: Dataset, seed: int) -> MeasuredLabeler:

@@ -359,8 +359,8 @@ def _drawn(
             raise InputError("trace.start", list(cell), "a cell where traces start")
     found = []
     for index in range(whole_number("trace.candidates", rules["candidates"], 1)):
-        rng, model = stream(seed, "trace", index), setting.models[0]
-        steps = sample_trace(model, setting.optimal[0], starts, rng, max_steps)
+        rng = stream(seed, "trace", index)
+        steps = sample_trace(setting.models[0], starts, rng, max_steps)
         found.append(material.rows_of(steps))
     return found
 
