@@ -157,7 +157,11 @@ def predicted(
         ).save(folder / "skills.npz")
         options += ["labeler=hypotheses", "hypotheses=skills.npz"]
     done = subprocess.run([*command, *options], cwd=folder, check=True, capture_output=True)
-    print("\n".join(line for line in done.stdout.decode().splitlines() if " lands with " in line))
+    print(
+        "\n".join(
+            line for line in done.stdout.decode().splitlines() if line.startswith("acceptance of ")
+        )
+    )
     return pd.read_csv(folder / "outputs/discover/predictions.csv")["p"].to_numpy()
 
 

@@ -65,7 +65,7 @@ event.register("numba:compile", _compilation)
 
 def _tell_once(kernel: str) -> None:
     if kernel and not _compilation.told:
-        log.warning("compiling the solvers' kernels, once (seconds; later runs load them)")
+        log.warning("compiling the solvers' kernels once; later runs load them")
         _compilation.told = True
 
 

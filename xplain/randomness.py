@@ -28,8 +28,8 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
 
 
 def below(rng: np.random.Generator, *names: str | int) -> np.random.Generator:
-    """A generator at the start of a named stream. The stream belongs to that of ``rng``, and does
-    not depend on earlier draws from ``rng``."""
+    """A generator at the start of a named stream. The stream is derived from that of ``rng``, and
+    does not depend on earlier draws from ``rng``."""
     parent = rng.bit_generator.seed_seq
     assert isinstance(parent, np.random.SeedSequence), "every stream here has one"
     key = (*parent.spawn_key, *sequence(0, *names).spawn_key)

@@ -1,4 +1,4 @@
-"""An own solver: it plans as if the user were of the likeliest type. How much does that cost?"""
+"""Your own solver: it plans as if the user were of the likeliest type. How much does that cost?"""
 
 from dataclasses import dataclass
 from types import SimpleNamespace

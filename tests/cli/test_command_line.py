@@ -43,6 +43,7 @@ SIX = ("first_aid", "fire", "refuel", "rubble", "puddle", "fence")
 BAD = [
     (["solver=nonsense"], ["solver", "nonsense", "qmdp"]),
     (["lamda=2"], ["lamda", "lambda"]),
+    (["trade_off=2"], ["trade_off", "did you mean lambda?"]),
     (["solver.memory=5"], ["solver.memory"]),
     (["lambda=-1"], ["lambda", "-1", "≥ 0"]),
     (["lambda=nan"], ["lambda", "nan"]),

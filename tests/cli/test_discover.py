@@ -84,7 +84,7 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
     assert len(tenths) == 10
     assert sum(one["labels"] for one in tenths) == pytest.approx(told["labels"] / 4, rel=0.1)
     off = max(abs(one["said"] - one["ones"]) for one in tenths)
-    assert f"off by {off:.3f} at most" in " ".join(out.split())
+    assert f"largest error in a tenth of the held-out labels {off:.3f}" in " ".join(out.split())
 
 
 def test_the_papers_learner_draws_its_curve(run, tmp_path: Path) -> None:

@@ -125,7 +125,7 @@ def broken(tmp_path, **changes: object) -> str:
         ({"prior": np.array([0.5, 0.6])}, "prior"),
         ({"discount": 1.5}, "discount=1.5"),
         ({"discount": np.nan}, "discount"),
-        ({"trade_off": -1.0}, "lambda=-1.0"),
+        ({"trade_off": -1.0}, "lambda (trade_off)=-1.0"),
         ({"discount_per": "minute"}, "discount_per='minute'"),
         ({"surprise": 1.0}, "unknown array"),
     ],

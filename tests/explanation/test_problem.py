@@ -159,7 +159,7 @@ def test_a_file_of_anything_else_is_refused_in_a_line(
         ("prior", np.array([1.5, -0.5])),
         ("prior", np.ones(1)),
         ("inexplicability_cost", -1.0),
-        ("lambda", -0.5),
+        ("lambda (trade_off)", -0.5),
         ("discount", 0.0),
         ("discount", 1.5),
         ("discount_per", "minute"),
@@ -170,7 +170,8 @@ def test_a_file_of_anything_else_is_refused_in_a_line(
 def test_a_bad_field_is_named(key: str, value: Any) -> None:
     given = {field.name: getattr(unusual(), field.name) for field in fields(Problem)}
     given["table"] = unusual().p_explicable
+    name = {"lambda (trade_off)": "trade_off", "p_explicable": "table"}.get(key, key)
     with pytest.raises(InputError) as caught:
-        Problem(**given | {{"lambda": "trade_off", "p_explicable": "table"}.get(key, key): value})
+        Problem(**given | {name: value})
     assert caught.value.key == key
     assert "\n" not in str(caught.value)

@@ -243,6 +243,10 @@ def test_only_a_reproduction_of_table_1_says_it_is_one(tmp_path, known):
         page = (folder / "report" / "index.html").read_text()
         assert ("Reproduction of Table 1" in page) == is_one
         assert (folder / "report" / "claims.md").exists() == is_one
+        assert ("beside the paper’s" in page) == is_one
+    write_report(known, "cost")  # the paper has no values of this measure
+    assert "beside the paper’s" not in (known / "report" / "index.html").read_text()
+    write_report(known)
 
 
 def test_the_command_finds_the_newest_sweep_and_names_what_is_wrong(sweep, command, tmp_path):

@@ -119,7 +119,7 @@ def test_a_sweep_takes_lists_and_objects_and_gives_frames_and_axes(here: Path) -
         ({"tradeoff": 3}, "tradeoff: no such key; did you mean trade_off?"),
         ({"users_counts": 3}, "users.counts: no such key; did you mean users.count?"),
         ({"solver": "nonsense"}, "solver=nonsense: unknown choice"),
-        ({"trade_off": -1}, "lambda=-1.0: a number ≥ 0"),
+        ({"trade_off": -1}, "lambda (trade_off)=-1.0: a number ≥ 0"),
         ({"solver": object()}, "an object of a dataclass that stands in a module"),
         ({"config_dir": "absent"}, "a folder with choices of your own"),
     ],

@@ -97,7 +97,7 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     other.write_text(json.dumps(json.loads(other.read_text()) | {"schema": 0}))  # of another one
     code, output = forked.run(folder, *sweeps.TINY, sweeps.SERIAL, "dry_run=true")
     assert "6 jobs: 3 done, 3 to run" in output
-    assert re.search(r"time to expect: about \d:\d\d:\d\d of one worker, as its finished", output)
+    assert re.search(r"expected time: about \d:\d\d:\d\d for one worker, estimated", output)
     code, output = sweeps.run(folder, *sweeps.TINY, sweeps.SERIAL)
     assert code == 0, output
     assert "3 jobs to run, 3 finished before" in output
@@ -190,7 +190,7 @@ def test_a_run_and_a_sweep_share_a_result(folder):
     assert len(sweeps.runs(folder)) == 1 + (1 + 2)
     code, output = forked.run(folder, *sweeps.SINGLE)
     assert code == 0, output
-    assert "its result was there" in output
+    assert "the result exists already" in output
     assert first.items() <= results(folder).items()
     assert len(results(folder)) == 2
     kept = [json.loads(p.read_text()) for p in folder.glob("outputs/runs/*/results.json")]
@@ -220,6 +220,7 @@ def test_forced_keys_are_the_same_keys(tmp_path):
         said.append(output)
     assert said[0] == said[1]
     assert "8 jobs: 0 done, 8 to run" in said[0]
+    assert "expected time: unknown until the first job is finished" in said[0]
     assert "qmdp λ=1 seed=0" in said[0]
 
 

@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _tell(given: list[str], what: str) -> None:
-    """On a terminal, shows the current work before an experiment's first stage, which replaces this
+    """Shows the current work on a terminal, until an experiment's first stage replaces this
     line."""
     if all("=" in word or word == "-m" for word in given) and is_terminal(sys.stderr):
         print(what, end="\r", file=sys.stderr, flush=True)

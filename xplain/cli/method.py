@@ -23,14 +23,15 @@ log = logging.getLogger(__name__)
 def discover(words: list[str]) -> dict[str, Any]:
     """Finds the user types in people's labels: ``xplain discover data=FILE``.
 
-    The file is read as :mod:`xplain.learning.data.label_file` says. Into the folder ``output`` go
+    The rules for this file are those of :mod:`xplain.learning.data.label_file`. The folder
+    ``output`` receives
 
     - ``types.npz``: the types and their labelers, as :class:`xplain.learning.saved.LearnedTypes`
       loads them (for ``xplain.Explainer``);
     - ``assignment.csv``: the type of each observer;
     - ``predictions.csv``, with ``predict=FILE``: the rows of FILE, and ``p``, the probability of
       the answer 1 of that observer;
-    - ``summary.json``: what is known of each type, and how it was found;
+    - ``summary.json``: the figures of each type, and the method that found it;
     - ``curve.png`` (disagreements by number of types) or ``posterior.png`` (probability of each
       number of types), depending on the method; ``messages.png``: the effect of each message on
       each type; ``calibration.png``: the predicted probability of label 1 against the share of
@@ -257,8 +258,9 @@ def demo(words: list[str], user: str | None, trace: int | None, html: Path) -> N
         xplain demo --html mine.html             another file
         xplain demo domain=four_rooms solver=qhr seed=3
 
-    By default the trace is that of the first five in which the fewest messages are needed to find
-    the user's type. Keys are those of the experiment (domain, users, solver, lambda, seed, ...).
+    By default the trace is the one of the first five in which the explainer finds the user's type
+    with the fewest messages. Keys are those of the experiment (domain, users, solver, lambda, seed,
+    ...).
     """
     if not html.absolute().parent.is_dir():
         raise InputError("--html", str(html), "a file in a folder that exists")

@@ -52,8 +52,8 @@ def serve(name: str, words: list[str]) -> None:
     """Serves the user study, or pages on which people give labels, until it is stopped:
     ``xplain NAME port=8080``; for your own robot with ``transitions=TABLE.csv facts=FACTS.csv``.
 
-    The first start stores the plan in the database; later starts continue with it. One process with
-    threads has the database open. Instructions for a lab: docs/study.md, docs/collect.md.
+    The first start stores the plan in the database; later starts continue with it. Only one process
+    may have the database open. Instructions for a lab: docs/study.md, docs/collect.md.
     """
     from xplain.people.server import LOOPBACK
 
@@ -71,8 +71,8 @@ def serve(name: str, words: list[str]) -> None:
 
 
 def load_config(name: str, arguments: list[str]) -> DictConfig:
-    """The configuration. With a table of one's own transitions it has no domain's texts;
-    ``domain=null`` is allowed.
+    """Composes the configuration. With a table of your own transitions it has no texts of a domain,
+    and ``domain=null`` is allowed.
 
     Raises:
         InputError: both a domain and a table, or neither.
@@ -208,7 +208,7 @@ def bots(
         xplain NAME bots --key KEY [--url http://127.0.0.1:8080] [--count 40] [--at-once 8]
             [--pace 0] [--leaving 0] [--seed 0] [--save FILE]
 
-    ``--key``: the researcher's key, which the server prints, better as the variable XPLAIN_KEY,
+    ``--key``: the researcher's key, which the server prints. The variable XPLAIN_KEY is safer,
     because any user of the machine can see a command line; ``--pace``: 1 is real time;
     ``--leaving``: probability of leaving at each page; ``--save``: file for the export (ZIP) at the
     end. Every habit is a flag: of ``xplain.people.study.bot.Habits`` such as ``--label-noise 0.1``,

@@ -112,7 +112,8 @@ class EpisodeCache:
         """Reads the episodes of these traces and users, or computes and stores them.
 
         Args:
-            prepared: exactly what explainers and users know; the key covers all of it.
+            prepared: the knowledge of explainers and users, and nothing else; the key covers all of
+                it.
             parts: configuration keys without influence on the episodes.
             make: computes the episodes.
         """

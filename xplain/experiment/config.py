@@ -252,6 +252,9 @@ def _composition(error: ConfigCompositionException) -> str:
     return " ".join(str(error).split())
 
 
+PYTHON = {"trade_off": "lambda"}
+"""Names in Python of the keys whose own names are reserved there."""
+
 _UNTOLD = ("hydra", "_target_", "_convert_", "_partial_")
 """Keys that are never suggested in place of an unknown key."""
 
@@ -266,7 +269,7 @@ def _unknown_key(error: Any) -> str:
         return f"{said} one a message: {above}={{{name}: 2, …}}, all of them by name"
     if not above:
         known += ["sweeps"] if "certify" in known else []  # the experiment's group without a key
-        return f"{said}{did_you_mean(name, known)} allowed: {', '.join(known)}"
+        return f"{said}{did_you_mean(PYTHON.get(name, name), known)} allowed: {', '.join(known)}"
     sets = re.compile(rf"^ *{re.escape(name)}:", re.MULTILINE).search
     paths = sorted((CONF / above).glob("*.yaml"))
     if needs := [f"{above}={path.stem}" for path in paths if sets(path.read_text("utf-8"))]:

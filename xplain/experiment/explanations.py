@@ -279,8 +279,8 @@ def same_problems(one: Prepared, other: Prepared) -> bool:
 
 
 def true_thoughts(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
-    """Returns the true labels of a trace's transitions and of its questions; and for each the first
-    one that it equals, because people make the same errors about equal ones."""
+    """Returns the true labels of a trace's transitions and questions, and for each of these the
+    index of the first equal one: people make the same errors about equal ones."""
     if case.questions is None:
         return case.labels, copies(case.transitions)
     asked = case.questions

@@ -96,7 +96,7 @@ class Prepared:
     Attributes:
         domain: name of the domain.
         messages: n names, with ``sentences`` for people.
-        types: M names of the true types; ``distinct`` [M] numbers those that behave alike.
+        types: M names of the true types; ``distinct`` [M] is equal for types that behave alike.
         learned_types: N names; ``matched_true_type`` [N] is the ``distinct`` number of most of
             their observers (−1 unknown), ``type_shares`` [N] their shares of the observers.
         learning: figures of the learning stage, by name.
@@ -202,7 +202,7 @@ def build_case(
     beliefs: CaseQuestions | None = None,
     most: int = 0,
 ) -> Case:
-    """Collects what every agent and every user thinks of a trace [m, 3], and at most ``most``
+    """Collects the labels that all agents and users give a trace [m, 3], and at most ``most``
     questions: clips, beliefs, or both."""
     domain = setting.domain
     features = transition_features(domain, transitions)

@@ -56,7 +56,7 @@ class TypeNames:
     """The user types of a run.
 
     Attributes:
-        true: M names of the true types; ``behave_alike`` [M] numbers those that behave alike.
+        true: M names of the true types; ``behave_alike`` [M] is equal for types that behave alike.
         found: N names of the learned types; ``matched_true_type`` [N] the ``behave_alike`` number
             of most of their observers, −1 unknown.
     """

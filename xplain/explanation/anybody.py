@@ -51,7 +51,7 @@ class _People(NamedTuple):
     as_found: NDArray[np.bool_]
 
     def take(self, which: NDArray[np.int64]) -> _People:
-        """Selects some of them."""
+        """Selects some of these hidden types."""
         p, answered, prior, whose, as_found = self
         return _People(
             p[..., which], answered[..., which], prior[which], whose[which], as_found[which]
@@ -62,8 +62,8 @@ class _People(NamedTuple):
 class Open(Independent):
     """People may have no found type, answer otherwise than they think, or miss messages.
 
-    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. An assumed or learned
-    error rate replaces that of people who err in both directions.
+    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. If ``error`` is not
+    0, its rates replace ERROR and the share of people who err in both directions.
     """
 
     open: ClassVar[bool] = True
@@ -84,13 +84,13 @@ class Open(Independent):
 def with_anybody(
     problem: Problem, facts: Facts | None, erring: float, error: float, messages_land: bool
 ) -> Problem:
-    """Adds people nobody assumed to a problem. One further user type represents all who have none
-    of the found types.
+    """Adds people nobody assumed to a problem. One further user type represents all people who have
+    none of the found types.
 
     Args:
         problem: a problem of M user types, with at most DENSE messages.
         facts: the facts that people may believe incorrectly; None if unknown.
-        erring: share of people who err in both directions among all who answer what they think.
+        erring: share of people who err in both directions, among these and people who never err.
         error: P(the opposite answer) of these people.
         messages_land: True if no other part models messages without effect.
     """
@@ -164,15 +164,15 @@ def _joined(parts: list[_People]) -> _People:
 
 
 def _never(people: _People) -> _People:
-    """Marks all of them as not assumed."""
+    """Marks all of these hidden types as not assumed."""
     return people._replace(as_found=np.zeros_like(people.as_found))
 
 
 def _stuck(
     people: _People, share: NDArray[np.float64], wrong: tuple[int, ...], every: int
 ) -> _People:
-    """Makes people who believe one fact incorrectly until all messages are given, for each of these
-    hidden types and each of its facts."""
+    """Makes one more hidden type for each of these types and each fact that it believes
+    incorrectly: people who believe this fact incorrectly until all messages are given."""
     which = [
         (k, j) for k, own in enumerate(wrong) for j in range(every.bit_length()) if own >> j & 1
     ]

@@ -144,9 +144,9 @@ def make_question(number: int, text: str, right: int) -> Question:
 def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
     """Selects at most ``most`` questions of a long list, which has the nearest first.
 
-    First come the nearest of each kind of column before any message, then the nearest of those that
-    differ after some message, then second opinions, in turn. Questions that all types answer alike,
-    with any messages, are left out.
+    The order is: the nearest question of each kind, by its column before any message; then the
+    nearest questions that are of another kind only after messages; then second opinions, in turn.
+    Questions that all types answer alike, with any messages, are left out.
     """
     yes = table.p >= 0.5
     same = (table.answered == table.answered[:, :, :1]).all(axis=(1, 2))
@@ -181,5 +181,5 @@ def nearest_first(
 
 
 def bitmask(asked: Iterable[int]) -> int:
-    """The bitmask of these numbers."""
+    """Returns the bitmask with the bits of these numbers."""
     return sum(1 << q for q in set(asked))

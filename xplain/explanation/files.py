@@ -96,7 +96,8 @@ def pomdp_lines(problem: Problem) -> Iterator[str]:
     """The lines of a ``.pomdp`` file.
 
     Raises:
-        InputError: only steps discount, or there are questions; the format has neither.
+        InputError: the problem has questions, or only its steps discount; the format allows
+            neither.
         TooLargeError: more than MAX_LINES lines.
     """
     if problem.discount_per == "step" and problem.discount < 1:

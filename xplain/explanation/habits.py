@@ -82,8 +82,8 @@ class Habits:
         return {rate: float(self.prior[rates == rate].sum()) for rate in np.unique(rates).tolist()}
 
     def answered(self, meant: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[..., N F] P(answer is 1), from the same without errors, ``meant`` [..., N]. The habits
-        of one type are neighbours."""
+        """[..., N F] P(answer is 1), computed from P(label is 1) ``meant`` [..., N]. The habits of
+        one type are neighbours."""
         e = np.tile(self.error, meant.shape[-1])
         a = meant.repeat(len(self), axis=-1)
         return (1 - e) * a + e * (1 - a)

@@ -51,7 +51,8 @@ class LabelTable:
     answers: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def __post_init__(self) -> None:
-        """Makes one memory layout, because kernels are compiled for it alone."""
+        """Converts the arrays to one memory layout, because kernels are compiled only for this
+        one."""
         for name in ("relevant", "p", "answers"):
             array = np.require(getattr(self, name), requirements=["C", "W"])
             object.__setattr__(self, name, array)

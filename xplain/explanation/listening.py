@@ -32,7 +32,7 @@ class Listener(Protocol):
     """A person who received messages and answered."""
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
-        """[F] posterior of their habit."""
+        """[F] posterior of the person's habit."""
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,7 @@ class Problem:
             "message_cost": cost,
             "prior": check_distribution(self.prior, types),
             "inexplicability_cost": number("inexplicability_cost", self.inexplicability_cost, COST),
-            "trade_off": number("lambda", self.trade_off, COST),
+            "trade_off": number("lambda (trade_off)", self.trade_off, COST),
             "discount": number("discount", self.discount, Range(0, 1, "(]")),
             "message_names": check_names("message_names", self.message_names, n, "message"),
             "type_names": check_names("type_names", self.type_names, int(whose.max()) + 1, "type"),
@@ -150,8 +150,8 @@ class Problem:
 
     @cached_property
     def messages_with_effect(self) -> tuple[int, ...]:
-        """The messages that change some label of the trace, or some answer to a question, of some
-        hidden type, ascending. Only these are useful actions."""
+        """The messages, ascending, that change a label of the trace or an answer to a question for
+        at least one hidden type. Only these are useful actions."""
         tables = self.table, self.questions.table
         return tuple(sorted({j for table in tables for j in table.effective_of_any()}))
 

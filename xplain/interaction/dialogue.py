@@ -41,7 +41,7 @@ class Given(NamedTuple):
 
 
 class Labelled(NamedTuple):
-    """*Explain* showed one more transition: the user's labels of all transitions shown."""
+    """*Explain* showed one more transition, and the user labelled all transitions shown so far."""
 
     labels: tuple[int, ...]
 

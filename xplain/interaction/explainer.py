@@ -202,7 +202,7 @@ class Explainer:
             wanted = "a solver that need not know the user's type"
             raise InputError("solver", type(self.solver).__name__, wanted)
         if self.belief_update is None and self.types.wrong is not None and not self.beliefs.open:
-            log.warning("people are taken as found: they have more than %d messages", DENSE)
+            log.warning("nobody is assumed to differ from the types: more than %d messages", DENSE)
         self._dialogue(0, (), (), ())
 
     @property

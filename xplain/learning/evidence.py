@@ -91,23 +91,24 @@ class Evidence:
     def beaten(self) -> bool:
         """True if labels alone predict so much better that they replace the hypotheses.
 
-        A fair coin that predicts better does not count: with many wrong answers both hypotheses and
-        labels alone are overconfident after so few answers, and labels alone would be the only
-        alternative.
+        A fair coin may predict better than both, because after few answers with many errors both
+        are overconfident. Then the hypotheses stay: the only replacement would be labels alone.
         """
         own, others = self.nats
         return (own - others) * len(self.of_type) > BEATEN
 
     def __str__(self) -> str:
         own, others = self.nats
-        fit = "hypotheses fit what people answer"
+        fit = "the hypotheses fit people's answers"
         if self.lost:
-            fit = "hypotheses do not fit what people answer"
+            fit = "the hypotheses do not fit people's answers"
             if self.otherwise:
-                fit += f" (people of {self.otherwise} of {len(self.doubt)} types think otherwise)"
+                fit += (
+                    f" (people of {self.otherwise} of {len(self.doubt)} types disagree with them)"
+                )
         return (
-            f"{fit}: each next answer takes {own:.2f} nats by hypotheses, {others:.2f} by labels "
-            f"alone, {COIN:.2f} by a coin (less is better)"
+            f"{fit}: the mean loss of predicted answers is {own:.2f} nats by hypotheses, "
+            f"{others:.2f} by labels alone, {COIN:.2f} by a fair coin (less is better)"
         )
 
 

@@ -72,7 +72,7 @@ def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
         why += f"; {k} is the first number of types that leaves at most {few:.2%}"
         return _chosen(k, "no knee, few", why)
     k = int(lowest.argmin()) + 1
-    why += f"; no number of types leaves only {few:.2%}, {k} the fewest"
+    why += f"; no number of types leaves at most {few:.2%}; {k} leaves the fewest"
     return _chosen(k, "no knee, lowest", why)
 
 

@@ -3,6 +3,7 @@ predict held-out answers."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ from xplain.learning.labelers import Labeler, LabelerTrainer, split
 from xplain.learning.user_types import Single, TypeFinder, UserTypes
 from xplain.randomness import derived_seed, stream
 
+log = logging.getLogger(__name__)
+
 EDGE = 0.002
 """Minimum distance of P(f = 1) from 0 and 1."""
 SURE = 1.96
@@ -30,9 +33,9 @@ def predict(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[n
 
     1. Answers after messages are predicted from answers before them
        (:mod:`xplain.learning.landing`), if the dataset has such answers.
-    2. The clustering's own predictions, if it makes any. If labelers tell what people think, the
-    mean of these and the labelers' predictions. 3. The types' labelers, weighted for each observer
-    by the shares of the types and the observer's
+    2. The clustering's own predictions, if it makes any. If labelers predict what people think,
+       the mean of these and the labelers' predictions.
+    3. The types' labelers, weighted for each observer by the shares of the types and the observer's
        own labels. An observer without labels has the shares of the types.
 
     Args:
@@ -109,8 +112,9 @@ class Tenth(NamedTuple):
 
 
 def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Tenth, ...]:
-    """Compares predicted P(label = 1) ``one`` [P] with the labels [P], in tenths of equal size by
-    ascending prediction; with few labels there are fewer than ten parts."""
+    """Compares the predictions P(label = 1) ``one`` [P] with the labels [P]. The labels are sorted
+    by their predictions and cut into ten parts of equal size, or into fewer parts if there are few
+    labels."""
     from scipy.stats import binomtest
 
     found = []
@@ -166,6 +170,7 @@ def held_out(dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed
         test = drawn < trainer.holdout
         test[drawn.argmin()], test[drawn.argmax()] = True, False  # at least one of each
     rest, held = dataset.take(np.flatnonzero(~test)), dataset.take(np.flatnonzero(test))
+    log.info("the types are found again without the held-out labels")
     of_types, of_one = (
         log_likelihoods(rest, held, one.find(Observed(rest), seed))
         for one in (finder, Single(labeler=trainer))
@@ -183,10 +188,10 @@ def held_out(dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed
 
 
 def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[np.float64]:
-    """[P] log P of each label of ``test``, by the types that were found in ``train``. If labelers
-    tell what people think, or if answers after messages are predicted from earlier ones,
-    :func:`predict` predicts. Otherwise the clustering's own predictions are used, if it makes
-    any, or the labeler of the observer's type."""
+    """[P] log P of each label of ``test``, by the types that were found in ``train``. They come
+    from :func:`predict` if labelers predict what people think, or if answers after messages are
+    predicted from earlier ones. Otherwise they come from the clustering, if it makes predictions,
+    or from the labeler of the observer's type."""
     found, rows = types.clustering, np.arange(len(test))
     if types.landing is not None or all(one.means_truth for one in types.labelers):
         one = predict(train, types, test)

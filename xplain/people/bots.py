@@ -272,8 +272,8 @@ class Bot(Generic[P, H]):
         return self.chance(self.habits.leaving)
 
     def practises(self, page: Page, right: int) -> Fields:
-        """Chooses the label of a practice step. After an error the page says so; a bot makes only
-        one."""
+        """Chooses the label of a practice step. The page reports an error, so a bot errs at most
+        once."""
         errs = self.chance(self.habits.mistake) and (page.stage, right) not in self.corrected
         if errs:
             self.corrected.add((page.stage, right))

@@ -53,8 +53,9 @@ def find_differences(flow: Flow[Any, S], people: Iterable[Participant[S]]) -> li
 
 
 def codebook(package: str) -> list[dict[str, str]]:
-    """Every column of the tables of a flow: its table, name, type, unit and meaning. They are in a
-    file beside the flow; the columns that all exports have are in a file beside this module."""
+    """Every column of the tables of a flow: its table, name, type, unit and meaning. A file beside
+    the flow has these rows; a file beside this module has the rows of columns that all exports
+    have."""
     books = [files(one).joinpath("codebook.csv") for one in (package, "xplain.people")]
     texts = [book.read_text(encoding="utf-8").splitlines() for book in books]
     return [row for lines in texts for row in csv.DictReader(lines)]

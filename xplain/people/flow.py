@@ -274,7 +274,7 @@ class Flow(ABC, Generic[P, S]):
         """
 
     def readmit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """Returns values that the event must contain by which a timed-out participant returns."""
+        """Returns values for the event by which a timed-out participant returns."""
         return {}
 
     @abstractmethod

@@ -230,7 +230,7 @@ class Visit:
         return HTMLResponse(made, status)
 
     def error(self, status: int, text: str) -> Response:
-        """Renders a page with an error: a key of the words, or a text."""
+        """Renders a page with an error; ``text`` is a key of the words, or the error itself."""
         said, known = self.site.say(text), self.owner is not None
         return self.page("error.html", status, text=said, number=status, known=known)
 

@@ -226,7 +226,8 @@ class Store(Log[Any]):
         """Stores a page's own events (number, kind, ms, payload), without repetitions.
 
         Raises:
-            Unknown, Refused: too many.
+            Unknown: there is no such participant.
+            Refused: the pages sent too many events.
         """
         with self.changes():
             if self.participant(who).reported + len(items) > MAX_TAB_EVENTS:

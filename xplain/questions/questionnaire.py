@@ -113,7 +113,7 @@ class Questionnaire:
 
     def anew(self, prior: ArrayLike | None, seed: int) -> Questionnaire:
         """A questionnaire without answers for another person, with the same hypotheses and errors.
-        Both share what was computed from the hypotheses.
+        Both share all computations on the hypotheses.
 
         Args:
             prior, seed: see the class.

@@ -47,10 +47,9 @@ PARTS = {
 """Parts of a cost: (column of the episodes, column to subtract)."""
 
 ONE_DATA_SET = (
-    "This is one data set: one draw of people, labels and traces. It can tell what the programs do "
-    "on it, how large costs are, and how much traces differ: its intervals cover nothing else. It "
-    "cannot tell whether another draw gives the same order, so no claim is decided. Ten seeds can: "
-    "python -m xplain sweeps=table1."
+    "This is one data set: one draw of people, labels and traces. Its intervals cover only the "
+    "differences between traces. Another draw may give another order of solvers, so no claim is "
+    "decided. Ten seeds can decide claims: python -m xplain sweeps=table1."
 )
 
 Verdict = Literal["holds", "does not hold", "not decided"]
@@ -185,14 +184,17 @@ def _linear(episodes: pd.DataFrame) -> Iterator[Tested]:
     below = {name: _below_the_line(one, name) for name in ("oracle", "clairvoyant")}
     if len(below["oracle"]):
         last = one["lambda"].max()
-        figure = f"share of the oracle's cost at λ = {last:g} by which it is below the line"
+        figure = f"distance below the line at λ = {last:g}, as a share of the oracle's cost"
         estimate = clustered_mean(below["oracle"], below["oracle"].index)
-        parts = f"the clairvoyant's, whose labels are right: {number(below['clairvoyant'].mean())}"
+        parts = (
+            f"for the clairvoyant, whose labels are right: {number(below['clairvoyant'].mean())}"
+        )
         yield "the oracle's cost is linear in λ", figure, estimate, (-ALIKE, ALIKE), parts
 
 
 def _below_the_line(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
-    """The distance below the line, by seed."""
+    """How far a cost at the largest λ is below the line through its values at the two smallest λ,
+    as a share of its mean, by seed."""
     known = episodes[np.isfinite(episodes[column])]
     costs = known.pivot_table(column, "seed", "lambda").dropna()
     if len(costs.columns) < 3 or not len(costs):
@@ -251,9 +253,10 @@ def decomposition(summary: Summary) -> Table:
             }
             rows.append(heads | {name: cell(found) for name, found in parts.items()})
     caption = (
-        "The clairvoyant's cost; what not knowing the user's type adds if types and labels are "
-        "true; what learned labels and types add to that. Beside it, what learned labels add for "
-        "the oracle, who knows the type. ± half-width of the 95 % interval over "
+        "A cost is the sum of the clairvoyant's cost, the additional cost of an unknown type (with "
+        "true types and labels), and the additional cost of learned types and labels. The last "
+        "column is the additional cost of learned labels for the oracle, which knows the type. "
+        "± half-width of the 95 % interval over "
         f"{summary.replicate}s."
     )
     return table_of(rows, len(rows[0]) - len(PARTS) if rows else 1, caption)
@@ -287,8 +290,8 @@ def list_undecided(summary: Summary) -> Table:
     words = [w for w in shlex.split(summary.about["command"]) if not w.startswith("seed=")]
     caption = (
         "With these seeds the 95 % interval decides in four of five sweeps, if the difference is "
-        "as large and varies as much as here. Minutes are those of one worker, by this sweep's own "
-        f"jobs, for the seeds that are new. The command: {shlex.join(words)} SEEDS"
+        "as large and varies as much as here. Minutes are for the new seeds and one worker, "
+        f"estimated from this sweep's jobs. The command: {shlex.join(words)} SEEDS"
     )
     return table_of(rows, max(1, len(rows[0]) - 3) if rows else 1, caption)
 

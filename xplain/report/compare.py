@@ -338,8 +338,8 @@ def _caption(summary: Summary, is_marked: bool) -> str:
     text += [] if several else ["One trace and one seed: no intervals."]
     if is_marked:
         text.append(
-            f"{BEST} costs least in its row; {TIE} not told apart from it: the interval of the "
-            "difference on the same traces and users holds 0."
+            f"{BEST} costs least in its row. {TIE} is not distinguishable from it: the interval of "
+            "the difference on the same traces and users contains 0."
         )
     if measure.name == "regret":
         keys = [*dict.fromkeys((*summary.shown, "solver"))]
@@ -348,7 +348,7 @@ def _caption(summary: Summary, is_marked: bool) -> str:
         shares = {"fresh_accuracy": float(least["fresh_accuracy"])}
         text.append(warning_about_oracle(shares, least["regret"]))
     if summary.pool:
-        text.append(f"Means over {', '.join(summary.pool)}, as the sweep's file asks.")
+        text.append(f"Means over {', '.join(summary.pool)}, as configured in the sweep's file.")
     if summary.missing:
         text.append(f"{summary.missing} of {len(summary.jobs)} jobs are missing.")
         text += ["Ways are compared on traces and users that all of them have."] * is_marked
@@ -368,7 +368,7 @@ def least_cost(summary: Summary) -> str:
             return f"{text}, as does {second.name}."
         gap = second.behind
         if math.isnan(gap.low):
-            return f"{text}. Not decided: one trace and one seed tell nothing of others."
+            return f"{text}. Not decided: one trace and one seed say nothing about others."
         word = "Decided" if second.is_decided else "Not decided"
         return (
             f"{text}, {number(gap.mean)} less than {second.name}. {word}: 95 % interval of the "
@@ -386,7 +386,7 @@ def least_cost(summary: Summary) -> str:
 def _few(summary: Summary) -> str:
     amount = int(summary.episodes[summary.replicate].nunique())
     counted = count_things(amount, summary.replicate)
-    few = f" Only {counted}: too few to decide all but large differences."
+    few = f" With only {counted}, only large differences can be decided."
     return few if amount < FEW else ""
 
 

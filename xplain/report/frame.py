@@ -74,8 +74,8 @@ TITLES = {
 """Columns of the table of episodes, with their titles for people."""
 
 NEGATIVE = (
-    "A regret below 0 is no error: the oracle knows the type but plans with learned labels, which "
-    "err, and can cost more than a plan without it."
+    "A regret below 0 is no error. The oracle knows the type, but plans with learned labels. If "
+    "these are wrong, the oracle can cost more than a solver that does not know the type."
 )
 
 RIGHT = 0.98
@@ -92,8 +92,8 @@ _WHY = {
 }
 
 _UNFAIR = {
-    "regret": "Regrets are not compared: every job needs the same oracle, whose labelers learn as "
-    "the job's own do.",
+    "regret": "Regrets are not compared, because jobs have different oracles: each job learns the "
+    "labelers of its oracle.",
     "above_floor": "The clairvoyant's costs differ between jobs or are not known.",
 }
 

@@ -16,7 +16,14 @@ import pandas as pd
 from xplain.experiment.fingerprint import code_version, library_versions
 from xplain.experiment.results import RESULTS
 from xplain.report import claims, plots, trace
-from xplain.report.compare import differences_csv, heading, regret_csv, table, value_title
+from xplain.report.compare import (
+    differences_csv,
+    heading,
+    is_beside_paper,
+    regret_csv,
+    table,
+    value_title,
+)
 from xplain.report.frame import TITLES, Summary, rank
 from xplain.report.paper import title
 from xplain.report.ratios import compute_ratios
@@ -101,6 +108,7 @@ def page(summary: Summary, tables: dict[str, Table], report: Path, made_of: str)
     return template.render(
         summary=summary,
         made_of=made_of,
+        beside_paper=is_beside_paper(summary),
         heading=_heading(summary),
         answer=claims.answer(summary),
         code=f"{about['code']} (commit {commit}{dirty})",

@@ -29,7 +29,7 @@ TITLES = {
     "messages": "messages given",
     "inexplicable_labels": "inexplicable labels",
     "questions": "questions asked",
-    "questions_cost": "… their cost",
+    "questions_cost": "cost of questions",
     "final_belief": "final belief in true type",
 }
 """Figures that are printed; results.json has more."""
@@ -99,14 +99,14 @@ def _of_no_type(results: Results) -> str:
     users = [(one.trace, one.type) for one in own if one.fit < NO_FIT]
     if "say_all" not in cost:
         return ""
-    said = f"for {len(users)} of {len(own)} users no found type fits"
+    said = f"no found type fits {len(users)} of {len(own)} users"
     if not users:
         return said
     mean = {name: fmean(found[user] for user in users) for name, found in cost.items()
             if name in ("solver", "say_all", "conformant")}  # fmt: skip
     return (
-        f"{said}: cost {mean['solver']:.2f}, against {mean['say_all']:.2f} for saying everything "
-        f"and {mean['conformant']:.2f} for one explanation that suits all types"
+        f"{said}; for them the solver costs {mean['solver']:.2f}, saying everything "
+        f"{mean['say_all']:.2f}, and one explanation for all types {mean['conformant']:.2f}"
     )
 
 
@@ -164,14 +164,14 @@ def _bounds(bounds: Mapping[str, float]) -> list[str]:
     ]
     if bounds.get("fresh_labels") == 0:
         lines.append(
-            "  labels drawn anew at each step, which this belief does not assume: nothing is "
-            "certified of this policy"
+            "  the bounds assume labels that are drawn again at each step; this belief does not, "
+            "so this policy has no certificate"
         )
     if "policy_value" in bounds:
         lines += [
             f"  this policy {bounds['policy_value']:.4f} ({_how_known(bounds)}), suboptimality "
             f"{_range(bounds, 'price_of_approximation')}",
-            f"cost that the learned model expects of this policy, undiscounted, {traces}: "
+            f"expected cost of this policy under the learned model, undiscounted, {traces}: "
             f"{bounds['policy_cost']:.3f}",
         ]
     return lines

@@ -39,6 +39,7 @@ from xplain.errors import InputError, XplainError, one_of, quote
 from xplain.experiment.config import (
     CONF,
     GROUPS,
+    PYTHON,
     did_you_mean,
     one_line,
     register,
@@ -60,9 +61,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 log = logging.getLogger(__name__)
-
-PYTHON = {"trade_off": "lambda"}
-"""Keys whose names are reserved in Python."""
 
 
 @dataclass(frozen=True)

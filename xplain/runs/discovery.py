@@ -162,13 +162,13 @@ class Discovery:
         console.print(f"{found}; files in {folder}")
         console.print(table)
         for message, (rate, low, high) in (self.accept or {}).items():
-            console.print(f"{message} lands with probability {rate:.2f} ({low:.2f} to {high:.2f})")
+            console.print(f"acceptance of {message}: {rate:.2f} ({low:.2f} to {high:.2f})")
         if self.held_out is not None:
             figures = {key: row["held_out"][key] for key in ("types", "one_type", "question_mean")}
             said = ", ".join(f"{key.replace('_', ' ')} {-own:.3f}" for key, own in figures.items())
-            console.print(f"nats a held-out label: {said}; {row['held_out']['verdict']}")
+            console.print(f"nats per held-out label: {said}; {row['held_out']['verdict']}")
             off = max(abs(one.said - one.ones) for one in self.held_out.calibration)
-            said = f"off by {off:.3f} at most in a tenth of them (calibration.png)"
+            said = f"largest error in a tenth of the held-out labels {off:.3f} (calibration.png)"
             console.print(f"calibration: {said}")
 
 
@@ -207,7 +207,7 @@ def sentences_of(path: str | None, messages: Sequence[str]) -> dict[str, str]:
     """
     if path is None:
         return {}
-    wanted = "a YAML file, a line a message: what to say"
+    wanted = "a YAML file with a line for each message: its text"
     try:
         said = OmegaConf.to_container(OmegaConf.load(path))
     except (OSError, ValueError, YAMLError) as error:

@@ -116,7 +116,7 @@ class Job:
                 computed, because these take as long again.
         """
         if (known := self.finished()) is not None:
-            log.info("its result was there: %s", os.path.relpath(self.address))
+            log.info("the result exists already: %s", os.path.relpath(self.address))
             return known
         started, begun = time.time(), time.perf_counter()
         experiment = experiment_of(self.config)

@@ -73,14 +73,14 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
                 try:
                     returned = launch(files) if files else []
                 except Exception as error:  # noqa: BLE001  (launchers raise what they like)
-                    log.warning("the launcher gave up (%s)", first_line(error)[:160])
+                    log.warning("the launcher failed (%s)", first_line(error)[:160])
                 if CAME.is_set():  # the launcher replaced the interruption by another error
                     raise KeyboardInterrupt
         except KeyboardInterrupt:
             tracking: Disk = instantiate(plan.config.tracking)
             tracking.log(folder.path, outputs)
             finished = sum(folder.state(job) == "finished" for job in jobs)
-            said = f"{finished} of {len(jobs)} jobs are finished; the same command goes on"
+            said = f"{finished} of {len(jobs)} jobs are finished; the same command runs the others"
             raise KeyboardInterrupt(said) from None
         for (job, *_), one in zip(batches, returned or (), strict=False):
             with failing_into(folder.path / "jobs" / job.fingerprint):
@@ -145,7 +145,7 @@ def finish(
         if state == "failed":
             where = os.path.relpath(folder.of(job))
             end += [f"failed: {job.label}: {folder.error(job)}", f"  {where}"]
-    end += ["run the others: the same command"] if finished < count else []
+    end += ["the same command runs the others"] if finished < count else []
     end += [f"folder: {os.path.relpath(folder.path)}"]
     end += [f"report: {os.path.relpath(folder.path / 'report' / 'index.html')}", *lines]
     with attempted("the end was not reported"):
@@ -178,11 +178,13 @@ def _print_jobs(plan: Plan) -> None:
         if job.fingerprint in {*plan.finished, *plan.todo}:  # resume=failed skips some
             print(f"{'done' if job.fingerprint in plan.finished else 'to run':8}{job.label}")
     print(f"{len(plan.jobs)} jobs: {len(plan.finished)} done, {len(plan.todo)} to run")
-    if plan.finished and plan.todo:
+    if plan.todo and not plan.finished:
+        print("expected time: unknown until the first job is finished")
+    elif plan.todo:
         paths = (plan.folder.path.parents[1] / "results" / key / RESULTS for key in plan.finished)
         seconds = sum(sum(json.loads(p.read_text("utf-8"))["seconds"].values()) for p in paths)
         left = _duration(seconds / len(plan.finished) * len(plan.todo))
-        print(f"time to expect: about {left} of one worker, as its finished jobs took")
+        print(f"expected time: about {left} for one worker, estimated from the finished jobs")
 
 
 @contextmanager

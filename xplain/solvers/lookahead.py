@@ -45,9 +45,10 @@ discounts."""
 @dataclass(frozen=True)
 class Lookahead:
     """Args:
-    candidates: number of sets of messages evaluated at a decision. answers: maximum number of
-    distinguishable answers for each; a set with more keeps its QMDP score. memory_gib: maximum
-    memory of the tables of known types and of all sets of messages.
+    candidates: number of sets of messages evaluated at a decision.
+    answers: maximum number of distinguishable answers for each; a set with more keeps its QMDP
+        score.
+    memory_gib: maximum memory of the tables of known types and of all sets of messages.
     """
 
     candidates: Count = 16

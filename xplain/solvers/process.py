@@ -470,8 +470,8 @@ def known_values(process: Process, without_effect: bool = False) -> KnownValues:
     Args:
         process: the model.
         without_effect: True also allows messages that change nothing for the known type. A policy
-            gives such messages because of other types, and they delay costs. So if messages
-            discount, Σ b V is an upper bound of the optimum only if they are allowed.
+            may give such messages because of other types, and delay its costs with them if messages
+            discount. Then Σ b V is an upper bound of the optimum only if they are allowed.
     """
     prices = _bit_prices(process, without_effect)
     solve = _where_messages_land if process.jump is None else _where_messages_are_missed

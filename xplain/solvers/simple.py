@@ -159,7 +159,7 @@ class OpenLoop:
         return give(self.chosen & ~visible.given)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Empty, because nothing was compared."""
+        """Returns no values, because this policy compares no actions."""
         return {}
 
 

@@ -17,8 +17,9 @@ from xplain.testing.suite import Conformance
 
 
 class TypeFinderConformance(Conformance):
-    """Tests a type finder, ``find(observed, seed)``: do its
-    :class:`~xplain.learning.user_types.UserTypes` have what explanations and scores need?
+    """Tests a type finder, ``find(observed, seed)``. Its
+    :class:`~xplain.learning.user_types.UserTypes` must be complete enough for explanations and
+    scores.
 
     Attributes:
         finds_types: True if it must distinguish types with different answers to the same questions.
@@ -124,7 +125,7 @@ def _in_order(data: Dataset, order: NDArray[np.int64]) -> Dataset:
 
 class PartitionConformance(Conformance):
     """Tests a partition, ``partition(vectors, k, seed)``, the component of
-    :class:`~xplain.learning.paper.Elbow`: does it suit the curve of disagreements?"""
+    :class:`~xplain.learning.paper.Elbow`. The curve of disagreements needs these properties."""
 
     def test_makes_at_most_k_groups(self, component: Any) -> None:
         """One group for k = 1; a group for each distinct vector if k allows it."""

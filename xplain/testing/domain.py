@@ -13,8 +13,8 @@ from xplain.testing.suite import Conformance
 
 
 class DomainConformance(Conformance):
-    """Tests whether a :class:`~xplain.domains.base.Domain` has what labels, traces, messages and
-    maps need.
+    """Tests a :class:`~xplain.domains.base.Domain`. Labels, traces, messages and maps need these
+    properties.
 
     Two tests fail for a task that is valid but useless: a message never changes a label, or two
     actions nearly tie, so that a label would be arbitrary.

@@ -14,8 +14,8 @@ from xplain.testing.suite import Conformance
 
 
 class LabelerConformance(Conformance):
-    """Tests a trainer, ``fit(dataset, seed)``, and its labelers: do they have what beliefs and
-    planners need?
+    """Tests a trainer, ``fit(dataset, seed)``, and its labelers. Beliefs and planners need these
+    properties.
 
     Attributes:
         learns: minimum accuracy on unseen points, after 300 labels that follow a simple rule.

@@ -55,7 +55,8 @@ class SolverConformance(Conformance):
                 assert new >> problem.n_messages == 0, f"{new:b} has a message that does not exist"
 
     def test_the_same_question_gets_the_same_answer(self, component: Any) -> None:
-        """Decisions are equal in another order, and from another plan with the same seed."""
+        """A decision does not depend on earlier decisions. Two plans with the same seed decide
+        alike."""
         for problem, questions in self._situations(component):
             policy, other = component.plan(problem, 7), component.plan(problem, 7)
             first = [policy.decide(*question) for question in questions]
@@ -65,7 +66,8 @@ class SolverConformance(Conformance):
             assert first == others, "two plans of one problem and seed decide differently"
 
     def test_values_belong_to_messages_that_can_be_given(self, component: Any) -> None:
-        """Values are finite numbers of message sets that can be given next; there may be none."""
+        """Each value is finite and belongs to a message set that can be given next. A policy may
+        have no values."""
         for problem, questions in self._situations(component):
             policy = component.plan(problem, 0)
             for visible, belief in questions:

@@ -486,7 +486,7 @@ def test_missing_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureF
     caplog.set_level("INFO")
     dataset = read_table(table(tmp_path, messages=["NA", "m0", "N/A", "null", "", "m0"]))
     assert dataset.messages == ("m0",)
-    assert "nothing was told in 4 of 6 rows" in caplog.text
+    assert "4 of 6 rows have no messages" in caplog.text
 
 
 @pytest.mark.parametrize(("cells", "said"), [("a,m0,1", "8 has 3"), ("a,,1,up,0,9", "8 has 6")])

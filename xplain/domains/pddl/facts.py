@@ -64,7 +64,7 @@ class Words:
                     raise InputError(key, template, allowed)
 
     def _fill(self, name: str, arguments: Sequence[str]) -> str | None:
-        """The template of a name with its arguments; None if there is none."""
+        """Fills a name's template with these arguments; None if the name has no template."""
         values = dict(zip(self._names.get(name, ()), arguments, strict=False))
         template = self._given.get(name)
         return template and re.sub(r"\{(.*?)\}", lambda match: values[match[1]], template)
@@ -251,9 +251,9 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
     """Finds each item in which two tasks differ, by a unique name such as pick_up_needs_handempty,
     with the believed version.
 
-    All items with a predicate that only one task
-    has are one difference. If only one task has the value of a function, the value belongs to an
-    initial atom with the same arguments that only this task has, if there is one.
+    All items with a predicate that only one task has are one difference. A value of a function that
+    only one task has belongs to the difference of an initial atom, if only this task has this atom
+    and its arguments are those of the function.
 
     Raises:
         InputError: the tasks differ in objects, types, or the parameters of an action.

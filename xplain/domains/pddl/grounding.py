@@ -220,7 +220,8 @@ class Grounding:
             yield asked & self.beliefs | known, tuple(done)
 
     def complete(self, atoms: int, among: int | None = None) -> int:
-        """The literals that are true if exactly these atoms hold, for all or some atoms."""
+        """The literals that are true if exactly these atoms hold: for all atoms, or only for those
+        of ``among``."""
         among = self._every if among is None else among
         return atoms & among | (~atoms & among) << self._every.bit_length()
 

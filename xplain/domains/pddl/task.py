@@ -150,7 +150,8 @@ class Source:
         return cls(key, path, re.sub(";[^\n]*", "", text.lower()))
 
     def find(self, text: str, action: str = "") -> int:
-        """The position of an expression; with ``action``, after the start of this action."""
+        """Finds the position of an expression; with ``action``, the first one after the start of
+        this action."""
         start = re.search(rf":action\s+{re.escape(action)}\s", self.text) if action else None
         begin = start.start() if start else 0
         tokens = map(re.escape, re.findall(r"[()]|\?*[^\s()?]+", text))

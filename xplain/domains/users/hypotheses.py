@@ -264,7 +264,8 @@ class Hypotheses:
             np.savez_compressed(file, **arrays)
 
     def with_sets(self, facts: NDArray[np.int64]) -> Hypotheses:
-        """Adds these sets and all of their subsets as candidates; the prior is that of few facts.
+        """Adds these sets and all of their subsets as candidates. The new prior is that of
+        :func:`~xplain.domains.users.inaccurate_values.few`.
 
         Raises:
             DomainError: ties of a model are ambiguous.
@@ -298,7 +299,7 @@ class Hypotheses:
         return int(self.labels.shape[1])
 
     def row(self, held: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The rows of :attr:`labels` of candidates ``held``, of any shape."""
+        """The rows of :attr:`labels` for these candidates, an array of bitmasks of any shape."""
         every = len(self.facts) > self.facts[-1]  # then the row of a set is the set
         return held if every else np.searchsorted(self.facts, held)
 
@@ -324,8 +325,8 @@ class Hypotheses:
 
     @cached_property
     def sizes(self) -> NDArray[np.bool_]:
-        """[1 + V] True for the assumed values and for variants with the same direction; these are
-        more likely."""
+        """[1 + V] True for the assumed values, and for variants on the same side of the robot's
+        values. Such variants have a larger prior."""
         weight = self.variant_prior[1:]
         return np.append(True, weight >= weight.max(initial=0) / 2)
 

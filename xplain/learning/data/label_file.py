@@ -280,7 +280,7 @@ def read_table(
         advice = option(key, "features", *(name for name in features if name != most))
         log.warning("%s: nearly every answer is about another step; try %s", key, advice)
     silent = int((dataset.message_set == 0).sum())
-    log.info("%s: nothing was told in %d of %d rows", key, silent, rows)
+    log.info("%s: %d of %d rows have no messages", key, silent, rows)
     return dataset
 
 
@@ -347,10 +347,11 @@ def columns_of(features: NDArray[np.float64], names: Sequence[str]) -> dict[str,
 
 
 def is_parquet(path: Path, key: str) -> bool:
-    """True if a table is Parquet, False if it is CSV, by the end of its name.
+    """True if the name of a table ends as that of a Parquet file, False if it ends as that of a CSV
+    file.
 
     Raises:
-        InputError: another ending; ``key`` is the key that the user set.
+        InputError: the name has another ending; the error names ``key``.
     """
     name = path.name.lower()
     refuse_if(
@@ -636,7 +637,7 @@ def _check(dataset: Dataset, key: str) -> None:
     )
     single = np.bincount(dataset.observer) == 1
     if single.any():
-        log.warning("%d observers gave one label only: kept, placed by it", int(single.sum()))
+        log.warning("%d observers gave only one label, which decides their type", int(single.sum()))
     own = query * len(dataset.observers) + dataset.observer
     if torn := len(np.unique(2 * own + dataset.label)) - len(np.unique(own)):
         log.warning("%d questions were answered both ways by one observer: both labels count", torn)

@@ -131,8 +131,8 @@ class CollectState(core.State):
 
 
 class ClipTask(NamedTuple):
-    """The purpose of one clip: a question, a repetition of question number ``again``, attention, or
-    message number ``again`` among those that stay valid."""
+    """The purpose of one clip: a question, a repetition of question number ``again``, an attention
+    check, or message number ``again`` among those that stay valid."""
 
     purpose: str
     again: int = -1
@@ -188,7 +188,7 @@ def belief(asking: Questionnaire) -> dict[str, float]:
 
 
 def questions_of(plan: CollectPlan) -> int:
-    """Number of questions for each participant; the last one may be shorter than a clip."""
+    """Number of questions for each participant; the last one may have fewer steps."""
     return -(-plan.rules.points // plan.design.clip)
 
 

@@ -75,8 +75,8 @@ class Observer(bots.Bot[CollectPlan, Habits]):
         return self.labels(page.steps, self.heard(page.messages))
 
     def at_listening(self, page: Page) -> tuple[Fields, float]:
-        """Gives a label for each step. Messages that they accept stay known until they are
-        forgotten."""
+        """Gives a label for each step. The bot knows a message that it accepted until it forgets
+        the message."""
         self.known |= self.heard(page.messages)
         answer = self.labels(page.steps, self.known)
         for j in indices(self.known if self.habits.losing else 0):
@@ -89,7 +89,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
         return [(f"fact_{j}", str(self.held >> j & 1)) for j in facts]
 
     def heard(self, told: Sequence[str]) -> int:
-        """The messages on a page that they notice, as a bitmask."""
+        """The messages on a page that the bot notices, as a bitmask."""
         sentences, missing = [fact.message for fact in self.plan.facts], self.habits.forgetting
         # No draw without forgetting, so that the stream stays the same.
         heard = [said for said in told if not (missing and self.chance(missing))]

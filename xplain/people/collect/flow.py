@@ -157,7 +157,7 @@ class Collection(Flow[CollectPlan, CollectState]):
 
     PLAN = CollectPlan
     PACKAGE = "xplain.people.collect"
-    DATA = "Labels for xplain discover, observers and every answer as CSV tables"
+    DATA = "labels for xplain discover, and CSV tables of the observers and of every answer"
     STATE: ClassVar = CollectState
     STAGES: ClassVar = (
         Consent("consent", "consent"),

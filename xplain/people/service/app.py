@@ -133,7 +133,7 @@ class Next(BaseModel):
     """The next action, and the number of its answer.
 
     ``explain``: give the messages, show the first ``step`` transitions, send their labels. ``ask``:
-    put the question, send its answer. ``wait``: all known transitions are explained. ``end``: the
+    ask the question, send its answer. ``wait``: all known transitions are explained. ``end``: the
     questionnaire is over.
     """
 

@@ -30,7 +30,7 @@ OWN = "participant = ? AND source = 'protocol'"
 
 
 class Unknown(Exception):
-    """No such talk."""
+    """There is no such talk."""
 
 
 class Conflict(Exception):

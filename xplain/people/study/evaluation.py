@@ -130,7 +130,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
 
     Attributes:
         policies: {condition: policy for the problem of that condition}.
-        belief: the labels that count as evidence.
+        belief: decides which labels are evidence.
     """
 
     policies: Mapping[str, CachedPolicy]

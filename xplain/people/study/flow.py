@@ -303,8 +303,8 @@ class Study(Explaining):
     # What to expect ------------------------------------------------------------------------------
 
     def announcement(self) -> str:
-        """If a condition asks, tells the costs of people who never err with and without
-        questions."""
+        """If a condition asks, returns a line with the cost of each condition for people who never
+        err."""
         if ASKING not in self.plan.conditions:
             return ""
         met = self.faultless().items()
@@ -331,8 +331,8 @@ class Study(Explaining):
         return found
 
     def difference(self) -> float:
-        """The mean difference over types in the number of messages (and questions) of a faultless
-        participant between two conditions; the smallest such difference."""
+        """Returns the smallest difference between two conditions: the difference in the number of
+        messages (and questions) for people who never err, as a mean over types."""
         given = [
             [(one.n_messages, one.n_questions) for one in met] for met in self.faultless().values()
         ]
