@@ -332,7 +332,12 @@ def examinees(banks: int, people: int) -> None:
         slip, guess = rng.uniform(0.05, 0.15, (2, 300))
         test = Questionnaire(labels, 0.0, none=0.0, slip=slip, guess=guess, told=False)
         for person in range(people):
-            lacked, questions, number, sure = int(rng.integers(32)), test.anew(None, person), 0, 0
+            lacked, questions, number, sure = (
+                int(rng.integers(32)),
+                test.restart(None, person),
+                0,
+                0,
+            )
             while not sure or number < max(right):
                 item, _ = questions.next()
                 one = 1 - slip[item] if labels[lacked, item] else guess[item]

@@ -47,7 +47,7 @@ from xplain.interaction.explainees import (
     Union,
     Unseen,
 )
-from xplain.randomness import derived_seed
+from xplain.randomness import derive_seed
 from xplain.solvers.base import CachedPolicy, Solver
 from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.simple import SayAll
@@ -135,7 +135,7 @@ def episodes(name: str, seeds: Iterable[int], trade_offs: Iterable[float], *over
                     for kind, prepared in users.items():
                         truth, same = true_thoughts(prepared.cases[index])
                         for user in range(len(prepared.types)):
-                            seed = derived_seed(world.seed, "explainee", index, user)
+                            seed = derive_seed(world.seed, "explainee", index, user)
                             own = truth.of_types([user])
                             person = people[kind].meet(own, same, seed)
                             about = world.seed, trade_off, kind, policy, index, user

@@ -200,7 +200,7 @@ def row_of(
         )
         types = clusterer(labeler=trainer).find(observed, seed)
         none = _none(observed, types, hypotheses_of(domain, path), error)
-        given = trainer.given(observed)
+        given = trainer.adapt_to(observed)
         perfect = learn_perfect(observed, given, seed, types.by_observers)
         oracle = oracle_labelers(perfect, observed)
     assert observed.truth is not None
@@ -222,7 +222,7 @@ def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: f
     dataset, needs = observed.dataset, types.clustering.needs
     unwritten = ~int(np.bitwise_or.reduce(hypotheses.facts))
     odd = np.zeros(0) if needs is None else needs[types.clustering.assignment] & unwritten
-    hypotheses = hypotheses.told_apart_by_features()
+    hypotheses = hypotheses.drop_indistinguishable()
     assert hypotheses.features is not None
     place = {row.tobytes(): t for t, row in enumerate(hypotheses.features)}
     said = []

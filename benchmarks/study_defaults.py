@@ -24,11 +24,11 @@ from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Explainee, Slips
-from xplain.people.material import Material, learned_types, select_plan_keys
+from xplain.people.material import Material, learn_domain_types, select_plan_keys
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import PERSONALIZED
-from xplain.people.study.prepare import learned_table, make_draft, traces_of
-from xplain.randomness import derived_seed
+from xplain.people.study.prepare import make_draft, make_learned_table, traces_of
+from xplain.randomness import derive_seed
 
 FIRST = 9600
 """The first seed; nothing was chosen on it or later ones."""
@@ -42,7 +42,7 @@ def paid(study: Study, explainee: Explainee, seed: int) -> float:
     problem, policy = study.plan.problem_of(PERSONALIZED), study.policies[PERSONALIZED]
     costs = []
     for kind, labels in enumerate(study.plan.true_labels):
-        same, own = np.arange(len(labels)), derived_seed(seed, "p", kind)
+        same, own = np.arange(len(labels)), derive_seed(seed, "p", kind)
         person = explainee.meet(LabelTable.dense(labels[None]), same, own)
         costs.append(explain(problem, policy, person, study.belief).cost)
     return float(np.mean(costs))
@@ -52,7 +52,7 @@ def measured(domain: str, labeler: str, seed: int, traces: int) -> dict[tuple[st
     """Returns the mean cost of a seed, by belief and people."""
     cfg = compose_config("study", [f"domain={domain}", f"seed={seed}", f"labeler={labeler}"])
     config: dict[str, Any] = select_plan_keys(cfg)
-    setting, learned = learned_types(cfg, instantiate(cfg.domain))
+    setting, learned = learn_domain_types(cfg, instantiate(cfg.domain))
     task, found = Material.of(setting), defaultdict[tuple[str, str], list[float]](list)
     best = traces_of(task, config["trace"], config["max_steps"], seed)[:traces]
     for number, trace in enumerate(best):
@@ -60,10 +60,10 @@ def measured(domain: str, labeler: str, seed: int, traces: int) -> dict[tuple[st
             kind = f"{type(belief).__module__}.{type(belief).__name__}"
             own = {**config, "belief": {"_target_": kind, "error": belief.error}}
             study = Study.of(
-                make_draft(task, trace, learned_table(task, learned, trace), own, learned)
+                make_draft(task, trace, make_learned_table(task, learned, trace), own, learned)
             )
             for people, explainee in PEOPLE.items():
-                cost = paid(study, explainee, derived_seed(seed, "people", number))
+                cost = paid(study, explainee, derive_seed(seed, "people", number))
                 found[name, people].append(cost)
     return {key: float(np.mean(costs)) for key, costs in found.items()}
 

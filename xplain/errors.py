@@ -73,7 +73,7 @@ def first_line(error: BaseException) -> str:
 
 
 @contextmanager
-def left_at_once() -> Iterator[None]:
+def leave_at_once() -> Iterator[None]:
     """A context for imports, in which Ctrl-C ends the process with one line. Without it a library
     may replace the interruption by another error, or Python prints a traceback."""
 
@@ -114,13 +114,13 @@ class Range:
         """
         fits = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
         if not fits or not math.isfinite(value) or not self._holds(value):  # type: ignore[arg-type]
-            raise InputError(key, value, self.allowed(whole))
+            raise InputError(key, value, self.describe(whole))
 
     def _holds(self, value: float) -> bool:
         above = value > self.low or (value == self.low and self.ends[0] == "[")
         return above and (value < self.high or (value == self.high and self.ends[1] == "]"))
 
-    def allowed(self, whole: bool = False) -> str:
+    def describe(self, whole: bool = False) -> str:
         """The range in words."""
         if self == Range():
             return "a finite number"

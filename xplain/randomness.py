@@ -46,6 +46,6 @@ def run_seed(value: object) -> int:
     return whole_number("seed", value, 0, MOST)
 
 
-def derived_seed(seed: int, *names: str | int) -> int:
+def derive_seed(seed: int, *names: str | int) -> int:
     """A 63-bit seed for code that needs an integer (scikit-learn takes its low 32 bits)."""
     return int(sequence(seed, *names).generate_state(1, np.uint64)[0] >> np.uint64(1))

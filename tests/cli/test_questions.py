@@ -106,7 +106,7 @@ def test_answers_to_chosen_questions_find_types_that_a_file_keeps(tmp_path, comm
     assert said["rule"] == "hypotheses"
     assert said["n_types"] == 5
     types = LearnedTypes.load(tmp_path / "outputs/discover/types.npz")
-    known = Hypotheses.load(tmp_path / "h.npz").told_apart_by_features()
+    known = Hypotheses.load(tmp_path / "h.npz").drop_indistinguishable()
     table = types.label_table(known.features).array(known.n_messages)
     held = [["fire", "rubble"], ["first_aid", "fence"]]  # of the shipped types, two
     for facts in held:

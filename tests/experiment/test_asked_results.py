@@ -18,7 +18,7 @@ from xplain.experiment.pipeline import Prepared, prepare
 from xplain.experiment.results import EPISODES, episode_lines
 from xplain.explanation.asking import SENSE
 from xplain.interaction.metrics import Record, by_step, summarise
-from xplain.report.trace import LISTED, said_in, stories
+from xplain.report.trace import LISTED, list_said, stories
 
 OVERRIDES = ("labeler=truth", "clusterer=perfect", "ask=clips", "ask.cost=0.2", "traces=3")
 
@@ -74,7 +74,7 @@ def test_the_report_counts_questions_step_by_step(asked: Any, tmp_path: Any) -> 
     for story, record in zip(stories(tmp_path, "solver"), records, strict=True):
         asked_in_all = sum(len(step["questions"]) for step in story["steps"])
         assert asked_in_all == record.episode.n_questions
-        said = said_in(story, results.messages)
+        said = list_said(story, results.messages)
         assert said.count("it asks: “") == min(asked_in_all, LISTED)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.configurations import CHOICES, composed, dotted, each_changed
 from tests.handmade import a_prepared
-from xplain.experiment.cache import prepared_once, source_fingerprint
+from xplain.experiment.cache import load_or_prepare, source_fingerprint
 from xplain.experiment.fingerprint import configuration
 
 
@@ -36,20 +36,20 @@ def never():
 
 @pytest.mark.parametrize("perfect", [True, False])
 def test_what_comes_back_is_what_was_made(tmp_path, perfect):
-    prepared_once(tmp_path, "key", lambda: a_prepared(perfect))
-    assert same(prepared_once(tmp_path, "key", never), a_prepared(perfect))
+    load_or_prepare(tmp_path, "key", lambda: a_prepared(perfect))
+    assert same(load_or_prepare(tmp_path, "key", never), a_prepared(perfect))
 
 
 def test_another_key_is_another_entry(tmp_path):
-    prepared_once(tmp_path, "key", a_prepared)
-    other = prepared_once(tmp_path, "other", lambda: a_prepared(seed=1))
+    load_or_prepare(tmp_path, "key", a_prepared)
+    other = load_or_prepare(tmp_path, "other", lambda: a_prepared(seed=1))
     assert same(other, a_prepared(seed=1))
-    assert same(prepared_once(tmp_path, "key", never), a_prepared())
+    assert same(load_or_prepare(tmp_path, "key", never), a_prepared())
 
 
 @pytest.mark.parametrize("size", [0, 10, 300, -1])
 def test_a_damaged_entry_is_made_again(tmp_path, size):
-    prepared_once(tmp_path, "key", a_prepared)
+    load_or_prepare(tmp_path, "key", a_prepared)
     path = tmp_path / "key.npz"
     content = bytearray(path.read_bytes())
     if size >= 0:
@@ -58,8 +58,8 @@ def test_a_damaged_entry_is_made_again(tmp_path, size):
         middle = len(content) // 2
         content[middle : middle + 40] = bytes(40)
         path.write_bytes(bytes(content))
-    assert same(prepared_once(tmp_path, "key", lambda: a_prepared(seed=1)), a_prepared(seed=1))
-    assert same(prepared_once(tmp_path, "key", never), a_prepared(seed=1))
+    assert same(load_or_prepare(tmp_path, "key", lambda: a_prepared(seed=1)), a_prepared(seed=1))
+    assert same(load_or_prepare(tmp_path, "key", never), a_prepared(seed=1))
 
 
 def test_those_who_want_the_same_at_once_wait_for_the_first(tmp_path):
@@ -70,7 +70,7 @@ def test_those_who_want_the_same_at_once_wait_for_the_first(tmp_path):
         return a_prepared()
 
     threads = [
-        threading.Thread(target=lambda: found.append(prepared_once(tmp_path, "key", make)))
+        threading.Thread(target=lambda: found.append(load_or_prepare(tmp_path, "key", make)))
         for _ in range(8)
     ]
     for thread in threads:
@@ -83,17 +83,17 @@ def test_those_who_want_the_same_at_once_wait_for_the_first(tmp_path):
 
 def test_a_folder_that_cannot_be_written_costs_no_result(tmp_path, monkeypatch):
     (tmp_path / "cache").write_text("a file")
-    assert same(prepared_once(tmp_path / "cache", "key", a_prepared), a_prepared())
+    assert same(load_or_prepare(tmp_path / "cache", "key", a_prepared), a_prepared())
 
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patched:
         patched.setattr(np, "savez_compressed", full)
-        assert same(prepared_once(tmp_path / "other", "key", a_prepared), a_prepared())
+        assert same(load_or_prepare(tmp_path / "other", "key", a_prepared), a_prepared())
     # No partial entry stays: the next process computes it again, and stores it.
-    assert same(prepared_once(tmp_path / "other", "key", a_prepared), a_prepared())
-    assert same(prepared_once(tmp_path / "other", "key", never), a_prepared())
+    assert same(load_or_prepare(tmp_path / "other", "key", a_prepared), a_prepared())
+    assert same(load_or_prepare(tmp_path / "other", "key", never), a_prepared())
 
 
 NOT_OF_THE_SOURCE = {

@@ -49,7 +49,7 @@ def test_a_solver_is_compared_with_those_that_can_be(
     solver: Solver, perfect: bool, beside: set[str]
 ) -> None:
     prepared = a_prepared(perfect)
-    same, records = replace(EXPERIMENT, solver=solver).explained(
+    same, records = replace(EXPERIMENT, solver=solver).explain_cases(
         prepared, EpisodeCache(None, {}), SILENT
     )
     assert same is prepared
@@ -80,9 +80,9 @@ def test_episodes_that_results_share_are_those_that_each_would_have_made(tmp_pat
     ):
         own = replace(EXPERIMENT, solver=solver)
         cache = replace(kept, config={**kept.config, "solver": repr(solver)})
-        _, alone = own.explained(prepared, EpisodeCache(None, {}), SILENT)
+        _, alone = own.explain_cases(prepared, EpisodeCache(None, {}), SILENT)
         for _ in range(2):
-            _, shared = own.explained(prepared, cache, SILENT)
+            _, shared = own.explain_cases(prepared, cache, SILENT)
             assert costs(shared) == costs(alone)
         # References and two solvers with true labels; another learner adds none.
         assert len([*tmp_path.iterdir()]) == min(number + 2, 3)
@@ -90,8 +90,8 @@ def test_episodes_that_results_share_are_those_that_each_would_have_made(tmp_pat
 
 def test_a_damaged_entry_is_made_again(tmp_path: Path) -> None:
     cache = EpisodeCache(tmp_path, {})
-    _, before = EXPERIMENT.explained(a_prepared(), cache, SILENT)
+    _, before = EXPERIMENT.explain_cases(a_prepared(), cache, SILENT)
     for path in tmp_path.iterdir():
         path.write_text(path.read_text()[:100])
-    _, after = EXPERIMENT.explained(a_prepared(), cache, SILENT)
+    _, after = EXPERIMENT.explain_cases(a_prepared(), cache, SILENT)
     assert costs(after) == costs(before)

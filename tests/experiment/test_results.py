@@ -12,7 +12,7 @@ from tests.handmade import a_prepared, an_episode
 from xplain.experiment.results import (
     Provenance,
     episode_lines,
-    finished_at,
+    find_finished,
     load_results,
     results_of,
     save_results,
@@ -67,17 +67,17 @@ def test_what_is_saved_is_loaded(tmp_path):
 def test_what_is_at_an_address_is_finished_where_it_is_whole_and_belongs_there(tmp_path):
     address = tmp_path / "f1"
     address.mkdir()
-    assert finished_at(address) is None
+    assert find_finished(address) is None
     results = results_of(PREPARED, RECORDS, ABOUT)
     for certificates in ("not asked for", "made"):
         save_results(address, replace(results, certificates=certificates))
-        assert finished_at(address) is not None
+        assert find_finished(address) is not None
     save_results(address, replace(results, certificates="failed"))
-    assert finished_at(address) is None  # what was asked for may come next time
+    assert find_finished(address) is None  # what was asked for may come next time
     save_results(address, replace(results, fingerprint="f2"))
-    assert finished_at(address) is None
+    assert find_finished(address) is None
     save_results(address, replace(results, schema=0))
-    assert finished_at(address) is None
+    assert find_finished(address) is None
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"metrics": '])

@@ -11,7 +11,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.classes import SHRINKAGE, answer_classes
 from xplain.learning.mixture.sampler import DirichletMixture
-from xplain.learning.prediction import held_out
+from xplain.learning.prediction import predict_held_out
 
 
 def answered(labels: np.ndarray, asked: np.ndarray | None = None) -> Dataset:
@@ -90,7 +90,7 @@ def test_classes_are_found_and_predict_better_than_means() -> None:
     assert found.n_types in (3, 4)
     assert found.expected is not None
     assert found.expected.shape == (180, 12)
-    known = held_out(data, DirichletMixture(), LabelerTrainer(), 0)
+    known = predict_held_out(data, DirichletMixture(), LabelerTrainer(), 0)
     assert known.gain[0] > 0
     assert known.types > max(known.one_type, known.question_mean)
     assert "better" in known.verdict
@@ -99,7 +99,7 @@ def test_classes_are_found_and_predict_better_than_means() -> None:
 def test_answers_without_types_support_none() -> None:
     rng = np.random.default_rng(0)
     labels = rng.random((80, 10)) < rng.random(10)
-    known = held_out(answered(labels), DirichletMixture(), LabelerTrainer(), 0)
+    known = predict_held_out(answered(labels), DirichletMixture(), LabelerTrainer(), 0)
     assert known.gain[0] <= 0
     assert known.types > known.question_mean - 0.02  # and cost next to nothing
     assert "not" in known.verdict

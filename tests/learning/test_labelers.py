@@ -25,7 +25,7 @@ from xplain.learning.labelers import FittedLabeler, LabelerTrainer, fresh_accura
 from xplain.learning.prediction import log_likelihood, log_likelihoods
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import learn_types
-from xplain.randomness import derived_seed
+from xplain.randomness import derive_seed
 
 
 def fitted(
@@ -61,11 +61,11 @@ def test_confidence_is_the_smoothed_share_of_held_out_questions_got_right(
     right ones counts."""
     once, _ = made(rng, [[0, 1]], noise=0.15)
     dataset = once.take(np.repeat(np.arange(len(once)), repeats))
-    labeler, seed = LabelerTrainer().fit(dataset, 7), derived_seed(7, "labelers")
+    labeler, seed = LabelerTrainer().fit(dataset, 7), derive_seed(7, "labelers")
     dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))
     held = split(dataset, 0.25, seed)
     train, test = (dataset.take(np.flatnonzero(rows)) for rows in (~held, held))
-    trained = LabelerTrainer().fitted_to(train, seed)
+    trained = LabelerTrainer().fit_unmeasured(train, seed)
     said = trained.predict(test.features[test.transition], test.message_set)
     votes: dict[tuple[int, int], list[bool]] = {}
     for tau, told, hit in zip(test.transition, test.message_set, said == test.label, strict=True):

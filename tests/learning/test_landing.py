@@ -62,7 +62,7 @@ def test_answers_after_messages_are_predicted_nearly_as_by_who_knows_all_rates()
     test = (dataset.observer % 3 == 0) & (dataset.message_set > 0)
     found = learned(dataset.take(np.flatnonzero(~test)))
     asked = dataset.take(np.flatnonzero(test))
-    own = found.predicted(asked.observer, asked.transition, asked.message_set)
+    own = found.predict(asked.observer, asked.transition, asked.message_set)
     one = np.where(TABLE == 1, 1 - SLIP, GUESS)
     stays = (WRONG[:, 1:] >> np.arange(3) & 1) == 1
     lands = (WRONG[:, :1] & ~WRONG[:, 1:]) >> np.arange(3) & 1
@@ -98,5 +98,5 @@ def test_without_hypotheses_people_differ_in_ability() -> None:
     assert not found.missed
     before = np.bincount(dataset.observer, dataset.label * (dataset.message_set == 0))
     who = np.array([before.argmin(), before.argmax()])
-    low, high = found.predicted(who, np.zeros(2, np.int64), np.full(2, EVERY))
+    low, high = found.predict(who, np.zeros(2, np.int64), np.full(2, EVERY))
     assert low < high

@@ -13,7 +13,7 @@ from xplain.errors import InputError
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer
-from xplain.learning.prediction import held_out
+from xplain.learning.prediction import predict_held_out
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import UserTypes, find_types
@@ -63,7 +63,7 @@ def test_its_types_are_what_agents_know(tmp_path: Any) -> None:
     tables = known.tables(dataset.features, np.zeros((10, 3), np.int64))
     assert tables.learned.array(4)[:, 0, 0b111] == pytest.approx([0.4, 0.55])
     assert tables.perfect is None  # nobody knows the setting
-    assert held_out(dataset, FirstAndRest(), LabelerTrainer(), 0).types < 0
+    assert predict_held_out(dataset, FirstAndRest(), LabelerTrainer(), 0).types < 0
     types = FirstAndRest().find(Observed(dataset), 0)
     with pytest.raises(InputError, match="Told"):
         LearnedTypes.of(types, dataset).save(tmp_path / "types.npz")

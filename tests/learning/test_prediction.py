@@ -9,7 +9,7 @@ from scipy.stats import norm
 from tests.learning.conftest import made
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.prediction import calibration, held_out, predict
+from xplain.learning.prediction import calibration, predict, predict_held_out
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import Single, learn_types
 
@@ -64,6 +64,6 @@ def test_of_few_labels_one_is_held_out_and_one_is_learned_from(count: int) -> No
         rows % 2, rows, np.zeros(count, np.int64), (rows % 2).astype(np.uint8),
     )  # fmt: skip
     for seed in range(40):
-        found = held_out(dataset, Single(), LabelerTrainer(), seed)
+        found = predict_held_out(dataset, Single(), LabelerTrainer(), seed)
         assert 1 <= sum(part.labels for part in found.calibration) < count
         assert np.isfinite([found.types, found.one_type, found.question_mean, *found.gain]).all()

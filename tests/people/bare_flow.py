@@ -55,7 +55,7 @@ def take_part(study: Study, person: StudyBot, user_type: int, condition: str) ->
     orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}
     place = {"position": None, "user_type": user_type, "condition": condition}
     consent = place | {"orders": orders, "width": 9999}
-    state = study.after(StudyState(), **study.admitted(consent))
+    state = study.after(StudyState(), **study.read_consent(consent))
     return walk(study, person, replace(state, stage="briefing"))
 
 

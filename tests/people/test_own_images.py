@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from xplain.errors import InputError
-from xplain.people.material import own_table
+from xplain.people.material import read_own_table
 
 FACTS = "fact,message,belief\ncable,Cables are fine.,Cables stop it.\n"
 
@@ -27,7 +27,7 @@ def table(folder: Path, image: str) -> Path:
 
 def shown(folder: Path, image: str) -> Image.Image:
     """The picture that participants get."""
-    source = own_table(table(folder, image), str(folder / "facts.csv"), 0)
+    source = read_own_table(table(folder, image), str(folder / "facts.csv"), 0)
     picture = source.clips[0].picture
     assert picture is not None
     return Image.open(io.BytesIO(base64.b64decode(picture.content)))

@@ -53,8 +53,8 @@ def test_later_observers_start_from_those_before(setting, monkeypatch):
     made = []
 
     class Kept(Questionnaire):
-        def over(self, hypotheses, prior):
-            made.append(super().over(hypotheses, prior))
+        def replace_hypotheses(self, hypotheses, prior):
+            made.append(super().replace_hypotheses(hypotheses, prior))
             return made[-1]
 
     monkeypatch.setattr(designs, "Questionnaire", Kept)

@@ -109,7 +109,7 @@ def test_predictions_are_what_one_more_answer_would_be(seed):
                     given = _with_truth(known, answers, facts, d, error, t, told, label)
                     over[label] += weight * given * one
         expected = np.clip(over[1] / over.sum(), 0.002, 0.998)
-        found = made.known_rows(np.array([t]), np.array([told]))[0]
+        found = made.predict_known(np.array([t]), np.array([told]))[0]
         assert found == pytest.approx(expected, abs=2e-3)  # unlikely fact sets are left out
 
 
@@ -157,7 +157,7 @@ def test_where_answers_contradict_the_hypotheses_the_answers_win():
     made = HypothesisLabeler.of(known, said, None)
     every = np.arange(8)
     for t in range(20):
-        p = made.known_rows(np.full(8, t), every)
+        p = made.predict_known(np.full(8, t), every)
         truth = known.hypotheses.labels[5 & ~every, t] ^ (t < 2)
         asked = np.isin(5 & ~every, 5 & ~said.message_set[said.transition == t])
         assert ((p > 0.5) == truth)[asked].all()
@@ -186,7 +186,7 @@ def test_a_file_of_hypotheses_finds_types_and_labels(tmp_path):
     facts = [3, 3, 3, 12, 12, 12]
     data = dataset_of(known, people(known, facts, 25, rng, 0.02))
     trainer = HypothesisTrainer(path=str(tmp_path / "h.npz"))
-    found = trainer.known_answers(data).cluster(data, 1.0)
+    found = trainer.select_known_answers(data).cluster(data, 1.0)
     assert found.assignment.tolist() == [0, 0, 0, 1, 1, 1]
     assert found.needs.tolist() == known.hypotheses.essential[[3, 12]].tolist()
     for members, held in (([0, 1, 2], 3), ([3, 4, 5], 12)):
@@ -206,7 +206,7 @@ def test_labels_of_another_task_are_left_to_trees(tmp_path):
     rng = np.random.default_rng(0)
     data = dataset_of(known, people(known, [3], 30, rng))
     other = Dataset(**{**data.__dict__, "feature_names": ("other",)})
-    assert trainer.known_answers(other) is None
+    assert trainer.select_known_answers(other) is None
     assert hasattr(trainer.fit(other, 0).classifier, "tree_")
 
 
@@ -242,12 +242,12 @@ def test_what_nobody_wrote_down_is_learned_from_answers(caplog):
     said = odd_people(known, facts, 120, rng, odd)
     found = partition(known, said, 1.0).facts
     assert found.tolist() == [int(known.essential[f]) for f in facts]
-    together = Answers.joined(said[3:])
+    together = Answers.join(said[3:])
     made = HypothesisLabeler.of(known, together, None)
     h, before = known.hypotheses, np.flatnonzero(known.hypotheses.labels[1, odd])
     told_rest = np.full(len(before), 0b0110)
-    assert (made.known_rows(odd[before], told_rest) < 0.5).all()
-    assert (made.known_rows(odd[before], told_rest | 8) > 0.5).all()
+    assert (made.predict_known(odd[before], told_rest) < 0.5).all()
+    assert (made.predict_known(odd[before], told_rest | 8) > 0.5).all()
     # Elsewhere nothing spoke against the hypotheses.
     other = np.flatnonzero(h.labels[1, 8:]) + 8
-    assert (made.known_rows(other, np.full(len(other), 0b0110)) > 0.9).mean() > 0.9
+    assert (made.predict_known(other, np.full(len(other), 0b0110)) > 0.9).mean() > 0.9

@@ -81,7 +81,7 @@ def test_types_of_more_facts_than_the_list_begins_with_are_found():
     crowd = SimulatedObservers(per_type=2, points=40)
     observed = crowd.collect(setting, Adaptive(), 0)
     data, truth = observed.dataset, observed.truth
-    trainer = HypothesisTrainer().given(observed)
+    trainer = HypothesisTrainer().adapt_to(observed)
     found = DirichletMixture(labeler=trainer).cluster(Observed(data), 0)
     assert found.assignment.tolist() == truth.tolist()
     features = transition_features(setting.domain, setting.reachable)

@@ -132,7 +132,7 @@ def test_transitions_that_features_cannot_tell_apart_are_left_out_with_all_that_
     }
     labels = [[1, 1, 1, 1, 1], [0, 0, 1, 0, 1], [1, 1, 0, 1, 0], [0, 0, 0, 0, 0]]
     variants = 1 - np.array([labels])
-    apart = Hypotheses.of(labels, variants=variants, **about).told_apart_by_features()
+    apart = Hypotheses.of(labels, variants=variants, **about).drop_indistinguishable()
     kept = [1, 3, 4]
     assert apart.phrases == ("b", "d", "e")
     assert apart.labels.tolist() == np.array(labels)[:, kept].tolist()
@@ -142,7 +142,7 @@ def test_transitions_that_features_cannot_tell_apart_are_left_out_with_all_that_
     # Without transition 4 nothing else would tell the second fact: all stay.
     few = {key: value[:4] for key, value in about.items() if key != "feature_names"}
     whole = Hypotheses.of(np.array(labels)[:, :4], **few)
-    assert whole.told_apart_by_features() is whole
+    assert whole.drop_indistinguishable() is whole
 
 
 @pytest.mark.parametrize(

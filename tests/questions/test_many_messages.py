@@ -18,7 +18,7 @@ def test_the_table_over_what_matters_is_the_whole_table(
 ) -> None:
     setting = setting_of("domain=rescue")
     observed = SimulatedObservers(1, 40).collect(setting, Independent(), 0)
-    labeler = HypothesisTrainer().given(observed).fit(observed.dataset.of(np.array([0])), 0)
+    labeler = HypothesisTrainer().adapt_to(observed).fit(observed.dataset.of(np.array([0])), 0)
     transitions = setting.reachable[::9]
     features = transition_features(setting.domain, transitions)
     known = transitions if transitions_known else None

@@ -14,7 +14,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
-from xplain.learning.prediction import held_out, predict
+from xplain.learning.prediction import predict, predict_held_out
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import Single, learn_types
 
@@ -140,11 +140,11 @@ def test_a_prediction_is_a_mean_over_types_and_error_rates():
     ):
         joint, one = np.zeros((2, 5)), np.zeros((2, 5))
         for k, e in np.ndindex(2, 5):
-            given = answers.given(own.transition)[:, :, e]
+            given = answers.predict(own.transition)[:, :, e]
             y = (1 - sure[k]) * given[:, 0] + sure[k] * given[:, 1]
             joint[k, e] = prior[k] * answers.prior[e]
             joint[k, e] *= np.prod(np.where(own.label == 1, y, 1 - y))
-            at = answers.given(np.array([t]))[0, :, e]
+            at = answers.predict(np.array([t]))[0, :, e]
             one[k, e] = (1 - sure[k]) * at[0] + sure[k] * at[1]
         assert found[row] == pytest.approx((joint * one).sum() / joint.sum())
     # A labeler measured on answers says what is answered, errors and all.
@@ -202,5 +202,5 @@ def test_held_out_answers_are_predicted_as_answers():
     known = hypotheses()
     data = erring(asked(known, [3] * 4 + [12] * 4, 60, rng), [0.3] * 8, rng)
     trainer = HypothesisTrainer(hypotheses=known)
-    found = held_out(data, DirichletMixture(labeler=trainer), trainer, 0)
+    found = predict_held_out(data, DirichletMixture(labeler=trainer), trainer, 0)
     assert -0.69 < found.types < -0.5

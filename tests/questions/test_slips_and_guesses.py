@@ -117,7 +117,7 @@ def test_examinees_are_known_after_ten_questions() -> None:
         slip, guess = rng.uniform(0.05, 0.15, (2, 300))
         item_bank = Questionnaire(labels, 0.0, none=0.0, slip=slip, guess=guess, told=False)
         for person in range(40):
-            held, questions = int(rng.integers(32)), item_bank.anew(None, person)
+            held, questions = int(rng.integers(32)), item_bank.restart(None, person)
             number = 0
             while number < 10 or not questions.done:
                 item, _ = questions.next()

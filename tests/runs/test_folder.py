@@ -13,7 +13,7 @@ from tests.runs.sweeps import planned
 from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.experiment.results import save_results
-from xplain.runs.folder import alone, unlisted_results
+from xplain.runs.folder import alone, find_unlisted_results
 
 
 def test_one_at_a_time_has_a_sweep_also_before_its_folder_is_there(
@@ -67,8 +67,8 @@ def test_results_that_no_run_and_no_sweep_has_are_listed_and_deleted_when_told(
     for name in ("f0", "f1", "f7", "run", "lost", "old"):
         result_at(outputs / "results" / name, name)
     result_at(outputs / "runs" / "mine", "run")
-    assert {path.name for path in unlisted_results(outputs)} == {"lost", "old"}
-    assert all(size > 0 for size in unlisted_results(outputs).values())
+    assert {path.name for path in find_unlisted_results(outputs)} == {"lost", "old"}
+    assert all(size > 0 for size in find_unlisted_results(outputs).values())
     main(["clean", "--outputs", str(outputs)])
     assert len([*(outputs / "results").iterdir()]) == 6
     main(["clean", "--outputs", str(outputs), "--delete"])
@@ -76,4 +76,4 @@ def test_results_that_no_run_and_no_sweep_has_are_listed_and_deleted_when_told(
     assert left == {"f0", "f1", "f7", "run"}
     (folder.path / "sweep.json").write_text("not JSON")  # whose results are they?
     with pytest.raises(InputError):
-        unlisted_results(outputs)
+        find_unlisted_results(outputs)

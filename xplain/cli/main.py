@@ -16,7 +16,7 @@ from click import ClickException
 from xplain import __version__
 from xplain.cli import method, people  # noqa: F401  (they register their commands)
 from xplain.cli.commands import COMMANDS, lines_of
-from xplain.errors import InputError, XplainError, left_at_once
+from xplain.errors import InputError, XplainError, leave_at_once
 from xplain.experiment.progress import is_terminal
 
 HELP = """\
@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> None:
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     _tell(given, "loading …")
-    with left_at_once():
+    with leave_at_once():
         from xplain.experiment.config import report_errors
 
     with report_errors():
@@ -86,7 +86,7 @@ def _experiment(words: list[str]) -> None:
         XplainError: a flag that Hydra does not have, or in a wrong place.
         SystemExit: 1 if jobs of a sweep failed.
     """
-    with left_at_once():
+    with leave_at_once():
         from xplain.experiment.config import require_names
         from xplain.runs import command
     for i, word in enumerate(words):

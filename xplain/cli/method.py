@@ -209,9 +209,9 @@ def clean(delete: bool, outputs: Path) -> None:
     Results below ``results/`` stay when a run's or sweep's folder is deleted, or a sweep's list is
     lost. A deleted result is computed again when it is needed.
     """
-    from xplain.runs.folder import delete_result, unlisted_results
+    from xplain.runs.folder import delete_result, find_unlisted_results
 
-    sizes = unlisted_results(outputs)
+    sizes = find_unlisted_results(outputs)
     for folder, size in sizes.items():
         print(f"{size / 2**20:8.1f} MiB  {folder}")
         if delete:

@@ -20,7 +20,7 @@ from xplain.explanation.message_sets import mask_of
 from xplain.interaction.explainees import Explainee, Person
 from xplain.interaction.explainer import Explainer, GivenTypes
 from xplain.interaction.session import Candidate, Session, Why
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import derive_seed, stream
 from xplain.solvers.base import Solver
 
 
@@ -257,5 +257,5 @@ def play(scene: DemoSetup, user: str) -> Played:
 def _simulated(scene: DemoSetup, user: str) -> Person:
     truth, same = true_thoughts(scene.case)
     labels = truth.of_types([scene.prepared.types.index(user)])
-    seed = derived_seed(scene.explainer.seed, "explainee", user)
+    seed = derive_seed(scene.explainer.seed, "explainee", user)
     return scene.explainee.meet(labels, same, seed)

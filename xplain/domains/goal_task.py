@@ -199,7 +199,7 @@ class GoalTask(TaskModel):
         result[self.space.source[own], action, 0] = of_edges[own]
         return result
 
-    def solved(self, who: str) -> None:
+    def require_solution(self, who: str) -> None:
         """Checks that the task has a plan and unambiguous ties.
 
         Args:
@@ -226,7 +226,7 @@ class GoalTask(TaskModel):
 
     @staticmethod
     def solve(models: Sequence[GoalTask], names: Sequence[str]) -> tuple[GoalTask, ...]:
-        """Checks all models (:meth:`solved`); each solves itself on demand."""
+        """Checks all models (:meth:`require_solution`); each solves itself on demand."""
         for model, name in zip(models, names, strict=True):
-            model.solved(name)
+            model.require_solution(name)
         return tuple(models)

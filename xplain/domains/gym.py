@@ -70,7 +70,7 @@ class Features:
             result &= np.isin(self.codes[:, self.names.index(feature)], codes)
         return result
 
-    def changed(self, key: str, target: Any) -> NDArray[np.int64]:
+    def set_features(self, key: str, target: Any) -> NDArray[np.int64]:
         """[S] the number of each state after the features of ``target`` (``{feature: value}``) are
         set."""
         codes = self.codes.copy()
@@ -214,7 +214,7 @@ class Gymnasium:
                 reached = self._features.where(key, change.get("next", {}))[successor]
                 reward[at[:, :, None] & reached] += number(f"{key}.add", change["add"])
             elif "to" in change:
-                led = self._features.changed(key, change["to"])[:, None, None]
+                led = self._features.set_features(key, change["to"])[:, None, None]
                 successor = np.where(at[:, :, None], led, successor)
             elif "like" in change:
                 (other,) = self._numbers(key, [change["like"]])

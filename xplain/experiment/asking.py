@@ -74,7 +74,7 @@ class CaseQuestions:
         back = np.argsort(np.concatenate([clips, beliefs]), kind="stable")
         return replace(self, labels=whole.of_steps(back.tolist()).of_types(types))
 
-    def asked(self, table: LabelTable, limits: Limits) -> Questions:
+    def to_questions(self, table: LabelTable, limits: Limits) -> Questions:
         """The questions of an explanation problem, with one of the tables."""
         return Questions(table, limits, self.shows, self.texts, self.right)
 
@@ -172,7 +172,7 @@ def _right(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:
                 table[q, told >> j & 1 == 1] = 1
         rows.append(relevant)
         tables.append(table)
-    return LabelTable.joined_types(rows, tables)
+    return LabelTable.join_types(rows, tables)
 
 
 def merge_questions(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:

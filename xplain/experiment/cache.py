@@ -41,7 +41,7 @@ def source_fingerprint(config: Mapping[str, Any]) -> str:
     return fingerprint({key: config[key] for key in SOURCE} | {"ask": pool})
 
 
-def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepared:
+def load_or_prepare(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepared:
     """Reads the entry of this key, or computes and stores it.
 
     Processes that need the same entry at the same time wait for the first one. If the folder cannot
@@ -106,7 +106,7 @@ class EpisodeCache:
     folder: Path | None
     config: Mapping[str, Any]
 
-    def once(
+    def load_or_make(
         self, prepared: Prepared, parts: tuple[str, ...], make: Callable[[], list[Record]]
     ) -> list[Record]:
         """Reads the episodes of these traces and users, or computes and stores them.

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from xplain.experiment.cache import EpisodeCache, prepared_once
+from xplain.experiment.cache import EpisodeCache, load_or_prepare
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import (
     Costs,
@@ -49,16 +49,16 @@ class Experiment:
     certify: Certify
     seed: int
 
-    def prepared(self, cache: Path | None, key: str, progress: Progress) -> Prepared:
+    def prepare(self, cache: Path | None, key: str, progress: Progress) -> Prepared:
         """The first half: observers label, types and labelers are learned, traces are drawn. The
         result is cached in the folder ``cache`` under this key; without a folder it is always
         computed."""
         with progress.stage("data, user types and labelers"):
             if cache is None:
                 return prepare(self.components(), progress)
-            return prepared_once(cache, key, lambda: prepare(self.components(), progress))
+            return load_or_prepare(cache, key, lambda: prepare(self.components(), progress))
 
-    def explained(
+    def explain_cases(
         self, prepared: Prepared, cache: EpisodeCache, progress: Progress
     ) -> tuple[Prepared, list[Record]]:
         """The second half: the solver and its references explain each trace to a user of each type.
@@ -85,7 +85,7 @@ class Experiment:
 
         def with_truth(name: str) -> list[Record]:
             seen, what = without_tables(truth), "explaining, true labels known"
-            made = cache.once(
+            made = cache.load_or_make(
                 replace(seen, habits=habits),
                 (),
                 lambda: explain(seen, {"true_labels": self.solver}, what),
@@ -93,7 +93,7 @@ class Experiment:
             return [replace(record, solver=name) for record in made]
 
         seen = without_tables(truth, prepared)
-        records = cache.once(
+        records = cache.load_or_make(
             replace(seen, habits=habits),
             ("solver",),
             lambda: explain(seen, references, "references"),

@@ -24,7 +24,7 @@ from xplain.explanation.problem import DiscountPer, Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Explainee
 from xplain.interaction.metrics import Record
-from xplain.randomness import derived_seed
+from xplain.randomness import derive_seed
 from xplain.solvers.base import CachedPolicy, Solver
 
 
@@ -112,7 +112,7 @@ def problem_of_types(
     problem = costs.problem(case.learned, prepared.messages, names, shares)
     problem = replace(problem, copies=copies(case.transitions))
     if case.questions is not None:
-        questions = case.questions.asked(case.questions.learned, costs.asking)
+        questions = case.questions.to_questions(case.questions.learned, costs.asking)
         problem = replace(problem, questions=questions)
     facts = None
     if prepared.wrong is not None and case.everything is not None:
@@ -193,7 +193,7 @@ def evaluate(
             policy = problem = None
             for user in range(len(prepared.types)):
                 labels = truth.of_types([user])
-                own = derived_seed(seed, "explainee", index, user)
+                own = derive_seed(seed, "explainee", index, user)
                 # The user's type changes only the plan of a solver that knows it.
                 if policy is None or problem is None or not shared:
                     thoughts = None
@@ -290,7 +290,7 @@ def true_thoughts(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
 
 
 def copies(transitions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """[m] index of the first transition [m, 3] of a trace that equals each."""
+    """[m] for each transition [m, 3] of a trace, the index of the first equal one."""
     _, first, which = np.unique(transitions, axis=0, return_index=True, return_inverse=True)
     same: NDArray[np.int64] = first[which]
     return same
@@ -298,4 +298,4 @@ def copies(transitions: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def trace_seed(seed: int, index: int) -> int:
     """The seed of every policy for the trace with this index."""
-    return derived_seed(seed, "solver", index)
+    return derive_seed(seed, "solver", index)

@@ -45,7 +45,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class ElbowFigures:
-    """How the number of types was chosen: the rule, and disagreements for k = 1 … K."""
+    """The choice of the number of types: the rule, and disagreements for k = 1 … K."""
 
     rule: str
     disagreements: tuple[float, ...]
@@ -292,7 +292,7 @@ def load_results(folder: Path) -> Results:
     return results
 
 
-def finished_at(address: Path) -> Results | None:
+def find_finished(address: Path) -> Results | None:
     """The results at an address, if they are complete and have the requested certificates;
     otherwise None."""
     try:

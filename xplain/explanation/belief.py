@@ -60,7 +60,7 @@ def fact_sets(wrong: NDArray[np.float64]) -> tuple[int, ...]:
 
 
 class BeliefUpdate(Protocol):
-    """How labels change the belief.
+    """Decides how labels change the belief.
 
     Attributes:
         fresh_labels: True if each label of each step is drawn independently and is evidence, as in

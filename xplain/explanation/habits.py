@@ -1,4 +1,5 @@
-"""How users listen and answer. The paper's users accept every message for ever, and never err.
+"""Users' habits of listening and answering. The paper's users accept every message for ever, and
+never err.
 
 A user gives the opposite answer with probability e, accepts a given message with probability α, and
 forgets a corrected fact with probability φ at each step, after the labels. These *habits* are
@@ -81,7 +82,7 @@ class Habits:
         rates = getattr(self, key)
         return {rate: float(self.prior[rates == rate].sum()) for rate in np.unique(rates).tolist()}
 
-    def answered(self, meant: NDArray[np.float64]) -> NDArray[np.float64]:
+    def add_errors(self, meant: NDArray[np.float64]) -> NDArray[np.float64]:
         """[..., N F] P(answer is 1), computed from P(label is 1) ``meant`` [..., N]. The habits of
         one type are neighbours."""
         e = np.tile(self.error, meant.shape[-1])
@@ -146,5 +147,5 @@ def check_assumed(key: str, assumed: Assumed) -> None:
             Range(0).check(f"belief.{key}", share)
         Range(0, ends="()").check(f"belief.{key}", sum(assumed.values()))
     except (InputError, ValueError):
-        wanted = f"{RANGES[key].allowed()}, learned, or {{rate: share, …}} of such rates"
+        wanted = f"{RANGES[key].describe()}, learned, or {{rate: share, …}} of such rates"
         raise InputError(f"belief.{key}", assumed, wanted) from None

@@ -143,7 +143,7 @@ class LabelTable:
         return table
 
     @classmethod
-    def joined_types(
+    def join_types(
         cls, relevant: Sequence[ArrayLike], tables: Sequence[NDArray[np.float64]]
     ) -> LabelTable:
         """Makes a table from types with different numbers of relevant messages: rows [r_t],
@@ -263,15 +263,15 @@ class LabelTable:
         """Selects transitions, in this order."""
         return self._changed(self.relevant, lambda p: p[list(steps)])
 
-    def repeated(self, times: int) -> LabelTable:
+    def repeat_types(self, times: int) -> LabelTable:
         """Repeats each type ``times`` times; the copies are neighbours."""
         return self._changed(
             self.relevant.repeat(times, axis=0), lambda p: p.repeat(times, axis=-1)
         )
 
-    def mixed(self, weights: NDArray[np.float64]) -> LabelTable:
-        """Replaces all types by one that behaves like a type drawn by ``weights`` [N], anew for
-        every label. It answers what it thinks, because answers of a single type give no
+    def mix_types(self, weights: NDArray[np.float64]) -> LabelTable:
+        """Replaces all types by one that behaves like a type drawn by ``weights`` [N], drawn again
+        for every label. It answers what it thinks, because answers of a single type give no
         information.
 
         Raises:
@@ -302,7 +302,7 @@ def stack_types(parts: Sequence[LabelTable]) -> LabelTable:
     """Concatenates the types of tables about the same transitions."""
     rows = [row for part in parts for row in part.rows]
     tables = [part.p[:, :, t] for part in parts for t in range(part.n_types)]
-    return LabelTable.joined_types(rows, tables)
+    return LabelTable.join_types(rows, tables)
 
 
 def _padded(rows: Rows, width: int) -> NDArray[np.int64]:

@@ -279,15 +279,15 @@ class Problem:
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
         """
-        return self.with_types(self.table.mixed(weights), (name,))
+        return self.with_types(self.table.mix_types(weights), (name,))
 
 
 def _erring(table: LabelTable, habits: Habits) -> LabelTable:
     """A table of users with these habits; those of one type are neighbours."""
-    erring = table.repeated(len(habits))
+    erring = table.repeat_types(len(habits))
     if habits.never_err:
         return erring
-    return replace(erring, answers=habits.answered(table.answered))
+    return replace(erring, answers=habits.add_errors(table.answered))
 
 
 def check_numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:

@@ -119,7 +119,7 @@ class Explainee(Protocol):
 class SimulatedUser(Person):
     """Accepts each message at once and for ever, and answers by the true labels of one user type.
 
-    Subclasses for other people override what they know (:meth:`known`) or what they say
+    Subclasses for other people override what they know (:meth:`find_known`) or what they say
     (:meth:`say`).
 
     Attributes:
@@ -140,7 +140,7 @@ class SimulatedUser(Person):
         labels = self.table.label_probabilities(count, message_set)[0]
         return labels.astype(np.uint8)
 
-    def known(self, given: int) -> int:
+    def find_known(self, given: int) -> int:
         """Bitmask of the facts that the user knows after the messages ``given``."""
         return given
 
@@ -164,12 +164,12 @@ class SimulatedUser(Person):
     def react(self, given: int, count: int) -> Reaction:
         """See :class:`Person`."""
         self.step = count
-        thoughts = self.labels(count, self.known(given))
+        thoughts = self.labels(count, self.find_known(given))
         return Reaction(thoughts, self.say(thoughts, np.arange(count), given, count))
 
     def answer(self, row: int, given: int) -> int:
         """See :class:`Person`."""
-        thought = self.labels(row + 1, self.known(given))[row:]
+        thought = self.labels(row + 1, self.find_known(given))[row:]
         return int(self.say(thought, np.array([row]), given, "asked", row)[0])
 
 
@@ -321,12 +321,12 @@ class _LearningUntold(SimulatedUser):
     after: int
     mattered: dict[int, int] = field(default_factory=dict)
 
-    def known(self, given: int) -> int:
+    def find_known(self, given: int) -> int:
         found = (j for j, step in self.mattered.items() if self.step >= step + self.after)
         return given | sum(1 << j for j in found)
 
     def react(self, given: int, count: int) -> Reaction:
-        reaction, known = super().react(given, count), self.known(given)
+        reaction, known = super().react(given, count), self.find_known(given)
         for j in indices(sum(1 << j for j in self.table.rows[0]) & ~known):
             if (self.labels(count, known | 1 << j) != reaction.thoughts).any():
                 self.mattered.setdefault(j, count)
@@ -371,7 +371,7 @@ class _Heedless(SimulatedUser):
             if self._by_chance("accept", j, self.told[j], self.how.accept):
                 self.knows |= 1 << j
 
-    def known(self, given: int) -> int:
+    def find_known(self, given: int) -> int:
         return self.knows
 
     def react(self, given: int, count: int) -> Reaction:

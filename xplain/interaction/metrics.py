@@ -33,8 +33,8 @@ SHARES = ("final_belief", "fit")
 
 
 def possible(measure: str) -> Range:
-    """The range of a measure of an episode. (No cost is below the clairvoyant's, except that plans
-    are discounted and costs are not.)"""
+    """The range of a measure of an episode. Costs below the clairvoyant's are exceptions: they
+    occur because plans are discounted and costs are not."""
     if measure in SIGNED:
         return ANY
     return (0.0, 1.0) if measure in SHARES else (0.0, np.inf)

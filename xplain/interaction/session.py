@@ -135,7 +135,7 @@ class Session:
         self._clips = clips
         self._talk = begin(self._trace, ())
 
-    def anew(self) -> Session:
+    def restart(self) -> Session:
         """Begins to explain the same trace to another person. Both share its plan, whose decisions
         must not be computed in two threads at once."""
         other = copy(self)

@@ -90,10 +90,10 @@ class AnswerModel:
         self, question: NDArray[np.int64], label: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """[P, 2, E] P(y | f, e) of P answers."""
-        one = self.given(question)
+        one = self.predict(question)
         return np.asarray(np.where(label[:, None, None] == 1, one, 1 - one))
 
-    def given(self, question: NDArray[np.int64]) -> NDArray[np.float64]:
+    def predict(self, question: NDArray[np.int64]) -> NDArray[np.float64]:
         """[P, 2, E] P(y = 1 | f, e) of P questions."""
         return predict_answers(self.slip[question], self.guess[question])
 

@@ -15,11 +15,11 @@ from xplain.errors import InputError, Range, TooLargeError, checks, refuse_if
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import subsets
 from xplain.learning.answers import AnswerModel
-from xplain.learning.data.dataset import Dataset, inputs, labelled_inputs, query_index
+from xplain.learning.data.dataset import Dataset, inputs, make_labelled_inputs, query_index
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence
 from xplain.learning.types import Clustering, KnownTypes
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import derive_seed, stream
 
 MOST_LOOKED_AT = 16
 """Maximum number of messages that may change a labeler's predictions about one trace."""
@@ -155,9 +155,9 @@ class FittedLabeler(MeasuredLabeler):
         """See :meth:`Labeler.table`. The table has all messages if they are few, otherwise those
         that the classifier tests."""
         n = self.n_messages
-        relevant = range(n) if n <= DENSE else looked_at(self.classifier, features, n)
+        relevant = range(n) if n <= DENSE else find_tested_messages(self.classifier, features, n)
         table = by_sets(self.probability, features, subsets(relevant))
-        return LabelTable.joined_types([relevant], [table])
+        return LabelTable.join_types([relevant], [table])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """See :meth:`Labeler.arrays`: the classifier in the format of skops."""
@@ -218,7 +218,7 @@ class LabelerTrainer:
             "leaf needs predict_proba",
         )
 
-    def given(self, observed: Observed) -> LabelerTrainer:
+    def adapt_to(self, observed: Observed) -> LabelerTrainer:
         """Returns the trainer with what it can use of the observers' task and questions."""
         return self
 
@@ -267,16 +267,16 @@ class LabelerTrainer:
             InputError: no labels.
         """
         refuse_if(len(dataset) == 0, "data", 0, "a labeler needs at least one label")
-        seed = derived_seed(seed, "labelers")
+        seed = derive_seed(seed, "labelers")
         # Sorted, because the result of some classifiers depends on the order of rows.
         dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))
         query, test = query_index(dataset), split(dataset, self.holdout, seed)
         train, held = (dataset.take(np.flatnonzero(rows)) for rows in (~test, test))
-        labeler = self.fitted_to(dataset, seed)
+        labeler = self.fit_unmeasured(dataset, seed)
         tested = len(np.unique(query[test])) if measured else 0
         right = 0.0
         if tested:
-            said = self.fitted_to(train, seed).predict(
+            said = self.fit_unmeasured(train, seed).predict(
                 held.features[held.transition], held.message_set
             )
             right = float(by_question(said == held.label, query[test]).sum())
@@ -288,15 +288,15 @@ class LabelerTrainer:
             n_test=tested,
         )
 
-    def fitted_to(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
+    def fit_unmeasured(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
         """Fits a labeler to the labels of a dataset, without a measurement."""
         return FittedLabeler(
-            classifier=self.fitted(dataset, seed),
+            classifier=self.fit_classifier(dataset, seed),
             n_messages=dataset.n_messages,
             calibrated=self.confidence == "leaf",
         )
 
-    def fitted(self, dataset: Dataset, seed: int) -> Any:
+    def fit_classifier(self, dataset: Dataset, seed: int) -> Any:
         """Fits a clone of the classifier to the labels of a dataset; a constant classifier if all
         labels are equal."""
         from sklearn.base import clone
@@ -306,15 +306,15 @@ class LabelerTrainer:
         # Many classifiers cannot be fitted to one class; a stump predicts it.
         torn = dataset.label.min() != dataset.label.max()
         model = clone(self.classifier) if torn else DecisionTreeClassifier()
-        state = derived_seed(seed, "labeler", "classifier") & 0xFFFFFFFF
+        state = derive_seed(seed, "labeler", "classifier") & 0xFFFFFFFF
         names = [name for name in model.get_params() if name.split("__")[-1] == "random_state"]
         model.set_params(**dict.fromkeys(names, state))
         if len(dataset) <= MANY or not has_fit_parameter(model, "sample_weight"):
-            return model.fit(labelled_inputs(dataset), dataset.label)
+            return model.fit(make_labelled_inputs(dataset), dataset.label)
         answers = 2 * query_index(dataset) + dataset.label
         _, first, count = np.unique(answers, return_index=True, return_counts=True)
         dataset = dataset.take(first)
-        x = labelled_inputs(dataset)
+        x = make_labelled_inputs(dataset)
         order = np.lexsort((dataset.label, *x.T[::-1]))
         return model.fit(x[order], dataset.label[order], sample_weight=count[order])
 
@@ -327,7 +327,9 @@ def cheap() -> LabelerTrainer:
     return LabelerTrainer(DecisionTreeClassifier(ccp_alpha=0.004), confidence="leaf")
 
 
-def looked_at(classifier: Any, features: NDArray[np.float64], n_messages: int) -> Sequence[int]:
+def find_tested_messages(
+    classifier: Any, features: NDArray[np.float64], n_messages: int
+) -> Sequence[int]:
     """The messages that may change a prediction about transitions [T, F], ascending. For a decision
     tree these are the messages that its paths test; for any other classifier, all messages.
 
@@ -358,7 +360,7 @@ def looked_at(classifier: Any, features: NDArray[np.float64], n_messages: int) -
         else:
             found.add(tested - width)
         todo += [(tree.children_left[node], low), (tree.children_right[node], high)]
-    check_looked_at(len(found), n_messages)
+    check_tested_messages(len(found), n_messages)
     return sorted(found)
 
 
@@ -378,7 +380,7 @@ def by_sets(
     return np.concatenate(found).reshape(len(features), count)
 
 
-def check_looked_at(count: int, n_messages: int) -> None:
+def check_tested_messages(count: int, n_messages: int) -> None:
     """Raises TooLargeError if a labeler tests more messages on a trace than allowed."""
     if count > MOST_LOOKED_AT:
         raise TooLargeError(
@@ -422,7 +424,7 @@ def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> floa
     if len(told) < 2:
         return float("nan")
     count = min(max(round(1 / trainer.holdout), 2), len(told))
-    fold = (stream(derived_seed(seed, "labelers"), "fresh").permutation(len(told)) % count)[group]
+    fold = (stream(derive_seed(seed, "labelers"), "fresh").permutation(len(told)) % count)[group]
     right = np.zeros(len(dataset), dtype=bool)
     for number in range(count):
         test = dataset.take(np.flatnonzero(fold == number))

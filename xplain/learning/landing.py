@@ -42,7 +42,7 @@ GRID = np.linspace(0.005, 0.995, 199)
 
 @dataclass(frozen=True)
 class Landing:
-    """How often messages are accepted, and a model of the answers before and after them: S hidden
+    """The acceptance of messages, and a model of the answers before and after them: S hidden
     states, O people, Q queries.
 
     Attributes:
@@ -77,7 +77,7 @@ class Landing:
         """True if some messages are not accepted."""
         return bool((self.accept[:, 2] < LANDS).any())
 
-    def predicted(
+    def predict(
         self, who: NDArray[np.int64], transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """[P] P(answer 1) of people (−1: unknown person) about transitions (−1: unknown

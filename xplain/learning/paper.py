@@ -28,10 +28,10 @@ from xplain.errors import Count, Range, checks
 from xplain.explanation.message_sets import bits_of, subsets
 from xplain.learning.data.dataset import Dataset, inputs, query_index
 from xplain.learning.data.observers import Observed
-from xplain.learning.labelers import LabelerTrainer, by_sets, looked_at
+from xplain.learning.labelers import LabelerTrainer, by_sets, find_tested_messages
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import Clusterer
-from xplain.randomness import derived_seed
+from xplain.randomness import derive_seed
 
 log = logging.getLogger(__name__)
 
@@ -123,7 +123,7 @@ def minimal_message_sets(dataset: Dataset, trainer: LabelerTrainer, seed: int) -
     for o in range(len(found)):
         own = order[edges[o] : edges[o + 1]]
         if len(own):
-            classifier = trainer.fitted(dataset.take(own), seed)
+            classifier = trainer.fit_classifier(dataset.take(own), seed)
             features = dataset.features[np.unique(dataset.transition[own])]
             found[o] = minimal_message_set(classifier, features, dataset.n_messages)
     return found
@@ -140,7 +140,7 @@ def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messag
     Raises:
         TooLargeError: the classifier tests too many messages.
     """
-    messages = looked_at(classifier, features, n_messages)
+    messages = find_tested_messages(classifier, features, n_messages)
 
     def predict(rows: NDArray[np.float64], message_sets: NDArray[np.int64]) -> NDArray[Any]:
         return np.asarray(classifier.predict(inputs(rows, message_sets, n_messages)))
@@ -189,13 +189,13 @@ class Elbow(Clusterer):
         Raises:
             TooLargeError: see :func:`~xplain.learning.paper.minimal_message_set`.
         """
-        seed, dataset = derived_seed(seed, "clusterer"), observed.dataset
+        seed, dataset = derive_seed(seed, "clusterer"), observed.dataset
         masks = minimal_message_sets(dataset, self.labeler, seed)
         bits = bits_of(masks, dataset.n_messages)
         longest = min(len(masks), self.max_types or len(masks))
         distinct = min(len(np.unique(masks)), longest)
         found = [
-            self.partition.partition(bits, k, derived_seed(seed, "partition", k) & 0xFFFFFFFF)
+            self.partition.partition(bits, k, derive_seed(seed, "partition", k) & 0xFFFFFFFF)
             for k in range(1, distinct + 1)
         ]
         # More groups than distinct vectors are impossible: the last partition stays.

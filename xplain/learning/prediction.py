@@ -16,7 +16,7 @@ from xplain.learning.data.dataset import Dataset, places, query_index
 from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
 from xplain.learning.user_types import Single, TypeFinder, UserTypes
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import derive_seed, stream
 
 log = logging.getLogger(__name__)
 
@@ -62,7 +62,7 @@ def predict(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[n
     if types.landing is not None:
         told = np.flatnonzero(questions.message_set)
         about = who[told], transition[told], questions.message_set[told]
-        result[told] = types.landing.predicted(*about)
+        result[told] = types.landing.predict(*about)
     return np.asarray(result)
 
 
@@ -86,7 +86,7 @@ def _answered(
     one = _of_types(types.labelers, asked)
     if types.answers is None:
         return one[:, :, None]
-    given = types.answers.given(transition)  # [P, 2, E]
+    given = types.answers.predict(transition)  # [P, 2, E]
     low, high = (given @ types.answers.prior).T
     for k, labeler in enumerate(types.labelers):
         if not labeler.means_truth:
@@ -156,7 +156,9 @@ class HeldOut:
         return f"not decided whether types predict held-out answers better {than}"
 
 
-def held_out(dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed: int) -> HeldOut:
+def predict_held_out(
+    dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed: int
+) -> HeldOut:
     """Predicts labels that the finder of types did not receive.
 
     A share of the distinct (transition, message set) is held out (``trainer.holdout``). Without
@@ -164,7 +166,7 @@ def held_out(dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed
     independent items. At least one label is held out, and at least one is kept.
     """
     if dataset.message_set.any():
-        test = split(dataset, trainer.holdout, derived_seed(seed, "held out"))
+        test = split(dataset, trainer.holdout, derive_seed(seed, "held out"))
     else:
         drawn = stream(seed, "held out").random(len(dataset))
         test = drawn < trainer.holdout

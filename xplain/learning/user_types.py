@@ -92,7 +92,7 @@ class Clusterer(ABC):
 
     def find(self, observed: Observed, seed: int) -> UserTypes:
         """See :meth:`TypeFinder.find`."""
-        trainer = self.labeler.given(observed)  # once: the trainer caches results about its task
+        trainer = self.labeler.adapt_to(observed)  # once: the trainer caches results about its task
         clustering = replace(self, labeler=trainer).cluster(observed, seed)
         types = learn_types(observed.dataset, clustering, trainer, seed)
         landing = learn_landing(observed.dataset, trainer.thoughts(observed.dataset))
@@ -274,7 +274,7 @@ def find_types(
     """
     if (given := trainer.types_of(observed)) is not None:
         return given
-    trainer = trainer.given(observed)  # once: the trainer caches results about its task with it
+    trainer = trainer.adapt_to(observed)  # once: the trainer caches results about its task with it
     everyone = trainer.fit(observed.dataset, seed)
     _require_tested([everyone])  # before the types: too few labels fail early
     types = finder.find(observed, seed)
@@ -441,7 +441,7 @@ class TrueLabels(LabelerTrainer):
 
         def tables(_: NDArray[np.float64], transitions: NDArray[np.int64]) -> TraceTables:
             labels = setting.true_labels(transitions)
-            everybody = unless_too_large(lambda: labels.mixed(shares))
+            everybody = unless_too_large(lambda: labels.mix_types(shares))
             wrong = None if everything is None else everything.true_labels(transitions)
             return TraceTables(labels, everybody, labels, wrong)
 

@@ -279,7 +279,7 @@ class Bot(Generic[P, H]):
             self.corrected.add((page.stage, right))
         return [("label", str(right ^ errs))]
 
-    def asked(self, questions: tuple[LabQuestion, ...]) -> Fields:
+    def answer_questions(self, questions: tuple[LabQuestion, ...]) -> Fields:
         """Answers each required question: with the right answer if there is one, otherwise with the
         first allowed answer."""
         return [
@@ -305,7 +305,7 @@ class Bot(Generic[P, H]):
 
     def at_questions(self, page: Page) -> Fields:
         """Answers only the required questions."""
-        return self.asked(self.plan.asked)  # type: ignore[attr-defined]
+        return self.answer_questions(self.plan.asked)  # type: ignore[attr-defined]
 
 
 class Researcher:

@@ -206,7 +206,7 @@ class Stage(Generic[F, S]):
     name: str
     kind: str
 
-    def wanted(self, plan: Any) -> bool:
+    def is_in(self, plan: Any) -> bool:
         """True if a plan has this stage in its order."""
         return not self.WITHIN
 
@@ -278,7 +278,7 @@ class Flow(ABC, Generic[P, S]):
         return {}
 
     @abstractmethod
-    def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
+    def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
         """Returns the changes of the state when a participant agrees to take part.
 
         Raises:
@@ -297,7 +297,7 @@ class Flow(ABC, Generic[P, S]):
         return ("a participant",)
 
     @abstractmethod
-    def drawn(self, what: Any) -> tuple[Way | None, int, Sequence[str]]:
+    def find_drawing(self, what: Any) -> tuple[Way | None, int, Sequence[str]]:
         """Converts a template's (hashable) argument to the arguments of
         :func:`xplain.people.map_svg.picture`: the way, the number of steps, and the names of items
         that are off the map."""
@@ -335,7 +335,7 @@ class Flow(ABC, Generic[P, S]):
     @property
     def stages(self) -> tuple[str, ...]:
         """Names of the plan's stages, in order; "done" is the last."""
-        return (*(one.name for one in self.STAGES if one.wanted(self.plan)), "done")
+        return (*(one.name for one in self.STAGES if one.is_in(self.plan)), "done")
 
     def stage(self, name: str) -> Stage[Any, S] | None:
         """The stage with a name; None for ends."""
@@ -360,7 +360,7 @@ class Flow(ABC, Generic[P, S]):
         """Moves to the plan's next stage."""
         names, state = [one.name for one in self.STAGES], replace(state, **changes)
         later = self.STAGES[names.index(state.stage) + 1 :]
-        found = next((one for one in later if one.wanted(self.plan)), None)
+        found = next((one for one in later if one.is_in(self.plan)), None)
         return found.enter(self, state) if found else state.to(stage="done")
 
     def advance(self, state: S, kind: str, payload: Mapping[str, Any]) -> S:
@@ -415,7 +415,7 @@ class Consent(Stage[F, S]):
             raise Refused(flow.words["consent_changed"])
         if not agreed:
             return state.to(stage="declined")
-        return flow.after(state, **flow.admitted(payload))
+        return flow.after(state, **flow.read_consent(payload))
 
 
 class Briefing(Stage[F, S]):
@@ -482,7 +482,7 @@ class LookingAhead(OneLabel[F, S]):
     """A step that looks odd and is right because of later steps. The later steps are shown after
     any answer except 1."""
 
-    def wanted(self, plan: Any) -> bool:
+    def is_in(self, plan: Any) -> bool:
         """True if the task has such a step."""
         return plan.ahead is not None
 
@@ -510,7 +510,7 @@ class QuestionStage(Stage[F, S]):
     of: str = "asked"
     missed: str = ""
 
-    def wanted(self, plan: Any) -> bool:
+    def is_in(self, plan: Any) -> bool:
         """True if the plan has such questions."""
         return bool(getattr(plan, self.of))
 

@@ -100,10 +100,10 @@ class Material:
         )
 
     @classmethod
-    def asked(cls, domain: Domain, users: TypeSource, seed: int) -> Material:
+    def of_domain(cls, domain: Domain, users: TypeSource, seed: int) -> Material:
         """Takes transitions of a domain with distinct features, to ask people about."""
         whole = hypotheses_of(domain, None)
-        known = whole.told_apart_by_features()
+        known = whole.drop_indistinguishable()
         assert known.states is not None, "hypotheses of a domain know states"
         assert known.features is not None, "and features"
         # Phrases of domains without a map name the action first.
@@ -141,7 +141,7 @@ class Material:
         row_of = {tuple(one): row for row, one in enumerate(self.transitions.tolist())}
         return np.array([row_of[tuple(step)] for step in steps.tolist()], np.int64)
 
-    def taken(self, trace: Transitions) -> Told:
+    def list_taken(self, trace: Transitions) -> Told:
         """[m + 1] names of the items that are off the map after 0 … m steps; or none."""
         if self.setting is None or self.transitions is None:
             return ()
@@ -165,7 +165,7 @@ def clips_of(
     return tuple(map(Clip, phrases, ways, situations or none, gone or none, changes or none))
 
 
-def own_table(table: Path, facts: str | None, seed: int) -> Material:
+def read_own_table(table: Path, facts: str | None, seed: int) -> Material:
     """Reads a lab's own transitions and the sentences of the facts.
 
     Raises:
@@ -175,7 +175,7 @@ def own_table(table: Path, facts: str | None, seed: int) -> Material:
     known = with_features(own.hypotheses)
     assert known.features is not None, "just made"
     shown = zip(own.hypotheses.phrases, own.images, own.alts, strict=True)
-    drawn = drawn_roles(known, seed).items()
+    drawn = draw_roles(known, seed).items()
     return Material(
         name=table.stem,
         facts=read_facts(facts, known.messages),
@@ -219,7 +219,7 @@ def read_facts(path: str | None, names: Sequence[str]) -> tuple[Parameter, ...]:
     return tuple(found)
 
 
-def drawn_roles(known: Hypotheses, seed: int) -> dict[str, int]:
+def draw_roles(known: Hypotheses, seed: int) -> dict[str, int]:
     """Draws non-empty fact sets with different labels, for simulated people."""
     sets = np.unique(known.essential[known.essential > 0])
     chosen = stream(seed, "roles").permutation(sets)[:DRAWN_ROLES].tolist()
@@ -252,7 +252,7 @@ def _picture(folder: Path, image: str, alt: str) -> Picture | None:
     return Picture(media, base64.b64encode(content.getvalue()).decode(), alt)
 
 
-def learned_types(cfg: DictConfig, domain: Domain) -> tuple[Setting, LearnedTypes]:
+def learn_domain_types(cfg: DictConfig, domain: Domain) -> tuple[Setting, LearnedTypes]:
     """Learns the types of a domain from simulated observers, as experiments do."""
     users, observers, queries = (component(cfg, key) for key in ("users", "observers", "queries"))
     observed = observe(domain, users, observers, queries, cfg.seed)

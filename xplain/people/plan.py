@@ -58,7 +58,7 @@ class Clip:
     changes: tuple[str, ...] = ()
     picture: Picture | None = None
 
-    def worded(self, in_words: Callable[[str], str]) -> Clip:
+    def reword(self, in_words: Callable[[str], str]) -> Clip:
         """Returns the clip with all texts passed through ``in_words``."""
         situation, gone, changes = (
             tuple(map(in_words, told)) for told in (self.situation, self.gone, self.changes)

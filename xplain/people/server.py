@@ -130,7 +130,7 @@ def _need(right: bool, key: str, value: object, allowed: str) -> None:
 
 @pydantic.dataclasses.dataclass(frozen=True, config={"strict": True, "extra": "forbid"})
 class Server:
-    """How the pages are served; not part of the study's plan.
+    """Settings of the server of the pages; not part of the study's plan.
 
     Attributes:
         entry: ways to enter: "invitation"; "platform", with ids in the link, which anybody can
@@ -206,7 +206,7 @@ class Server:
             not self.address or bool(urlsplit(self.address).netloc), "address", self.address, whole
         )
         if self.ids:
-            self.listed()
+            self.read_ids()
         if self.signed_by:
             self.verify("")
 
@@ -220,7 +220,7 @@ class Server:
         """True if people come in by a platform's ids, signed or not."""
         return bool({"platform", "signed"} & {*self.entry})
 
-    def listed(self) -> set[str]:
+    def read_ids(self) -> set[str]:
         """The ids in the file ``ids``.
 
         Raises:
@@ -236,7 +236,7 @@ class Server:
         """True if a person with these values of ``id_names`` may come in."""
         whole = bool(ids) and all(0 < len(one) <= 100 and one.isprintable() for one in ids)
         of_study = not self.studies or ids[1] in self.studies
-        return whole and of_study and (not self.ids or ids[0] in self.listed())
+        return whole and of_study and (not self.ids or ids[0] in self.read_ids())
 
     def verify(self, token: str) -> dict[str, str]:
         """The ids in a signed token that has not expired; none if the token is not genuine.

@@ -111,7 +111,7 @@ def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
         "words": flow.words,
         "direction": direction(flow.words["language"]),
         "checked": checked,
-        "map": lru_cache(4096)(lambda what: map_svg.picture(plan, *flow.drawn(what))),
+        "map": lru_cache(4096)(lambda what: map_svg.picture(plan, *flow.find_drawing(what))),
         "ahead": lambda steps: map_svg.picture(plan, plan.ahead.way, steps),
         "legend": map_svg.legend(plan, plan.shows_way),
         "about": partial(map_svg.about, plan),

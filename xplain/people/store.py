@@ -84,9 +84,9 @@ class Store(Log[Any]):
     def reference(self, who: str) -> str:
         """The participant's reference for the erasure of their data. It cannot be computed from the
         id, which published data contain."""
-        return self.keyed("reference", who)[:16]
+        return self.hash_texts("reference", who)[:16]
 
-    def keyed(self, *parts: str) -> str:
+    def hash_texts(self, *parts: str) -> str:
         """Computes a keyed hash of texts that are only compared (invitations, outside ids). Nobody
         can make or reverse it without the server's secret."""
         message = "\x1f".join(parts).encode(errors="replace")
@@ -117,7 +117,7 @@ class Store(Log[Any]):
         one_of("stream", stream, STREAMS)
         tokens = [letters(18) for _ in range(count)]
         with self.changes():
-            hashed = [self.keyed("token", token) for token in tokens]
+            hashed = [self.hash_texts("token", token) for token in tokens]
             self.append("", "server", stream, {"tokens": hashed})
         return tokens
 
@@ -128,7 +128,7 @@ class Store(Log[Any]):
             Unknown: no such token.
             Gone: their data was erased.
         """
-        key = self.keyed("token", token)
+        key = self.hash_texts("token", token)
         with self.changes():
             if key not in self.invited:
                 raise Unknown
@@ -148,7 +148,7 @@ class Store(Log[Any]):
             Gone: their data was erased.
         """
         person, _, session = (*ids.values(), "", "")[:3]
-        key, hashed = self.keyed("platform", person), self.keyed("session", session)
+        key, hashed = self.hash_texts("platform", person), self.hash_texts("session", session)
         with self.changes():
             if (who := self.keys.get(key)) is None:
                 more: dict[str, Any] = {"session": hashed, "kept": {**ids} if keep else {}}
@@ -288,7 +288,7 @@ class Store(Log[Any]):
                 payload = {**payload, **self.flow.admit(one, self._current())}
             return self._accept(one, kind, payload, browser)
 
-    def asked(self, found: Participant[Any], sequence: int) -> State:
+    def find_state(self, found: Participant[Any], sequence: int) -> State:
         """The state of a participant whose page had this number; the current state if none had."""
         here: State = self.flow.asking(found.state)
         if not 0 <= sequence < here.accepted:

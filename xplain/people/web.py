@@ -149,7 +149,7 @@ def answer(visit: Visiting) -> Response:
             raise Refused("not_understood")
         if kind not in ("withdraw", "return") and sequence > found.shown:
             raise Conflict("other_page")  # the page of this answer was never shown
-        payload = site.flow.read(store.asked(found, sequence), kind, visit.form)
+        payload = site.flow.read(store.find_state(found, sequence), kind, visit.form)
         store.submit(found.id, sequence, kind, payload, ms if 0 <= ms < 1e10 else None)
     except Full as error:
         code = site.server.codes.get("full", "")

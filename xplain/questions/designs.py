@@ -21,10 +21,10 @@ from xplain.domains.users.setting import Setting
 from xplain.errors import Count, InputError, Range, TooLargeError, checks, whole_number
 from xplain.explanation.message_sets import indices, subsets
 from xplain.learning.data.dataset import places
-from xplain.learning.data.queries import Answer, Answered, asked_in_order, expected_visits
+from xplain.learning.data.queries import Answer, Answered, ask_in_order, count_expected_visits
 from xplain.learning.mixture.likelihood import grow
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import derive_seed, stream
 
 MAX_CELLS = 1 << 26
 """Maximum number of distinct questions × classes of candidates for a list."""
@@ -169,11 +169,11 @@ class Battery:
     ) -> list[Answered]:
         """Asks observer o the first ``sizes[o]`` questions of one list, which has the length of the
         largest size."""
-        known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
+        known = hypotheses_of(setting.domain, self.hypotheses).drop_indistinguishable()
         chosen, told = battery(
-            known, self.redundancy, derived_seed(seed, "queries"), int(sizes.max())
+            known, self.redundancy, derive_seed(seed, "queries"), int(sizes.max())
         )
-        return asked_in_order(transitions_of(known, setting)[chosen], told, sizes, answer)
+        return ask_in_order(transitions_of(known, setting)[chosen], told, sizes, answer)
 
 
 @checks("queries")
@@ -212,7 +212,7 @@ class Adaptive:
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
         """Asks each observer exactly ``sizes`` labels; the last clip is cut."""
-        known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
+        known = hypotheses_of(setting.domain, self.hypotheses).drop_indistinguishable()
         transitions = transitions_of(known, setting)
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
         blank = Questionnaire(
@@ -223,7 +223,7 @@ class Adaptive:
         with threadpool_limits(1):  # small products: threads would cost more than they save
             for o, now in self._turns(sizes.tolist()):
                 others = [one for other, one in found.items() if other != o]
-                before = asked.get(o) or blank.anew(None, derived_seed(seed, "queries", o))
+                before = asked.get(o) or blank.restart(None, derive_seed(seed, "queries", o))
                 questions = self._questions(before, others)
                 left = now
                 while left:
@@ -253,7 +253,7 @@ class Adaptive:
         listed = before.hypotheses
         if others:
             listed = listed.with_sets(np.concatenate([facts for facts, _ in others]))
-        return before.over(listed, self._prior(listed, others))
+        return before.replace_hypotheses(listed, self._prior(listed, others))
 
     def _prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
         """[C] prior before the first question, from the earlier observers."""
@@ -269,7 +269,7 @@ class Adaptive:
         def over(known: Hypotheses) -> Questionnaire:
             if known is questions.hypotheses:
                 return questions
-            return questions.over(known, self._prior(known, others))
+            return questions.replace_hypotheses(known, self._prior(known, others))
 
         def posterior(known: Hypotheses) -> NDArray[np.float64]:
             found = over(known).posterior
@@ -301,7 +301,7 @@ class _Checks:
         rng: np.random.Generator,
     ) -> _Checks:
         model, starts = setting.models[0], setting.domain.starts
-        visits = RARE + expected_visits(model, starts, setting.reachable, LONGEST)
+        visits = RARE + count_expected_visits(model, starts, setting.reachable, LONGEST)
         weight = visits[places(transitions, setting.reachable)] * known.tables[0, 0]
         return cls(int(np.bitwise_or.reduce(known.facts)), weight, rng)
 

@@ -117,7 +117,7 @@ def read_transitions(path: str | Path) -> OwnTransitions:
     )
 
 
-def known_facts(
+def read_known_facts(
     transitions: str | Path | None, hypotheses: str | None, domain: Domain | None
 ) -> tuple[Hypotheses | None, tuple[str, ...], dict[str, str]]:
     """Reads the hypotheses of a table of transitions, of a file, or of a domain; None if none of

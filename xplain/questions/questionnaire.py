@@ -111,7 +111,7 @@ class Questionnaire:
             raise InputError("clip", clip, "1, where slips or guesses are known or nothing is told")
         self._start(prior)
 
-    def anew(self, prior: ArrayLike | None, seed: int) -> Questionnaire:
+    def restart(self, prior: ArrayLike | None, seed: int) -> Questionnaire:
         """A questionnaire without answers for another person, with the same hypotheses and errors.
         Both share all computations on the hypotheses.
 
@@ -128,7 +128,7 @@ class Questionnaire:
         made._start(prior)
         return made
 
-    def over(self, hypotheses: Hypotheses, prior: ArrayLike | None) -> Questionnaire:
+    def replace_hypotheses(self, hypotheses: Hypotheses, prior: ArrayLike | None) -> Questionnaire:
         """The same questions and answers, with other candidates or another prior.
 
         Args:

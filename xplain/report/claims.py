@@ -193,8 +193,8 @@ def _linear(episodes: pd.DataFrame) -> Iterator[Tested]:
 
 
 def _below_the_line(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
-    """How far a cost at the largest λ is below the line through its values at the two smallest λ,
-    as a share of its mean, by seed."""
+    """For each seed, the distance of a cost at the largest λ below the line through its values at
+    the two smallest λ, divided by the mean cost."""
     known = episodes[np.isfinite(episodes[column])]
     costs = known.pivot_table(column, "seed", "lambda").dropna()
     if len(costs.columns) < 3 or not len(costs):

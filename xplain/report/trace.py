@@ -94,7 +94,7 @@ def draw_trace(
         sentences: texts of the messages, by name.
         types: names of the learned types in the belief.
     """
-    m, said = len(story["transitions"]), said_in(story, sentences)
+    m, said = len(story["transitions"]), list_said(story, sentences)
     names = [f"{i}. {phrase}" for i, phrase in enumerate(story["transitions"], 1)]
     shown, has_belief = ["steps"], len(types) > 1
     if scene is not None and len(story["positions"]) == m + 1:
@@ -123,7 +123,7 @@ def draw_trace(
     return figure
 
 
-def said_in(story: Story, sentences: Mapping[str, str]) -> str:
+def list_said(story: Story, sentences: Mapping[str, str]) -> str:
     """The robot's messages and questions with their steps, in lines."""
     found = []
     for k, step in enumerate(story["steps"], 1):

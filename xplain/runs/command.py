@@ -19,7 +19,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.errors import left_at_once
+from xplain.errors import leave_at_once
 from xplain.experiment.config import CONF, register, report_errors
 from xplain.experiment.progress import is_terminal
 
@@ -48,7 +48,7 @@ def _alone(cfg: DictConfig, own: Any) -> float | None:
     folder = Path(own.runtime.output_dir)
     try:
         shown = progress.stage("loading") if is_terminal(sys.stderr) else nullcontext()
-        with shown, left_at_once():
+        with shown, leave_at_once():
             from xplain.numba_kernels import tell_when_compiling
             from xplain.runs.job import Job, run_alone
         tell_when_compiling(progress.compiling)
@@ -83,7 +83,7 @@ def _check(made: Any) -> None:
     from xplain.experiment.from_config import check
 
     check([made.config])
-    print("1 job" + (", done" if made.finished() else ""))
+    print("1 job" + (", done" if made.find_result() else ""))
 
 
 class SweepEnd(Callback):

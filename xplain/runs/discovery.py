@@ -24,7 +24,7 @@ from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import read_questions, read_table
 from xplain.learning.data.observers import Observed
 from xplain.learning.paper import smallest
-from xplain.learning.prediction import HeldOut, held_out, predict
+from xplain.learning.prediction import HeldOut, predict, predict_held_out
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.user_types import UserTypes
 from xplain.randomness import run_seed
@@ -51,7 +51,7 @@ class Discovery:
 
     dataset: Dataset
     types: UserTypes
-    held_out: HeldOut | None
+    predict_held_out: HeldOut | None
     sentences: dict[str, str]
     answers: pd.DataFrame | None
     seconds: float
@@ -191,7 +191,7 @@ def discovery(cfg: DictConfig) -> Discovery:
     sentences = sentences_of(cfg.sentences, dataset.messages)
     asked = None if cfg.predict is None else read_questions(cfg.predict, dataset)
     types = finder.find(Observed(dataset), cfg.seed)
-    unseen = held_out(dataset, finder, trainer, cfg.seed) if cfg.held_out else None
+    unseen = predict_held_out(dataset, finder, trainer, cfg.seed) if cfg.held_out else None
     answers = None
     if asked is not None:
         table, questions = asked

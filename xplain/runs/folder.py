@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 
 @contextmanager
-def attempted(otherwise: str) -> Iterator[None]:
+def attempt(otherwise: str) -> Iterator[None]:
     """A context for work after the results are saved. If the work fails, a line says what is
     missing.
 
@@ -104,7 +104,7 @@ def newest_sweep(outputs: Path) -> Path:
     raise InputError("folder", str(outputs / "sweeps"), "no sweep there; name a sweep's folder")
 
 
-def unlisted_results(outputs: Path) -> dict[Path, int]:
+def find_unlisted_results(outputs: Path) -> dict[Path, int]:
     """``{folder: bytes}`` of the results that belong to no run or sweep in the outputs folder.
 
     Raises:

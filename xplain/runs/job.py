@@ -38,13 +38,13 @@ from xplain.experiment.results import (
     Results,
     domain_name,
     episode_lines,
-    finished_at,
+    find_finished,
     results_of,
     save_results,
 )
 from xplain.report.folder import FAILURE
 from xplain.report.terminal import print_certificates, print_summary
-from xplain.runs.folder import Disk, attempted
+from xplain.runs.folder import Disk, attempt
 from xplain.runs.signals import end_with_parent
 from xplain.storage import write_text
 
@@ -99,9 +99,9 @@ class Job:
         """The folder of its result, whether it exists or not."""
         return Path(self.outputs, "results", self.fingerprint)
 
-    def finished(self) -> Results | None:
+    def find_result(self) -> Results | None:
         """Its result, if there is a valid one."""
-        return None if self.anew else finished_at(self.address)
+        return None if self.anew else find_finished(self.address)
 
     def result(
         self,
@@ -115,16 +115,16 @@ class Job:
             save: receives the results and the text of the episodes before the certificates are
                 computed, because these take as long again.
         """
-        if (known := self.finished()) is not None:
+        if (known := self.find_result()) is not None:
             log.info("the result exists already: %s", os.path.relpath(self.address))
             return known
         started, begun = time.time(), time.perf_counter()
         experiment = experiment_of(self.config)
         cache = None if self.anew else Path(self.outputs, "cache")
-        prepared = experiment.prepared(cache, self.source, progress)
+        prepared = experiment.prepare(cache, self.source, progress)
         halfway = time.perf_counter()
         shared = EpisodeCache(cache, self.config)
-        prepared, records = experiment.explained(prepared, shared, progress)
+        prepared, records = experiment.explain_cases(prepared, shared, progress)
         explained = time.perf_counter()
         name = f"{domain_name(self.choices, self.config)} {self.choices['solver']}"
         provenance = Provenance(
@@ -144,7 +144,7 @@ class Job:
         save(results, episodes)
         if experiment.certify.traces:
             bounds: dict[str, float] = {}
-            with attempted("there are no certificates"):
+            with attempt("there are no certificates"):
                 bounds = experiment.certificates(prepared, progress)
             seconds = {**results.seconds, "bounds": time.perf_counter() - explained}
             made = "made" if bounds else "failed"
@@ -183,13 +183,13 @@ def run_alone(
 
     def show(results: Results) -> None:
         if shown:
-            with attempted("the summary was not printed"):
+            with attempt("the summary was not printed"):
                 print_summary(results)
 
     try:
         results = job.result(progress, save)
     except SystemExit as error:
-        raise XplainError(ended_by(error)) from error
+        raise XplainError(name_ending(error)) from error
     if not (folder / RESULTS).exists():
         show(results)
     folder.mkdir(parents=True, exist_ok=True)
@@ -197,10 +197,10 @@ def run_alone(
     for path in job.address.iterdir():
         shutil.copy2(path, folder)
     if shown:
-        with attempted("the certificates were not printed"):
+        with attempt("the certificates were not printed"):
             print_certificates(results.bounds)
     drawn = ""
-    with progress.stage("drawing one explanation"), attempted("there is no picture"):
+    with progress.stage("drawing one explanation"), attempt("there is no picture"):
         drawn = _draw(folder, results)
     with progress.stage("sending the run to MLflow"):
         lines = tracking.log(folder, Path(job.outputs))
@@ -248,7 +248,7 @@ def failing_into(folder: Path) -> Iterator[None]:
     try:
         yield
     except SystemExit as error:
-        mark_failed(folder, RuntimeError(ended_by(error)))
+        mark_failed(folder, RuntimeError(name_ending(error)))
     except Exception as error:  # noqa: BLE001  (components raise what they like)
         mark_failed(folder, error)
 
@@ -264,7 +264,7 @@ def mark_failed(folder: Path, error: BaseException) -> None:
     write_text(folder / FAILURE, json.dumps(content, indent=1) + "\n")
 
 
-def ended_by(error: SystemExit) -> str:
+def name_ending(error: SystemExit) -> str:
     """Names the function by which a component ended the program."""
     return f"a component ended the program (sys.exit({error.code!r})) while the experiment ran"
 

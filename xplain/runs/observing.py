@@ -15,7 +15,7 @@ from xplain.experiment import pipeline
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.label_file import is_parquet, write_table
 from xplain.questions.designs import Battery, battery
-from xplain.questions.own_transitions import known_facts
+from xplain.questions.own_transitions import read_known_facts
 from xplain.randomness import run_seed
 from xplain.storage import write_text
 
@@ -78,7 +78,7 @@ def write_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
         raise InputError("queries", cfg.hydra.runtime.choices.queries, allowed)
     path = cfg.hypotheses if cfg.hypotheses is not None else cfg.queries.hypotheses
     domain = instantiate(cfg.domain) if path is None and cfg.transitions is None else None
-    known, images, sentences = known_facts(cfg.transitions, path, domain)
+    known, images, sentences = read_known_facts(cfg.transitions, path, domain)
     assert known is not None, "of a table, a file or a domain"
     transitions, told = battery(known, design.redundancy, cfg.seed)
     rows: list[Row] = []

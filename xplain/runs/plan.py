@@ -109,7 +109,7 @@ class Plan:
         name = config.hydra.runtime.choices.get("sweeps") or "multirun"
         digest = hashlib.sha256(json.dumps([*jobs]).encode()).hexdigest()[:10]
         folder = SweepFolder(Path(config.outputs).absolute() / "sweeps" / f"{name}-{digest}")
-        finished = frozenset(key for key, job in jobs.items() if job.finished())
+        finished = frozenset(key for key, job in jobs.items() if job.find_result())
         todo = {key: job for key, job in jobs.items() if key not in finished}
         if config.resume == "failed":
             failed = {path.parent.name for path in folder.path.glob(f"jobs/*/{FAILURE}")}

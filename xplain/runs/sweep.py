@@ -26,7 +26,7 @@ from xplain.experiment.fingerprint import code_version, git_state
 from xplain.experiment.results import RESULTS
 from xplain.report.folder import FAILURE, SWEEP, Listed, SweepFolder
 from xplain.report.stages import stages
-from xplain.runs.folder import Disk, alone, attempted, without_passwords
+from xplain.runs.folder import Disk, alone, attempt, without_passwords
 from xplain.runs.job import Job, failing_into, save_batch
 from xplain.runs.plan import Plan, command, label_jobs, values_of
 from xplain.runs.signals import CAME
@@ -132,11 +132,11 @@ def finish(
     summary = None
     # A sweep started twice ends twice: both would send the same jobs to MLflow.
     with alone(folder.path, "another process ends this sweep; waiting for it"):
-        with attempted("there is no report"):
+        with attempt("there is no report"):
             summary, _ = write_report(folder.path)
         lines = tracking.log(folder.path, outputs)
     if shown and summary is not None and summary.results:
-        with attempted("the table was not printed"):
+        with attempt("the table was not printed"):
             print_sweep(summary)
     states = [folder.state(job) for job in folder.jobs]
     finished, count = states.count("finished"), len(states)
@@ -148,7 +148,7 @@ def finish(
     end += ["the same command runs the others"] if finished < count else []
     end += [f"folder: {os.path.relpath(folder.path)}"]
     end += [f"report: {os.path.relpath(folder.path / 'report' / 'index.html')}", *lines]
-    with attempted("the end was not reported"):
+    with attempt("the end was not reported"):
         tell("\n".join(end))
     return finished == count
 

@@ -30,7 +30,8 @@ TIE = 1e-9
 """Values count as equal if their difference, relative to 1 + their size, is smaller than this."""
 
 Knowledge = Literal["types", "everyone", "type", "labels"]
-"""What the planning agent may know about the user (the experiment builds its problem from it):
+"""The knowledge that the planning agent may have of the user (the experiment builds its problem
+from it):
 
 - ``types``: the learned user types and a prior over them (the paper's setting);
 - ``everyone``: one labeler learned from everybody's labels (the paper's baseline);
@@ -64,7 +65,7 @@ class Solver(Protocol):
 
     @property
     def knows(self) -> Knowledge:
-        """What the agent may know about the user."""
+        """The knowledge that the agent has of the user."""
         ...
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:

@@ -1,4 +1,4 @@
-"""Bounds of the optimal value, which every run reports."""
+"""Bounds of the optimal value, for certificates and for the command ``plan``."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ from xplain.explanation.belief import round_belief
 from xplain.explanation.label_table import NONE
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
-from xplain.randomness import derived_seed
+from xplain.randomness import derive_seed
 from xplain.solvers.base import Knowledge, Policy, best_action, check_memory, messages_of
 from xplain.solvers.pomcp_kernel import (
     COLUMN,
@@ -188,7 +188,7 @@ class Search:
         """Derives the seed of a search from the situation alone, not from earlier decisions."""
         digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
         questions = (str(visible.asked),) if visible.asked else ()
-        return derived_seed(self.seed, "pomcp", visible.step, said, digest, 0, *questions)
+        return derive_seed(self.seed, "pomcp", visible.step, said, digest, 0, *questions)
 
     def search(self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]) -> Tree:
         """Runs all simulations of a search; returns its tree."""

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.actions import Action, AskQuestion, VisibleState
-from xplain.randomness import derived_seed
+from xplain.randomness import derive_seed
 from xplain.solvers.base import TIE, Policy
 from xplain.solvers.pomcp import make_tree, search_model
 from xplain.solvers.pomcp_kernel import Tree, roll
@@ -57,10 +57,10 @@ def telling_questions(
 
 
 def with_questions(policy: Policy, process: Process, known: KnownValues, seed: int) -> Policy:
-    """Extends the policy to ask if there are questions."""
+    """Returns a policy that also asks, if the problem has questions; otherwise the same policy."""
     if not len(process.questions.answered):
         return policy
-    stream = derived_seed(seed, "value of information")
+    stream = derive_seed(seed, "value of information")
     return VoiPolicy(policy, process, search_model(process, known), stream)
 
 

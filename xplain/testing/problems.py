@@ -74,9 +74,9 @@ def with_questions(rng: np.random.Generator, problem: Problem, most: int = 3) ->
         most=int(rng.integers(1, count + 1)),
         when="anytime" if rng.random() < 0.7 else "first",
     )
-    table = LabelTable.dense(p).repeated(len(problem.habits))
+    table = LabelTable.dense(p).repeat_types(len(problem.habits))
     if not problem.habits.never_err:
         meant = LabelTable.dense(p).answered
-        table = replace(table, answers=problem.habits.answered(meant))
+        table = replace(table, answers=problem.habits.add_errors(meant))
     shows = np.zeros((count, problem.n_steps), np.bool_)
     return replace(problem, questions=Questions(table, limits, shows))

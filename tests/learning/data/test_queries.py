@@ -16,7 +16,7 @@ from xplain.learning.data.queries import (
     Queries,
     RandomTraces,
     Shared,
-    expected_visits,
+    count_expected_visits,
     sample_trace,
 )
 
@@ -124,7 +124,7 @@ def test_expected_visits_are_the_mean_of_many_traces(
     traces: list[list[tuple[int, int, int]]],
 ) -> None:
     every = [(s, a, to) for s in (0, 1) for a in (0, 2) for to in (0, 2)]
-    found = expected_visits(small(), np.array([0, 1]), np.array(every), 3)
+    found = count_expected_visits(small(), np.array([0, 1]), np.array(every), 3)
     # From 0 and 1 as often; two actions; on to 0 one time in five, at most twice more.
     of_zero = 0.5 + 0.2 + 0.04
     by_hand = {0: of_zero / 2, 1: 0.25}

@@ -47,7 +47,7 @@ def street_plan(
     users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
     config = {"seed": seed, "briefing": briefing, "wording": words or wording(), "points": points}
     plan = assemble(
-        Material.asked(STREET, users, seed),
+        Material.of_domain(STREET, users, seed),
         design or Adaptive(),
         CollectRules(points=points, **RULES | rules),
         config,

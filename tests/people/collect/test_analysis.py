@@ -20,10 +20,10 @@ from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import (
     count_agreement,
     dataset_of,
-    expected_new,
     export,
     fact_sets,
-    found_types,
+    find_types_so_far,
+    predict_new_types,
 )
 from xplain.people.store import Store
 
@@ -67,7 +67,7 @@ def test_types_are_doubtful_where_answers_are_not_what_people_think(
     error: float, doubtful: bool
 ) -> None:
     people = [person(number, replace(FAULTLESS, error=error)) for number in range(8)]
-    found = found_types(COLLECTION.plan, people)
+    found = find_types_so_far(COLLECTION.plan, people)
     assert found is not None
     assert found.doubtful == doubtful
 
@@ -106,7 +106,7 @@ def test_faultless_people_are_sorted_into_the_types_they_are() -> None:
     facts, error = fact_sets(plan, people)
     assert facts.tolist() == [plan.roles[number % 3].held for number in range(9)]
     assert error < 0.02
-    found = found_types(plan, people)
+    found = find_types_so_far(plan, people)
     assert found is not None
     assert sorted(len(one.members) for one in found.types) == [3, 3, 3]
     assert {one.wrong for one in found.types} == {
@@ -116,11 +116,11 @@ def test_faultless_people_are_sorted_into_the_types_they_are() -> None:
     }
     assert min(one.posterior for one in found.types) > 0.9
     assert found.unlike < 0.1
-    assert found_types(plan, people[:1]) is None
+    assert find_types_so_far(plan, people[:1]) is None
     # One of the type with the smallest mask, two of the next, three of the last.
     rank = sorted(role.held for role in plan.roles[:3]).index
     some = [one for i, one in enumerate(people) if i // 3 <= rank(plan.roles[i % 3].held)]
-    largest_first = found_types(plan, some)
+    largest_first = find_types_so_far(plan, some)
     assert largest_first is not None
     assert [len(one.members) for one in largest_first.types] == [3, 2, 1]
 
@@ -131,7 +131,7 @@ def test_new_types_are_those_of_ewens(people: int) -> None:
     those of the Chinese restaurant process."""
     before = -1.0
     for types in range(1, people + 1, max(people // 10, 1)):
-        next_new, ten = expected_new(types, people, 10)
+        next_new, ten = predict_new_types(types, people, 10)
         alpha = next_new * people / (1 - next_new) if next_new < 1 else np.inf
         if types > 1 and next_new < 1:
             seen = (alpha / (alpha + np.arange(people))).sum()
@@ -142,7 +142,7 @@ def test_new_types_are_those_of_ewens(people: int) -> None:
         assert 0 < next_new <= 1
         assert next_new > before or next_new == pytest.approx(before)  # more seen, more to come
         before = next_new
-    assert expected_new(people, people, 10) == (1.0, 10.0)
+    assert predict_new_types(people, people, 10) == (1.0, 10.0)
 
 
 def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:

@@ -30,7 +30,7 @@ from xplain.people.collect.asking import (
     mean_posterior,
 )
 from xplain.people.collect.bot import Observer
-from xplain.people.collect.tables import Asked, asked_of, listeners_in
+from xplain.people.collect.tables import Asked, collect_pages, listeners_in
 from xplain.people.store import Store
 
 MESSAGES = 3
@@ -147,7 +147,7 @@ def test_rates_of_simulated_people_are_found_again(accept: float, forget: float,
         person = Observer(COLLECTION.plan, role.held, habits, rng)
         others = mean_posterior([state.belief for state in states[-10:]])
         states.append(observe(COLLECTION, person, number, others))
-    found = learn_habits([asked_of(COLLECTION.plan, state) for state in states])
+    found = learn_habits([collect_pages(COLLECTION.plan, state) for state in states])
     pull = PRIOR_PEOPLE / (people / 2 + PRIOR_PEOPLE)
     rates, stays = {"accept": accept, "forget": forget}, (1 - forget) ** MESSAGES
     noise = {"accept": (accept, 1.0, 1.0), "forget": (stays, 3 * (1 - forget) ** 2, accept)}

@@ -21,7 +21,7 @@ from xplain.people.collect.bot import Habits
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble
 from xplain.people.collect.tables import fact_sets
-from xplain.people.material import own_table
+from xplain.people.material import read_own_table
 from xplain.questions.designs import Battery
 
 TABLE = """text,image,alt,inexplicable_if,floor,place
@@ -46,7 +46,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_own_transitions_become_a_task(folder: Path) -> None:
-    source = own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
+    source = read_own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
     known = source.hypotheses
     assert known.feature_names == ("floor", "place=door", "place=hall")
     assert known.features is not None
@@ -78,7 +78,7 @@ def test_what_is_wrong_with_ones_own_table_is_named(
 ) -> None:
     (folder / file).write_text(content)
     with pytest.raises(InputError, match=said):
-        own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
+        read_own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
 
 
 def test_a_list_tells_all_candidates_apart() -> None:

@@ -315,7 +315,7 @@ def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: St
     assert store.enter_from_platform(ids_of("P", "S", "Y"), keep=False) == first
     with pytest.raises(Unknown):
         store.enter_from_platform(ids_of("P", "S", "X"), keep=False)
-    assert store.keyed("ab", "c") != store.keyed("a", "bc")
+    assert store.hash_texts("ab", "c") != store.hash_texts("a", "bc")
     store.enter_from_platform(ids_of("Q", "S", "Z"), keep=True)
     dump = "\n".join(store._connection.iterdump())
     assert token not in dump

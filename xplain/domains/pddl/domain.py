@@ -118,7 +118,7 @@ class PDDL:
         )
         self.state_features = np.column_stack([table[:, varying], *counted]).astype(float)
         robot = self._model(frozenset())
-        robot.solved("the robot's model")
+        robot.require_solution("the robot's model")
         self.starts = self._starts(starts, robot)
         self._try_facts(robot)
 
@@ -227,7 +227,7 @@ class PDDL:
         """
         for j, parameter in enumerate(self.parameters):
             try:
-                self._model(frozenset({j})).solved(f"whoever believes {parameter.name}")
+                self._model(frozenset({j})).require_solution(f"whoever believes {parameter.name}")
             except DomainError as error:
                 key = f"domain.facts.{parameter.name}"
                 raise InputError(key, parameter.inaccurate, str(error)) from None

@@ -164,7 +164,7 @@ class Source:
         line = f"line {self.text[:position].count(chr(10)) + 1}: "
         return InputError(self.key, self.value, (line if self.text != self.value else "") + reason)
 
-    def nested(self) -> Any:
+    def parse(self) -> Any:
         """The text as nested lists.
 
         Raises:
@@ -180,11 +180,11 @@ class Source:
                 reason = f"brackets do not match: {found[0]} is inside of another part"
                 raise self.refusal(reason, found.start())
             depth += 1 if found[0] != ")" else -1
-        with self.translated():
+        with self.translate_errors():
             return lisp_parser.parse_nested_list(self.text.splitlines())
 
     @contextmanager
-    def translated(self, known: str = "", problem: Source | None = None) -> Iterator[None]:
+    def translate_errors(self, known: str = "", problem: Source | None = None) -> Iterator[None]:
         """Converts errors of the translator into errors about this text, or about the problem if
         they name it; ``known`` is added to them.
 
@@ -226,8 +226,8 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
     """
     domain, own = Source.read(keys[0], file), Source.read(keys[1], problem)
     numbers: dict[int, float] = {}
-    parts, inside = ([x for x in y.nested() if x[:1] != [":requirements"]] for y in (domain, own))
-    with domain.translated(problem=own):
+    parts, inside = ([x for x in y.parse() if x[:1] != [":requirements"]] for y in (domain, own))
+    with domain.translate_errors(problem=own):
         inside = [[":domain", *parts[1][1:]] if x[0] == ":domain" else x for x in inside]
         found = parsing_functions.parse_task(_number(parts, numbers), _number(inside, numbers))
     if found.axioms:
@@ -326,8 +326,8 @@ def read_text(task: Task, signature: Signature, source: Source, effect: bool = F
         "(define (problem p) (:domain d) (:init) (:goal (and)))",
         f"(:action a :parameters ({declare(signature)}))",
     )
-    nested = source.nested()
-    with source.translated(f"; known: {', '.join([*task.predicates, *dict(task.objects)])}"):
+    nested = source.parse()
+    with source.translate_errors(f"; known: {', '.join([*task.predicates, *dict(task.objects)])}"):
         domain, problem, action = (lisp_parser.parse_nested_list([text]) for text in texts)
         added = [":effect", nested] if effect else [":precondition", nested, ":effect", ["done@"]]
         actions = parsing_functions.parse_task([*domain, [*action, *added]], problem).actions
@@ -342,6 +342,6 @@ def read_text(task: Task, signature: Signature, source: Source, effect: bool = F
 def reach(found: Any) -> Any:
     """All atoms and ground actions (as atoms) that a translator's task reaches if nothing is ever
     deleted and negated conditions hold."""
-    with Source("domain", "", "").translated():
+    with Source("domain", "", "").translate_errors():
         normalize.normalize(found)
         return build_model.compute_model(pddl_to_prolog.translate(found))

@@ -330,7 +330,7 @@ class Hypotheses:
         weight = self.variant_prior[1:]
         return np.append(True, weight >= weight.max(initial=0) / 2)
 
-    def told_apart_by_features(self) -> Hypotheses:
+    def drop_indistinguishable(self) -> Hypotheses:
         """Leaves out transitions with equal features and different labels: an answer about one of
         them gives no information if only features are known. Keeps all of them if the remaining
         transitions separate fewer candidates."""

@@ -159,7 +159,7 @@ class Setting:
     def labels_by_type(self, transitions: NDArray[np.int64]) -> LabelTable:
         """True labels of all types; the table of each type has the messages that correct it."""
         by_model = self.label_by_model(transitions)
-        return LabelTable.joined_types(
+        return LabelTable.join_types(
             self.bits, [by_model[row].T.astype(np.float64) for row in self.table]
         )
 

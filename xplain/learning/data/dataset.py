@@ -91,6 +91,6 @@ def inputs(
     return np.hstack([features, bits_of(message_sets, n_messages)]).astype(np.float32)
 
 
-def labelled_inputs(dataset: Dataset) -> NDArray[np.float32]:
+def make_labelled_inputs(dataset: Dataset) -> NDArray[np.float32]:
     """[P, F + n] :func:`inputs` of each label."""
     return inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)

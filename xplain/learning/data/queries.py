@@ -44,7 +44,7 @@ def sample_trace(
     return np.array(steps, dtype=np.int64)
 
 
-def expected_visits(
+def count_expected_visits(
     model: TaskModel,
     starts: NDArray[np.int64],
     transitions: NDArray[np.int64],
@@ -115,7 +115,7 @@ class Queries(Protocol):
         ...
 
 
-def asked_in_order(
+def ask_in_order(
     transitions: NDArray[np.int64],
     message_sets: NDArray[np.int64],
     sizes: NDArray[np.int64],
@@ -184,4 +184,4 @@ class Shared(RandomTraces):
     ) -> list[Answered]:
         """Asks the first ``sizes`` questions of one common list."""
         battery = self.draw(setting, int(sizes.max()), stream(seed, "queries", "shared"))
-        return asked_in_order(*battery, sizes, answer)
+        return ask_in_order(*battery, sizes, answer)

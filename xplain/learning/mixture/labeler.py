@@ -33,7 +33,7 @@ from xplain.learning.labelers import (
     MeasuredLabeler,
     by_sets,
     cheap,
-    check_looked_at,
+    check_tested_messages,
     paper_tree,
 )
 from xplain.learning.mixture.likelihood import (
@@ -112,7 +112,7 @@ class HypothesisLabeler(MeasuredLabeler):
             trust: weight of the hypotheses.
         """
         given = by_level(answers.label) if given is None else given
-        facts = known.supported(answers)
+        facts = known.find_supported(answers)
         prior = np.log(known.prior_of(facts) + 1e-300)
         joint = Cells.of(known, answers, facts).log_likelihood(given)
         joint += prior[:, None, None, None] + known.log_prior[:, :, None]
@@ -120,7 +120,7 @@ class HypothesisLabeler(MeasuredLabeler):
         kept = posterior.sum(axis=(1, 2, 3)) > KEPT
         posterior = posterior[kept] / posterior[kept].sum()
         cells = Cells.of(known, answers, facts[kept])
-        zero, one = cells.given(given)
+        zero, one = cells.sum_evidence(given)
         of_cell = cell_posterior(cells.one[..., None], one - zero)
         made = cls(
             known=known,
@@ -153,7 +153,7 @@ class HypothesisLabeler(MeasuredLabeler):
     def log_answered(self, answers: Answers) -> NDArray[np.float64]:
         """[P] log P of further answers, with the error levels of
         :func:`~xplain.learning.mixture.likelihood.by_level`."""
-        one = self.known_rows(answers.transition, answers.message_set)
+        one = self.predict_known(answers.transition, answers.message_set)
         error = self.level @ ERROR
         same = np.where(answers.label == 1, one, 1 - one)
         return np.asarray(np.log(same * (1 - error) + (1 - same) * error))
@@ -171,7 +171,7 @@ class HypothesisLabeler(MeasuredLabeler):
         """See :attr:`Labeler.wrong`. Its values are never exactly 0 or 1."""
         return np.clip(self._share, EDGE, 1 - EDGE)
 
-    def known_rows(
+    def predict_known(
         self, transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """[P] P(f = 1) of known transitions [P] given message sets [P]."""
@@ -216,7 +216,7 @@ class HypothesisLabeler(MeasuredLabeler):
         """See :meth:`Labeler.probability`."""
         transition = self.known.find(features)
         rows, one = transition >= 0, np.empty(len(features))
-        one[rows] = self.known_rows(transition[rows], message_sets[rows])
+        one[rows] = self.predict_known(transition[rows], message_sets[rows])
         if not rows.all():
             one[~rows] = self.alone.probability(features[~rows], message_sets[~rows])
         return one
@@ -235,7 +235,7 @@ class HypothesisLabeler(MeasuredLabeler):
             found = self.known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
             for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
                 table[row] = self.exactly(np.full(len(sets), t), sets)
-        return LabelTable.joined_types([relevant], [table])
+        return LabelTable.join_types([relevant], [table])
 
     def _relevant(self, features: NDArray[np.float64], place: NDArray[np.int64]) -> Sequence[int]:
         """The messages of the table, ascending: all messages if they are few.
@@ -253,7 +253,7 @@ class HypothesisLabeler(MeasuredLabeler):
         unknown = (place < 0) | (self.trust < 1)
         if unknown.any():
             found |= {*self.alone.table(features[unknown]).rows[0]}
-        check_looked_at(len(found), self.n_messages)
+        check_tested_messages(len(found), self.n_messages)
         return sorted(found)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -268,7 +268,7 @@ class HypothesisLabeler(MeasuredLabeler):
             size = f"{len(rows)} × 2^{n}"
             raise TooLargeError(f"types: a table of {size} labels is too large for a file")
         told = np.tile(np.arange(1 << n), len(rows))
-        table = self.known_rows(np.repeat(np.arange(len(rows)), 1 << n), told)
+        table = self.predict_known(np.repeat(np.arange(len(rows)), 1 << n), told)
         return {"rows": rows, "table": table.reshape(len(rows), 1 << n)}
 
 
@@ -305,7 +305,7 @@ class KnownAnswers:
         """The hypotheses, extended by the fact sets that any observer's answers make likely."""
         known = self.known
         for own in self.of_observers:
-            known = known.with_sets(self.known.grown(own).supported(own))
+            known = known.with_sets(self.known.grow(own).find_supported(own))
         return known
 
     def partition(self, concentration: float) -> Partition:
@@ -355,7 +355,7 @@ class KnownAnswers:
         """Fits a labeler to people of one type; ``about`` holds the further arguments of
         :meth:`HypothesisLabeler.of`."""
         answers = self._answers(data)
-        return HypothesisLabeler.of(self.known.grown(answers), answers, alone, *about)
+        return HypothesisLabeler.of(self.known.grow(answers), answers, alone, *about)
 
     def _answers(self, data: Dataset) -> Answers:
         label = data.label.astype(np.int64)
@@ -423,7 +423,7 @@ class HypothesisTrainer(LabelerTrainer):
     evidence: Evidence | None = None
     types: NDArray[np.int64] | None = None
 
-    def given(self, observed: Observed) -> LabelerTrainer:
+    def adapt_to(self, observed: Observed) -> LabelerTrainer:
         """Takes the hypotheses of the observers' domain, and the fact sets that their questions
         made likely. Hypotheses that the trainer already has come first."""
         if self.hypotheses is not None or self.path is not None:
@@ -446,11 +446,11 @@ class HypothesisTrainer(LabelerTrainer):
         )
         return KnownTransitions.of(hypotheses)
 
-    def fitted_to(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
-        """See :meth:`LabelerTrainer.fitted_to`. Labels of another task are learned without
+    def fit_unmeasured(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
+        """See :meth:`LabelerTrainer.fit_unmeasured`. Labels of another task are learned without
         hypotheses."""
         if not self._is_about(dataset):
-            return self._alone.fitted_to(dataset, seed)
+            return self._alone.fit_unmeasured(dataset, seed)
         asked, given, trust = KnownAnswers.of(self.known, dataset), None, 1.0
         own = asked.dataset
         if self.answers is not None:
@@ -470,7 +470,7 @@ class HypothesisTrainer(LabelerTrainer):
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
         """See :meth:`LabelerTrainer.with_errors`."""
-        known = self.known_answers(dataset)
+        known = self.select_known_answers(dataset)
         if known is None:
             return self, self.answers, self.evidence
         made = errors_of(known.grown, known.of_observers, assignment)
@@ -491,13 +491,13 @@ class HypothesisTrainer(LabelerTrainer):
     def thoughts(self, dataset: Dataset) -> NDArray[np.float64] | None:
         """See :meth:`LabelerTrainer.thoughts`; 1 for transitions that the hypotheses do not
         contain."""
-        asked = self.known_answers(dataset)
+        asked = self.select_known_answers(dataset)
         if asked is None or self.everything() is None:
             return None
         rows = self.known.hypotheses.row(np.arange(1 << dataset.n_messages))
         return np.where(asked.place >= 0, self.known.share[0][rows][:, asked.place], 1.0)
 
-    def known_answers(self, dataset: Dataset) -> KnownAnswers | None:
+    def select_known_answers(self, dataset: Dataset) -> KnownAnswers | None:
         """The answers about transitions that the hypotheses contain; None if there are none."""
         if not self._is_about(dataset):
             return None
@@ -506,7 +506,7 @@ class HypothesisTrainer(LabelerTrainer):
 
     def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
         """See :meth:`LabelerTrainer.cluster`."""
-        asked = self.known_answers(dataset)
+        asked = self.select_known_answers(dataset)
         return None if asked is None else asked.cluster(dataset, concentration)
 
     def _is_about(self, dataset: Dataset) -> bool:

@@ -125,7 +125,7 @@ class Answers(NamedTuple):
     label: NDArray[np.int64]
 
     @classmethod
-    def joined(cls, parts: Iterable[Answers]) -> Answers:
+    def join(cls, parts: Iterable[Answers]) -> Answers:
         """Joins several sets of answers, one after the other."""
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
@@ -168,7 +168,7 @@ class KnownTransitions:
         share *= _certain(hypotheses.facts, unwritten)[:, None]
         return cls(hypotheses, distinct, share, unwritten)
 
-    def grown(self, answers: Answers) -> KnownTransitions:
+    def grow(self, answers: Answers) -> KnownTransitions:
         """Adds the candidates that the answers of one type make likely, and their neighbours."""
         found = grow(self.hypotheses, lambda known: self._posterior(known, answers))
         return self if found is self.hypotheses else KnownTransitions.of(found)
@@ -178,7 +178,7 @@ class KnownTransitions:
         found = self.hypotheses.with_sets(facts)
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
-    def supported(self, answers: Answers) -> NDArray[np.int64]:
+    def find_supported(self, answers: Answers) -> NDArray[np.int64]:
         """The essential facts of the candidates that the answers of one type support, ascending. If
         all sets are candidates, all are returned."""
         if self.hypotheses.complete:
@@ -358,7 +358,7 @@ class Cells:
         key = cells % size
         return cls(cells // size, where.reshape(held.shape), key, known.truth(key))
 
-    def given(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sum_evidence(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
         """[2, N, 1, 1, E] log P(answers in the cell | f) for f = 0 and 1 and E error levels, from
         log P(answer | f) ``given`` [P, 2, E]."""
         every = np.tile(given, (len(self.where), 1, 1))
@@ -368,5 +368,5 @@ class Cells:
     def log_likelihood(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
         """[R, 1 + V, D, E] log P(answers | R, variant, δ, level), from log P(answer | f) ``given``
         [P, 2, E]."""
-        value = log_cell(self.one[..., None], *self.given(given))
+        value = log_cell(self.one[..., None], *self.sum_evidence(given))
         return sum_by_group(value, self.which, len(self.where))

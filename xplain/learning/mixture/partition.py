@@ -91,7 +91,7 @@ def mixture(
     key = known.hypotheses.row(facts) * questions + np.arange(questions)[:, None]
     said = sum_by_group(said, answers.transition, questions)
     f = cell_posterior(known.truth(key).reshape(said.shape), said)
-    zero, both = made.given(np.arange(questions))[:, :, 0].T[:, :, None, None]  # of rate 0
+    zero, both = made.predict(np.arange(questions))[:, :, 0].T[:, :, None, None]  # of rate 0
     one = ((1 - f) * zero + f * both).reshape(questions, -1)
     expected = weight.reshape(people, -1) @ one.T
     rate = (made.person[:-1] @ answer_model.RATES)[:, None]
@@ -165,12 +165,12 @@ class _Search:
     def __init__(
         self, known: KnownTransitions, observers: list[Answers], concentration: float
     ) -> None:
-        self.known, self.every = known, Answers.joined(observers)
+        self.known, self.every = known, Answers.join(observers)
         sizes = [len(one.label) for one in observers]
         self.person = np.repeat(np.arange(len(observers)), sizes)
         self.rows = np.split(np.arange(len(self.person)), np.cumsum(sizes)[:-1])
         # One candidate represents all that behave alike.
-        self.facts = reduce(np.union1d, [known.supported(answers) for answers in observers])
+        self.facts = reduce(np.union1d, [known.find_supported(answers) for answers in observers])
         self.log_new = np.log(concentration) + np.log(known.prior_of(self.facts))
 
     def alike(self) -> NDArray[np.float64]:

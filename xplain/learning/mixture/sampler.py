@@ -53,7 +53,7 @@ from xplain.learning.mixture.kernels import (
 from xplain.learning.mixture.likelihood import log_cell
 from xplain.learning.types import Clustering, shares_of
 from xplain.learning.user_types import Clusterer
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import derive_seed, stream
 
 NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """The possible values of ε_τ; their shares are learned."""
@@ -432,8 +432,8 @@ class DirichletMixture(Clusterer):
         Raises:
             TooLargeError: ``depth`` is too large for the number of messages.
         """
-        seed, dataset = derived_seed(seed, "clusterer"), observed.dataset
-        found = self.labeler.given(observed).cluster(dataset, self.concentration)
+        seed, dataset = derive_seed(seed, "clusterer"), observed.dataset
+        found = self.labeler.adapt_to(observed).cluster(dataset, self.concentration)
         if found is not None:
             return found
         if dataset.message_set.any():

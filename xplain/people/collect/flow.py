@@ -39,7 +39,7 @@ from xplain.people.flow import (
 )
 from xplain.people.plan import Way
 from xplain.questions.questionnaire import Questionnaire
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import derive_seed, stream
 
 QUESTIONNAIRES = 512
 """Maximum number of questionnaires in memory: more than the number of people who answer at once."""
@@ -120,7 +120,7 @@ class Listening(ClipStage):
 
     LASTING: ClassVar = True
 
-    def wanted(self, plan: CollectPlan) -> bool:
+    def is_in(self, plan: CollectPlan) -> bool:
         """True if the plan has messages that stay valid on later pages."""
         return plan.rules.listening > 0
 
@@ -197,7 +197,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         rng = stream(self.plan.seed, "roles", number)
         return consent | {"role": int(rng.choice(fewest))}
 
-    def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
+    def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
         """Stores the number, the briefing's role, and the beliefs of earlier participants."""
         return {key: payload[key] for key in ("number", "role", "others")}
 
@@ -208,7 +208,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         self.kept.cache_clear()
         self.found.clear()
 
-    def drawn(self, what: tuple[int, ...]) -> tuple[Way | None, int, Sequence[str]]:
+    def find_drawing(self, what: tuple[int, ...]) -> tuple[Way | None, int, Sequence[str]]:
         """The transitions of a clip; without transitions, the robot at a place where it covers no
         item of the map."""
         shown, scene = self.plan.shown, self.plan.scene
@@ -248,7 +248,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         def kept(number: int, others: frozenset[Any], answers: tuple[Any, ...]) -> Questionnaire:
             if not answers:
                 prior = asking.prior(self.plan, dict(others))
-                return self.blank.anew(prior, derived_seed(self.plan.seed, "queries", number))
+                return self.blank.restart(prior, derive_seed(self.plan.seed, "queries", number))
             after = copy.copy(kept(number, others, answers[:-1]))
             labels, transitions, told = answers[-1]
             after.answer(list(labels), (list(transitions), told))

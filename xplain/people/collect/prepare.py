@@ -19,10 +19,10 @@ from xplain.people.collect.plan import (
     CollectRules,
     Example,
 )
-from xplain.people.material import Material, make_plan_fields, own_table, select_plan_keys
+from xplain.people.material import Material, make_plan_fields, read_own_table, select_plan_keys
 from xplain.people.plan import lab_questions
 from xplain.questions.designs import Adaptive, Battery, battery
-from xplain.randomness import derived_seed, run_seed
+from xplain.randomness import derive_seed, run_seed
 
 
 def collect_plan(cfg: DictConfig) -> CollectPlan:
@@ -52,10 +52,10 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
 def material_of(cfg: DictConfig) -> Material:
     """The task: a domain of conf/domain/, or a table of a lab's own transitions."""
     if cfg.transitions is not None:
-        return own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
+        return read_own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
     if cfg.facts is not None:
         raise InputError("facts", cfg.facts, "only with transitions=TABLE; a domain has sentences")
-    return Material.asked(instantiate(cfg.domain), instantiate(cfg.users), cfg.seed)
+    return Material.of_domain(instantiate(cfg.domain), instantiate(cfg.users), cfg.seed)
 
 
 def assemble(
@@ -76,7 +76,7 @@ def assemble(
     known = replace(known, phrases=tuple(map(in_words, known.phrases)))
     listed: tuple[tuple[int, int], ...] = ()
     if isinstance(design, Battery):
-        seed = derived_seed(config["seed"], "queries")
+        seed = derive_seed(config["seed"], "queries")
         which, told = battery(known, design.redundancy, seed, rules.points)
         pairs = zip(which.tolist(), told.tolist(), strict=True)
         listed = tuple(pairs)[: rules.points]
@@ -95,7 +95,7 @@ def assemble(
         subject=subject,
         questions=listed,
         design=design if isinstance(design, Adaptive) else Adaptive(),
-        shown=tuple(clip.worded(in_words) for clip in material.clips),
+        shown=tuple(clip.reword(in_words) for clip in material.clips),
         attention=wording["attention"],
     )
 

@@ -85,7 +85,7 @@ class FoundType:
 
 @dataclass(frozen=True)
 class KnownSoFar:
-    """What is known after N people.
+    """The results after N people.
 
     Attributes:
         types: the types, largest first.
@@ -126,7 +126,7 @@ def _asked(plan: CollectPlan, people: Sequence[CollectState]) -> KnownAnswers:
     return KnownAnswers.of(KnownTransitions.of(plan.hypotheses), data)
 
 
-def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar | None:
+def find_types_so_far(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar | None:
     """The types so far; None before the second person."""
     if len(people) < 2:
         return None
@@ -139,7 +139,7 @@ def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar
         types.append(FoundType(wrong, tuple(members), float(np.mean(alone))))
     types.sort(key=lambda one: -len(one.members))
     best = [max([p for f, p in s.belief.items() if f != "none"], default=0.0) for s in people]
-    next_new, new_types = expected_new(len(types), len(people), 10)
+    next_new, new_types = predict_new_types(len(types), len(people), 10)
     return KnownSoFar(
         types=tuple(types),
         error=error,
@@ -162,7 +162,7 @@ def glance(collection: Collection, people: People) -> dict[str, Any]:
     key = tuple(kept)
     if key not in found:
         found.clear()  # old results are never needed again
-        found[key] = found_types(plan, list(kept.values()))
+        found[key] = find_types_so_far(plan, list(kept.values()))
     left_out = [state.left_out for state in states.values()]
     return {
         "of": whose,
@@ -195,7 +195,7 @@ def count_agreement(plan: CollectPlan, people: Sequence[CollectState]) -> dict[s
     return {name: row for name, row in found.items() if row["of"]}
 
 
-def expected_new(types: int, people: int, more: int) -> tuple[float, float]:
+def predict_new_types(types: int, people: int, more: int) -> tuple[float, float]:
     """Predicts the new types in more people, after ``types`` were found in ``people`` (Ewens'
     sampling formula).
 
@@ -381,7 +381,7 @@ class Asked:
                 belief = after_message(belief, relevant, j, accept)
             judged = clip.judged
             for transition, label in zip(judged.transitions, judged.labels, strict=True):
-                one = habits.answered(self.known.labels[table, transition].astype(float))
+                one = habits.add_errors(self.known.labels[table, transition].astype(float))
                 belief = belief * (one if label else 1 - one)
             belief = after_forgetting(belief.ravel(), lose).reshape(belief.shape)
         return np.asarray(belief.sum(axis=0))
@@ -407,10 +407,10 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
     kept = [state for state in states if not state.left_out and state.belief["none"] < 0.5]
     if not kept:
         raise InputError("database", str(database), f"one with answers (stream {stream})")
-    return [asked_of(plan, state) for state in kept]
+    return [collect_pages(plan, state) for state in kept]
 
 
-def asked_of(plan: CollectPlan, state: CollectState) -> Asked:
+def collect_pages(plan: CollectPlan, state: CollectState) -> Asked:
     """The pages of a person who reached the end."""
     known = plan.hypotheses
     before = np.bincount(known.classes, prior(plan, state.others))

@@ -25,8 +25,8 @@ from xplain.explanation.message_sets import mask_of
 from xplain.interaction.explainer import Explainer
 from xplain.interaction.session import Candidate, Session
 from xplain.learning.saved import LearnedTypes
-from xplain.people.material import learned_types
-from xplain.questions.own_transitions import known_facts, with_features
+from xplain.people.material import learn_domain_types
+from xplain.questions.own_transitions import read_known_facts, with_features
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import run_seed
 from xplain.storage import encode
@@ -116,7 +116,7 @@ class Served:
 
     def session(self, trace: Sequence[Sequence[float]], expected_steps: int) -> Session:
         """Begins to explain a trace to a new person. People with the same trace share its plan."""
-        return self._sessions(tuple(map(tuple, trace)), expected_steps).anew()
+        return self._sessions(tuple(map(tuple, trace)), expected_steps).restart()
 
     @cached_property
     def _sessions(self) -> Callable[[tuple[tuple[float, ...], ...], int], Session]:
@@ -182,9 +182,9 @@ def make_served(cfg: DictConfig) -> Served:
     """
     run_seed(cfg.seed)
     domain = component(cfg, "domain") if cfg.types is None else None
-    found, _, said = known_facts(cfg.transitions, cfg.hypotheses, domain)
+    found, _, said = read_known_facts(cfg.transitions, cfg.hypotheses, domain)
     known = found and with_features(found)
-    types = LearnedTypes.load(cfg.types) if domain is None else learned_types(cfg, domain)[1]
+    types = LearnedTypes.load(cfg.types) if domain is None else learn_domain_types(cfg, domain)[1]
     if known is not None and {*known.feature_names} != {*types.feature_names}:
         wanted = f"transitions with the columns {', '.join(types.feature_names)}"
         raise InputError("transitions", ", ".join(known.feature_names), wanted)

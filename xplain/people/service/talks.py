@@ -21,7 +21,7 @@ from xplain.learning.data.label_file import columns_of
 from xplain.people.flow import Event, State
 from xplain.people.log import Log
 from xplain.people.service.served import Served
-from xplain.randomness import derived_seed
+from xplain.randomness import derive_seed
 
 Json = dict[str, Any]
 MOST_OPEN = 2000
@@ -103,7 +103,7 @@ class Asking:
     def __init__(self, task: Served, begun: Json) -> None:
         self.decided: Json = {}
         self.task = task
-        self.questionnaire = task.questionnaire.anew(None, begun["seed"])
+        self.questionnaire = task.questionnaire.restart(None, begun["seed"])
 
     def receive(self, key: str, came: Json) -> None:
         """Receives the answer to the last question."""
@@ -167,7 +167,7 @@ class Talks(Log[State]):
         """
         who = person or f"p{secrets.token_hex(8)}"
         key, which = f"{kind} {who}", f"{kind[0]}{secrets.token_hex(12)}"
-        begun = {**request, "person": who, "seed": derived_seed(self.task.seed, kind, who)}
+        begun = {**request, "person": who, "seed": derive_seed(self.task.seed, kind, who)}
         with self.changes():  # plans are shared, and decide one after the other
             if key not in self.keys:
                 talk = KINDS[kind](self.task, begun)

@@ -26,7 +26,7 @@ from xplain.errors import InputError, one_of
 from xplain.people.flow import STREAMS
 from xplain.people.study.flow import ENDS, Study
 from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED, StudyPlan
-from xplain.randomness import derived_seed
+from xplain.randomness import derive_seed
 
 CONDITIONS = (CONFORMANT, PERSONALIZED)
 """The conditions that the paper compares."""
@@ -187,7 +187,7 @@ def _compared(
     data = data.dropna(subset=[measure])  # impossible times are left out
     a, b = (data[data["condition"] == condition] for condition in conditions)
     types_a, types_b = (group["type"].astype(str).tolist() for group in (a, b))
-    drawn = derived_seed(seed, "permutation", measure)
+    drawn = derive_seed(seed, "permutation", measure)
     return compare(a[measure], b[measure], types_a, types_b, drawn, conditions)
 
 

@@ -68,7 +68,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
 
     def at_before(self, page: Page) -> Fields:
         """Gives the right answers."""
-        return self.asked(self.plan.before)
+        return self.answer_questions(self.plan.before)
 
     def at_briefing(self, page: Page) -> None:
         """Learns the facts of the briefing, if there are any."""

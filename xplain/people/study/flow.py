@@ -46,7 +46,7 @@ from xplain.people.study.evaluation import (
     StudyState,
 )
 from xplain.people.study.plan import ASKING, StudyPlan
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import derive_seed, stream
 from xplain.solvers.base import CachedPolicy
 
 __all__ = ["ENDS", "Study", "StudyState"]
@@ -102,7 +102,7 @@ class TrainingStage(Practice["Study", StudyState]):
 class Eligibility(Stage["Study", StudyState]):
     """A test of the facts in the briefing."""
 
-    def wanted(self, plan: StudyPlan) -> bool:
+    def is_in(self, plan: StudyPlan) -> bool:
         """True if participants are briefed; others cannot be tested."""
         return not plan.kinds
 
@@ -191,7 +191,7 @@ class Study(Explaining):
         """Creates the study, with policies from the conditions' configurations."""
         from hydra.utils import instantiate  # a running flow does not know the configuration
 
-        seed = derived_seed(plan.seed, "solver")
+        seed = derive_seed(plan.seed, "solver")
         policies = {
             condition: CachedPolicy(instantiate(solver).plan(plan.problem_of(condition), seed))
             for condition, solver in plan.conditions.items()
@@ -260,7 +260,7 @@ class Study(Explaining):
                 return position
         raise Full("full")
 
-    def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
+    def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
         """Stores the place and the orders of questions, if the window is wide enough."""
         width, least = payload.get("width"), self.plan.rules.min_width
         if least and (not isinstance(width, int) or width < least):
@@ -276,7 +276,7 @@ class Study(Explaining):
         """A cell for every type under every condition."""
         return tuple(f"{self.plan.roles[t].name}, {condition}" for t, condition in self.plan.cells)
 
-    def drawn(self, what: int | tuple[str, int]) -> tuple[Way | None, int, Sequence[str]]:
+    def find_drawing(self, what: int | tuple[str, int]) -> tuple[Way | None, int, Sequence[str]]:
         """Draws the map after a number of steps, or with one clip."""
         plan = self.plan
         if isinstance(what, tuple):

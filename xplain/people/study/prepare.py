@@ -28,9 +28,9 @@ from xplain.learning.user_types import Perfect, label_table
 from xplain.people.material import (
     Material,
     Transitions,
-    learned_types,
+    learn_domain_types,
     make_plan_fields,
-    own_table,
+    read_own_table,
     select_plan_keys,
 )
 from xplain.people.plan import lab_questions
@@ -188,10 +188,10 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     material, types = _material_and_types(cfg)
     gaps = []
     for trace in traces_of(material, config["trace"], config["max_steps"], cfg.seed)[:TRIED]:
-        table, asked = learned_table(material, types, trace), None
+        table, asked = make_learned_table(material, types, trace), None
         if ASKING in config["conditions"]:
             asked = may_ask(material, types, trace, config["ask"]["clips"])
-        clips = None if asked is None else (asked, learned_table(material, types, asked))
+        clips = None if asked is None else (asked, make_learned_table(material, types, asked))
         plan = make_draft(material, trace, table, config, types, clips)
         gaps.append(Study.of(plan).difference())
         if gaps[-1] >= LEAST_DIFFERENCE:
@@ -251,13 +251,13 @@ def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
         wanted = "none with types that were found, by types=FILE or another clusterer than perfect"
         raise InputError("briefing", cfg.briefing, wanted)
     if own:
-        material = own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
+        material = read_own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
     elif cfg.facts is not None:
         raise InputError("facts", cfg.facts, "only with transitions=TABLE")
     else:
         domain = component(cfg, "domain")
         if cfg.types is None:
-            setting, learned = learned_types(cfg, domain)
+            setting, learned = learn_domain_types(cfg, domain)
             return Material.of(setting), learned
         users = component(cfg, "users").types(domain, stream(cfg.seed, "users"))
         material = Material.of(Setting.build(domain, users))
@@ -275,7 +275,7 @@ def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
 # What is explained -------------------------------------------------------------------------------
 
 
-def learned_table(material: Material, types: LearnedTypes, rows: Transitions) -> LabelTable:
+def make_learned_table(material: Material, types: LearnedTypes, rows: Transitions) -> LabelTable:
     """The labelers' table of some transitions."""
     made = None if material.transitions is None else material.transitions[rows]
     columns = [material.feature_names.index(name) for name in types.feature_names]
@@ -300,7 +300,7 @@ def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: 
     """The transitions that may be asked about while a trace is explained, nearest first."""
     Pool(clips=clips)
     order = nearest_first(material.features, material.features[trace])
-    return order[alike_first(learned_table(material, types, order), clips)]
+    return order[alike_first(make_learned_table(material, types, order), clips)]
 
 
 def traces_of(
@@ -421,13 +421,13 @@ def make_draft(
         asked=asked,
         roles=(natural_role(facts, known, labels),) if natural else roles,
         kinds=tuple(role.wrong for role in roles) if natural else (),
-        shown=tuple(clip.worded(in_words) for clip in shown),
+        shown=tuple(clip.reword(in_words) for clip in shown),
         problem=people(problem, learned and learned.habits, wrong),
         clip_labels=clip_labels,
         true_labels=labels,
         conditions=config["conditions"],
         belief=config["belief"],
-        taken=tuple(tuple(map(in_words, gone)) for gone in material.taken(trace)),
+        taken=tuple(tuple(map(in_words, gone)) for gone in material.list_taken(trace)),
     )
 
 
