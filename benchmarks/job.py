@@ -68,12 +68,12 @@ def main() -> None:
     def load(words: list[str]) -> DictConfig:
         return compose("config", words, return_hydra_config=True)
 
-    prepared, explained = Experiment.prepared, Experiment.explained
+    prepare, explain = Experiment.prepare, Experiment.explain_cases
     with (
         tempfile.TemporaryDirectory() as folder,
         initialize_config_dir(str(CONF), version_base="1.3"),  # as a launcher, once for all jobs
-        patch.object(Experiment, "prepared", timed("data, types and labelers", prepared)),
-        patch.object(Experiment, "explained", timed("the method", explained)),
+        patch.object(Experiment, "prepare", timed("data, types and labelers", prepare)),
+        patch.object(Experiment, "explain_cases", timed("the method", explain)),
     ):
         register()
         run([0.75], Path(folder))

@@ -51,7 +51,7 @@ class Discovery:
 
     dataset: Dataset
     types: UserTypes
-    predict_held_out: HeldOut | None
+    held_out: HeldOut | None
     sentences: dict[str, str]
     answers: pd.DataFrame | None
     seconds: float
