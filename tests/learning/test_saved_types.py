@@ -118,9 +118,9 @@ CHANGES = {
         {text["labelers"][0]["skops"]: np.zeros(9, np.uint8)}
     ),
     "field": lambda text, _: text.update(format=77),
-    "names": lambda text, _: text["names"].append("one more"),
+    "names": lambda _, arrays: arrays.update(names=np.append(arrays["names"], "one more")),
     "prior": lambda text, arrays: arrays.update({text["prior"]: np.ones(1)}),
-    "messages": lambda text, _: text.update(messages=[f"m{j}" for j in range(70)]),
+    "messages": lambda _, arrays: arrays.update(messages=np.array([f"m{j}" for j in range(70)])),
     "confidence": lambda text, _: text["labelers"][0].update(confidence="high"),
     "pickled": lambda text, arrays: arrays.update({text["prior"]: np.array([text, text])}),
 }

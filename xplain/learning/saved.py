@@ -131,6 +131,8 @@ def _is_sound(tree: Any, inputs: int) -> bool:
 
 WHOLE = "types"
 """In a file: the name of the text that assigns the arrays to fields."""
+NAMES = ("names", "messages", "feature_names")
+"""Arrays of names in a file, which other programs may read."""
 
 
 @dataclass(frozen=True)
@@ -224,7 +226,8 @@ class LearnedTypes:
         return self.about_everything.table(np.asarray(transitions, dtype=np.float64))
 
     def save(self, path: str | Path) -> None:
-        """Writes an ``.npz`` file: all arrays, and ``types``, a text in JSON with everything else.
+        """Writes an ``.npz`` file: the arrays ``names``, ``messages``, ``feature_names``, all other
+        arrays by number, and ``types``, a text in JSON with everything else.
 
         Raises:
             InputError: skops cannot write a classifier.
@@ -233,9 +236,10 @@ class LearnedTypes:
         kept = {own.name: getattr(self, own.name) for own in fields(self)}
         kept["labelers"] = [_values(labeler) for labeler in self.labelers]
         kept["about_everything"] = self.about_everything and _values(self.about_everything)
+        names = {key: np.array(kept.pop(key), dtype=np.str_) for key in NAMES}
         arrays[WHOLE] = np.array(json.dumps(encode(kept, arrays)))
         with Path(path).open("wb") as file:  # an open file keeps its name as it is
-            np.savez_compressed(file, **arrays)
+            np.savez_compressed(file, **arrays | names)
 
     @classmethod
     def load(cls, path: str | Path, trusted: Sequence[str] = ()) -> LearnedTypes:
@@ -251,7 +255,8 @@ class LearnedTypes:
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}
-            kept = decode(cls, json.loads(arrays[WHOLE].item()), arrays)
+            names = {key: arrays[key].tolist() for key in NAMES}
+            kept = decode(cls, json.loads(arrays[WHOLE].item()) | names, arrays)
             size = len(kept.feature_names), len(kept.messages)
             refuse_if(size[1] > MAX_MASK, "types", size[1], f"at most {MAX_MASK} messages")
             *labelers, everything = (

@@ -82,10 +82,8 @@ class Column(NamedTuple):
         """Numbers the texts of some cells."""
         import pandas as pd
 
-        first, texts = pd.factorize(np.asarray(cells, dtype=object))
-        stripped = np.array([text.strip() for text in texts], dtype=object)
-        again, words = pd.factorize(stripped, sort=True)
-        return cls(key, name, words, again[first].astype(np.int64))
+        code, words = pd.factorize(pd.Series(cells, dtype=object).str.strip(), sort=True)
+        return cls(key, name, np.asarray(words, dtype=object), code.astype(np.int64))
 
     def different_with(self, *others: Column) -> int:
         """Counts the distinct rows of this column and others."""
