@@ -25,6 +25,7 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 
 LONGEST = (
     "fixed/test_fixed.py",
+    "experiment/test_certificates.py",
     "people/test_dry_runs.py",
     "runs/test_sweep.py",
     "runs/test_interrupted.py",
@@ -39,8 +40,7 @@ LONGEST = (
     "people/test_lab_browser.py",
     "people/test_collect_browser.py",
 )
-"""Files that take long. The first compiles kernels that many others need; the second, which runs
-beside it, needs hardly any."""
+"""Files that take long. The first two compile kernels that many others need."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -83,6 +83,12 @@ def logging_left_alone() -> Iterator[None]:
         root.removeHandler(handler)
         handler.close()
     root.setLevel(level)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are saved as files without content (:func:`tests.forked.leave_out_pictures`)."""
+    forked.leave_out_pictures(monkeypatch.setattr)
 
 
 @pytest.fixture

@@ -12,8 +12,6 @@ import subprocess
 from collections.abc import Sequence
 from typing import Any
 
-import pytest
-
 _started: list[subprocess.Popen[str]] = []
 
 
@@ -59,13 +57,3 @@ def _end(*_: object) -> None:
     for number in _ENDS:
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
-
-
-HANG_UP = pytest.param(
-    signal.SIGHUP,
-    marks=pytest.mark.skipif(
-        signal.getsignal(signal.SIGHUP) == signal.SIG_IGN,
-        reason="under nohup, closed terminals are ignored, as they should be",
-    ),
-)
-"""SIGHUP, where the tests are not started so that it is ignored."""

@@ -29,7 +29,7 @@ class Everybody(Single):
 
 
 @pytest.fixture
-def run(tmp_path, monkeypatch, capsys):
+def run(tmp_path, monkeypatch, capsys, no_pictures):
     """``run("discover", "data=x.csv")``: (exit code, standard output, standard error)."""
 
     def command(name: str, *arguments: str) -> tuple[int, str, str]:
@@ -46,9 +46,8 @@ def run(tmp_path, monkeypatch, capsys):
     return command
 
 
-@pytest.mark.parametrize("name", ["labels.csv", "labels.parquet"])
-def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name: str) -> None:
-    options = ("observers.label_noise=0.02", f"output={name}")
+def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path) -> None:
+    options = ("observers.label_noise=0.02", "output=labels.csv")
     code, out, _ = run("observe", "domain=rescue", *options)
     assert code == 0
     told = json.loads(out.splitlines()[-1])
@@ -57,7 +56,7 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
 
     (tmp_path / "said.yaml").write_text("fire: Fires can be put out.\n")
     options = "output=found", "sentences=said.yaml"
-    code, out, err = run("discover", f"data={name}", *options)
+    code, out, err = run("discover", "data=labels.csv", *options)
     assert code == 0, err
     answer = json.loads(out.splitlines()[-1])
     wanted = {"n_types", "assignment", "method", "rule", "held_out_log_likelihood", "seconds"}
@@ -79,7 +78,7 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
     assert [set(one["needs"]) for one in summary["types"]] == wrong
     assert pd.read_csv(tmp_path / "found" / "assignment.csv")["type"].tolist() == found
     for picture in ("posterior", "messages", "calibration"):
-        assert (tmp_path / "found" / f"{picture}.png").stat().st_size > 1000
+        assert (tmp_path / "found" / f"{picture}.png").is_file()
     tenths = summary["calibration"]
     assert len(tenths) == 10
     assert sum(one["labels"] for one in tenths) == pytest.approx(told["labels"] / 4, rel=0.1)
@@ -256,11 +255,11 @@ def test_questions_that_do_not_fit_the_labels_are_refused(
 
 
 def test_python_is_given_what_the_command_writes(run, tmp_path: Path, monkeypatch) -> None:
-    assert run("observe", "domain=rescue", "output=labels.csv", "points=30")[0] == 0
-    code, out, _ = run("discover", "data=labels.csv", "output=there", "seed=3")
+    assert run("observe", "domain=rescue", "output=labels.parquet", "points=30")[0] == 0
+    code, out, _ = run("discover", "data=labels.parquet", "output=there", "seed=3")
     assert code == 0
     monkeypatch.chdir(tmp_path)
-    found = xplain.discover("labels.csv", seed=3, output=tmp_path / "here")
+    found = xplain.discover("labels.parquet", seed=3, output=tmp_path / "here")
     row = json.loads(out.splitlines()[-1])
     assert found.row["assignment"] == row["assignment"]
     assert json.loads(json.dumps(found.row["held_out"])) == row["held_out"]
@@ -268,7 +267,7 @@ def test_python_is_given_what_the_command_writes(run, tmp_path: Path, monkeypatc
     assert {path.name for path in (tmp_path / "here").iterdir()} == names
     assert {f"{name}.png" for name in found.plot()} == {n for n in names if n.endswith("png")}
     assert found.frame()["observers"].sum() == len(row["assignment"])
-    frame = pd.read_csv("labels.csv", dtype=str, keep_default_na=False)
+    frame = pd.read_parquet("labels.parquet")
     same = xplain.discover(frame, seed=3, held_out=False, clusterer="kmeans")
     assert same.types.clustering.method == "kmeans"
     one = xplain.discover(frame, held_out=False, clusterer=Everybody(weight=2.0))

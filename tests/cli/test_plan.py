@@ -54,38 +54,34 @@ def worth_of_first(problem: Problem, messages: list[int]) -> float:
     return value + factor * reduced_optimal_value(problem, 0, sum(1 << j for j in messages))
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_the_last_line_is_the_plan(command, file, solver) -> None:
-    code, out, err = command("plan", f"problem={file}", f"solver={solver}", "seed=0")
-    assert (code, err) == (0, "") or "compiling" in err
-    row = json.loads(out.splitlines()[-1])
-    assert set(row) >= KEYS | {"seconds"}
-    assert row["solver"] == solver
-    problem = load(file)
-    optimum = reduced_optimal_value(problem)
-    assert row["optimal_lower"] - 1e-9 <= optimum <= row["optimal_upper"] + 1e-9
-    assert row["optimal_upper"] - row["optimal_lower"] <= 1e-3 + 1e-9
-    if solver in ("oracle", "clairvoyant"):
-        assert row["first_messages"] is None
-        alone = [problem.with_types(p[None], ("alone",)) for p in problem.p_explicable]
-        known = sum(p * reduced_optimal_value(q) for p, q in zip(problem.prior, alone, strict=True))
-        assert row["value"] == pytest.approx(known)
-    else:
-        assert row["value_is"] == "exact"
-        first = worth_of_first(problem, row["first_messages"])
-        assert row["value"] - 1e-9 <= first <= optimum + 1e-9
-        if solver == "certified":
-            assert row["value"] == pytest.approx(optimum, abs=1e-3)
-
-
-def test_all_prints_a_comparison_and_one_list(command, file) -> None:
+def test_all_prints_a_comparison_and_one_list_whose_rows_are_plans(command, file) -> None:
     _, out, _ = command("plan", f"problem={file}", "solver=all")
     rows = json.loads(out.splitlines()[-1])
     assert [row["solver"] for row in rows] == SOLVERS
-    table = out.split("[{")[0]
+    table, problem = out.split("[{")[0], load(file)
+    optimum = reduced_optimal_value(problem)
+    alone = [problem.with_types(p[None], ("alone",)) for p in problem.p_explicable]
+    known = sum(p * reduced_optimal_value(q) for p, q in zip(problem.prior, alone, strict=True))
     for row in rows:
         # The name, then somewhere behind it the value.
         assert re.search(rf"\b{row['solver']} .*{row['value']:.4f}", table), row
+        assert set(row) >= KEYS | {"seconds"}
+        assert row["optimal_lower"] - 1e-9 <= optimum <= row["optimal_upper"] + 1e-9
+        assert row["optimal_upper"] - row["optimal_lower"] <= 1e-3 + 1e-9
+        if row["solver"] in ("oracle", "clairvoyant"):
+            assert row["first_messages"] is None
+            assert row["value"] == pytest.approx(known)
+        else:
+            assert row["value_is"] == "exact"
+            first = worth_of_first(problem, row["first_messages"])
+            assert row["value"] - 1e-9 <= first <= optimum + 1e-9
+            if row["solver"] == "certified":
+                assert row["value"] == pytest.approx(optimum, abs=1e-3)
+    code, out, err = command("plan", f"problem={file}", "solver=qmdp", "seed=0")
+    assert (code, err) == (0, "")
+    alone = json.loads(out.splitlines()[-1])
+    (compared,) = (row for row in rows if row["solver"] == "qmdp")
+    assert alone | {"seconds": 0} == compared | {"seconds": 0}
 
 
 def test_options_of_the_solver_and_simulated_values(command, file) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
@@ -47,6 +48,12 @@ def shipped(group: str, *others: str, **keys: str) -> list[Any]:
     ]
 
 
+@cache
+def of_rescue() -> Hypotheses:
+    """What people may believe about the rescue task."""
+    return Hypotheses.of_domain(Chosen("domain", "rescue").make())
+
+
 class TestDomains(DomainConformance):
     @pytest.fixture(params=shipped("domain", "pddl", "gym"))  # which have no task of their own
     def component(self, request: pytest.FixtureRequest) -> Any:
@@ -72,7 +79,7 @@ class TestLabelers(LabelerConformance):
     def component(self, request: pytest.FixtureRequest) -> Any:
         made = request.param.component
         if isinstance(made, HypothesisTrainer):
-            made = replace(made, hypotheses=Hypotheses.of_domain(Chosen("domain", "rescue").make()))
+            made = replace(made, hypotheses=of_rescue())
         return made
 
 

@@ -35,16 +35,11 @@ COSTS = Costs(
 @pytest.mark.parametrize(
     ("prior", "expected"), [("uniform", [0.5, 0.5]), ("observers", [0.7, 0.3])]
 )
-def test_the_prior_is_the_one_asked_for(prior, expected):
-    costs = replace(COSTS, prior=prior)
-    table = np.full((2, 3, 4), 0.5)
-    problem = costs.problem(table, ("a", "b"), ("F1", "F2"), np.array([0.7, 0.3]))
-    assert problem.prior.tolist() == pytest.approx(expected)
-
-
-def test_every_cost_reaches_the_problem():
+def test_every_cost_and_the_prior_asked_for_reach_the_problem(prior, expected):
     table = np.random.default_rng(0).random((2, 3, 4))
-    problem = COSTS.problem(table, ("a", "b"), ("F1", "F2"), np.array([0.7, 0.3]))
+    problem = replace(COSTS, prior=prior).problem(
+        table, ("a", "b"), ("F1", "F2"), np.array([0.7, 0.3])
+    )
     assert problem.trade_off == 1.5
     assert problem.message_cost.tolist() == [0.75, 0.75]
     assert problem.inexplicability_cost == 2.0
@@ -52,6 +47,7 @@ def test_every_cost_reaches_the_problem():
     assert problem.discount_per == "step"
     assert (problem.message_names, problem.type_names) == (("a", "b"), ("F1", "F2"))
     assert np.array_equal(problem.p_explicable, table)
+    assert problem.prior.tolist() == pytest.approx(expected)
 
 
 def test_a_message_has_the_cost_of_its_name():
@@ -170,19 +166,6 @@ def test_the_user_answers_by_the_labels_of_their_own_type():
         for k in range(3):
             given = 3 if k >= told_at else 0
             assert record.episode.labels[k, : k + 1].tolist() == table[: k + 1, given].tolist()
-
-
-def test_a_plan_of_one_who_knows_the_type_is_for_this_type_alone():
-    prepared = a_prepared()
-    for knows, each in (("types", 1), ("everyone", 1), ("type", 3), ("labels", 3)):
-        spy = Spy(knows)
-        recorded(prepared, solver=spy)
-        assert len(spy.planned) == each * len(prepared.cases)
-        if each == 3:
-            case = prepared.cases[0]
-            tables = case.perfect if knows == "type" else case.labels
-            for user in range(3):
-                assert np.array_equal(spy.planned[user][0].p_explicable[0], tables.array(2)[user])
 
 
 def test_every_trace_has_a_seed_of_its_own_and_solvers_share_it():

@@ -18,7 +18,7 @@ from xplain.solvers.base import Solver
 from xplain.solvers.greedy import QMDP, KnownType
 from xplain.solvers.pomcp import POMCP
 
-SMALL = ("domain=rescue", "observers.label_noise=0.02", "points=150", "traces=5", "seed=2")
+SMALL = ("domain=rescue", "observers.label_noise=0.02", "points=150", "traces=2", "seed=2")
 SOLVERS: dict[str, Solver] = {
     "qmdp": QMDP(),
     "pomcp": POMCP(simulations=100),

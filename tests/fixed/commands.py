@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import re
-import subprocess
-import sys
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.people.server_process import ROOT, ServerProcess
+from tests import forked
+from tests.people.server_process import ServerProcess
 from xplain.learning.saved import LearnedTypes
 
 Kept = dict[str, Any]
@@ -23,14 +21,7 @@ Kept = dict[str, Any]
 
 def xplain(folder: Path, *words: str) -> str:
     """Standard output of a command."""
-    done = subprocess.run(
-        [sys.executable, "-m", "xplain", *words],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = forked.captured(folder, *words)
     assert done.returncode == 0, f"{words}: {done.stderr}"
     return done.stdout
 

@@ -13,6 +13,7 @@ from tests.people.client import Client
 from tests.people.kinds import KINDS, filled, flow_of
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.cli.main import main
+from xplain.errors import XplainError
 from xplain.experiment.config import compose_config
 from xplain.people.bots import Page
 from xplain.people.export import find_differences
@@ -107,6 +108,17 @@ def test_a_replay_notices_every_change(
         path = _copy(answered, tmp_path / what)
         changed(path, statement)
         assert differs(kind, path), what
+
+
+def test_code_that_decides_otherwise_does_not_go_on_with_what_was_begun(
+    kind: str, snapshot: Path
+) -> None:
+    Store(snapshot, flow_of(kind)).close()
+    changed(snapshot, "UPDATE event SET state = json_set(state, '$.part', 7) WHERE kind = 'labels'")
+    with pytest.raises(XplainError, match="go on and replay with that version"):
+        Store(snapshot, flow_of(kind))
+    with pytest.raises(SystemExit):
+        main([kind, "replay", str(snapshot)])
 
 
 def _copy(answered: tuple[bytes, list[str]], path: Path) -> Path:

@@ -49,7 +49,7 @@ def over_the_pages(
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the tables of 24 people × 20 adaptive questions at 5 % wrong answers."""
+    """A folder with the tables of 15 people × 20 adaptive questions at 5 % wrong answers."""
     folder = tmp_path_factory.mktemp("labels")
     cfg = compose_config("collect", [])
     plan = assemble(
@@ -62,7 +62,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     def person(number: int) -> Bot:
         return bot(plan, Habits(error=0.05), 1, number)
 
-    over_the_pages(folder / "c.sqlite", Collection(plan), 24, person)
+    over_the_pages(folder / "c.sqlite", Collection(plan), 15, person)
     export(folder / "c.sqlite", folder)
     return folder
 
@@ -94,7 +94,7 @@ def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
     def person(number: int) -> Bot:
         return StudyBot(plan, FAULTLESS, np.random.default_rng(number))
 
-    over_the_pages(path, Study.of(plan), 16, person)
+    over_the_pages(path, Study.of(plan), 10, person)
     main(["study", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
     main(["study", "export", str(path), str(tmp_path / "out")])
@@ -102,7 +102,7 @@ def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
     assert "Messages" in capsys.readouterr().out
     people = pd.read_csv(tmp_path / "out" / "participants.csv")
     means = people.groupby("condition")[["messages_given", "inexplicable_transitions"]].mean()
-    assert people.groupby("condition").size().tolist() == [8, 8]
+    assert people.groupby("condition").size().tolist() == [5, 5]
     assert means["messages_given"]["personalized"] < means["messages_given"]["conformant"] - 1
     wrong = means["inexplicable_transitions"]
     assert wrong["personalized"] <= wrong["conformant"]

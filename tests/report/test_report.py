@@ -41,7 +41,7 @@ def regret(method, trade_off, seed, trace):
     return base * trade_off + 0.3 * ((seed * 7 + trace * 3) % 5)
 
 
-def test_a_domain_is_called_by_the_name_that_its_configuration_gives(tmp_path, capsys):
+def test_a_domain_is_called_by_the_name_that_its_configuration_gives(tmp_path, capsys, no_pictures):
     """An example is ``domain=pddl domain.name=coffee``; without a name, the chosen file names
     it."""
     chosen = [{"domain": "pddl", "seed": "0"}, {"domain": "pddl", "seed": "1"}, {"domain": "rover"}]
@@ -129,7 +129,7 @@ def test_differences_are_paired(known):
             assert float(row[key]) == pytest.approx(1.5 * trade_off, abs=1e-6)
 
 
-def test_missing_jobs_are_told(sweep):
+def test_missing_jobs_are_told(sweep, no_pictures):
     lost = "domain=rescue,solver=qmdp,lambda=1,seed=2"
     (sweep / "results" / lost / "results.json").unlink()
     (sweep / "jobs" / lost).mkdir(parents=True)
@@ -181,7 +181,7 @@ def test_the_page_is_whole_and_loads_nothing(known):
         assert len({line.get("d") for line in drawn if "L" in line.get("d")}) >= curves
 
 
-def test_the_page_says_who_costs_least_and_how_to_see_an_explanation(tmp_path):
+def test_the_page_says_who_costs_least_and_how_to_see_an_explanation(tmp_path, no_pictures):
     jobs = [
         {"solver": solver, "lambda": trade_off, "seed": seed}
         for solver, trade_off, seed in itertools.product(("qmdp", "qhr"), ("0.5", "1"), "012")
@@ -209,7 +209,7 @@ def test_the_report_is_the_same_bytes_each_time(known):
     assert {path.name: path.read_bytes() for path in report.iterdir()} == before
 
 
-def test_a_report_is_made_again_when_what_it_shows_has_changed(tmp_path, monkeypatch):
+def test_a_report_is_made_again_when_what_it_shows_has_changed(tmp_path, monkeypatch, no_pictures):
     folder = handmade.sweep(tmp_path, [{"solver": own} for own in METHODS], lambda *_: 1.0)
 
     def is_made(measure=None):
@@ -236,7 +236,7 @@ def test_a_report_is_made_again_when_what_it_shows_has_changed(tmp_path, monkeyp
     assert not is_made("cost")
 
 
-def test_only_a_reproduction_of_table_1_says_it_is_one(tmp_path, known):
+def test_only_a_reproduction_of_table_1_says_it_is_one(tmp_path, known, no_pictures):
     handmade.sweep(tmp_path, [{"solver": own} for own in METHODS], lambda values, trace: 1.0)
     write_report(tmp_path)
     for folder, is_one in ((tmp_path, False), (known, True)):

@@ -7,7 +7,6 @@ import importlib
 import json
 import logging
 import os
-import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -19,6 +18,7 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 
 import xplain
+from tests import forked
 from tests.conftest import ROOT
 from tests.runs import sweeps
 from xplain.errors import InputError, XplainError
@@ -45,7 +45,7 @@ Named, Talkative = _own.Named, _own.Talkative
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_pictures: None) -> Path:
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -145,14 +145,16 @@ TEXTS = ["null", "true", "1e3", "ä λ\n", "a\\'b", "${x}".replace("$", "§"), "
 def test_values_arrive_as_they_are_given(here: Path) -> None:
     every = dict.fromkeys(TEXTS, 1.0) | {"of": TEXTS}
     solvers = [Named(text=text, cells=((6, 2),), fees=every) for text in ("null", "1e3")]
-    for seed in (range(2), np.arange(2), [np.int64(0), np.int64(1)]):
-        sweep = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=seed, outputs=here / "a b'c")
-        configs = [run.results.config for run in sweep.runs]
-        assert {config["solver"]["text"] for config in configs} == {"null", "1e3"}
-        assert all(config["solver"]["fees"] == every for config in configs)
-        assert {config["seed"] for config in configs} == {0, 1}
-        assert all(config["solver"]["cells"] == [[6, 2]] for config in configs)
+    sweep = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=range(2), outputs=here / "a b'c")
+    configs = [run.results.config for run in sweep.runs]
+    assert {config["solver"]["text"] for config in configs} == {"null", "1e3"}
+    assert all(config["solver"]["fees"] == every for config in configs)
+    assert {config["seed"] for config in configs} == {0, 1}
+    assert all(config["solver"]["cells"] == [[6, 2]] for config in configs)
     assert sweep.folder.is_relative_to(here / "a b'c")
+    for seed in (np.arange(2), [np.int64(0), np.int64(1)]):
+        again = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=seed, outputs=here / "a b'c")
+        assert again.folder == sweep.folder
     run = xplain.run(*SMALL, trade_off=np.float32(0.5), message_cost={"goals": 2.0, **FEES})
     assert run.results.config["message_cost"]["goals"] == 2.0
     assert run.results.trade_off == 0.5
@@ -199,8 +201,7 @@ if __name__ == "__main__":
 
 def test_a_component_of_the_script_itself_runs_in_this_process(here: Path) -> None:
     (here / "script.py").write_text(SCRIPT.format(small=SMALL, serial=SERIAL))
-    command = [sys.executable, "script.py"]
-    done = subprocess.run(command, env=sweeps.environment(), capture_output=True, text=True)
+    done = forked.captured(here, "script.py")
     assert done.returncode == 0, done.stderr
     said, jobs = done.stdout.splitlines()
     assert said.startswith("said: solver='__main__.Mine': a component from a file")
@@ -225,18 +226,16 @@ def test_a_module_that_was_edited_and_loaded_again_is_another_address(
     assert found[0].metrics["messages"].mean == 0 < found[1].metrics["messages"].mean
 
 
-@pytest.mark.parametrize("ran_before", [True, False])
 def test_a_module_that_was_edited_and_not_loaded_again_is_refused(
-    here: Path, monkeypatch: pytest.MonkeyPatch, ran_before: bool
+    here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its results would be at the address of the new code."""
     monkeypatch.syspath_prepend(str(here))
-    source = here / f"stale_{ran_before}.py"
+    source = here / "stale.py"
     source.write_text("from xplain.solvers.simple import Silent\nclass Mine(Silent): pass\n")
     importlib.invalidate_caches()
     loaded = importlib.import_module(source.stem)
-    if ran_before:
-        xplain.run(*SMALL, solver=loaded.Mine())
+    xplain.run(*SMALL, solver=loaded.Mine())
     os.utime(source, (1, 1))  # copied, and the same
     xplain.run(*SMALL, solver=loaded.Mine(), trade_off=2)
     source.write_text("from xplain.solvers.simple import SayAll\nclass Mine(SayAll): pass\n")
@@ -261,7 +260,9 @@ def test_a_program_keeps_its_own_settings(monkeypatch: pytest.MonkeyPatch) -> No
     before, level = dict(matplotlib.rcParams), logging.getLogger("mlflow").level
     variables = {name for name in os.environ if name.startswith("MLFLOW")}
     monkeypatch.setattr(sys, "stderr", Tee())
+    hydra = GlobalHydra.instance().hydra
     xplain.run(*SMALL).plot()
+    assert GlobalHydra.instance().hydra is hydra
     assert dict(matplotlib.rcParams) == before
     assert logging.getLogger("mlflow").level == level
     assert {name for name in os.environ if name.startswith("MLFLOW")} == variables
@@ -269,16 +270,10 @@ def test_a_program_keeps_its_own_settings(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_two_threads_have_the_runs_that_each_asked_for() -> None:
     def started(solver: str) -> str:
-        return xplain.sweep(*SMALL, SERIAL, solver=solver, trade_off=[1, 2]).runs[1].results.solver
+        return xplain.sweep(*SMALL, SERIAL, solver=solver, trade_off=[1]).runs[0].results.solver
 
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(started, ("qhr", "silent"))) == ["qhr", "silent"]
-
-
-def test_a_program_that_uses_hydra_itself_keeps_its_own() -> None:
-    kept = GlobalHydra.instance().hydra
-    xplain.run(*SMALL)
-    assert GlobalHydra.instance().hydra is kept
 
 
 def test_the_cells_of_the_notebook_run(here: Path) -> None:

@@ -158,6 +158,7 @@ def test_a_reader_who_leaves_costs_no_results(tmp_path: Path) -> None:
     assert "Traceback" not in error
     (results,) = tmp_path.glob("outputs/runs/*/results.json")
     assert results.stat().st_size > 1000
+    assert results.with_name("trace.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("launcher", ["hydra/launcher=basic", "hydra.launcher.n_jobs=1"])
