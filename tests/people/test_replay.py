@@ -159,5 +159,5 @@ def test_what_a_page_reports_is_told_in_the_consent_and_exported(kind: str, tmp_
     exported = (tmp_path / "out" / "events.csv").read_text()
     assert [one for one in kinds if f"seen {one}" not in exported] == []
     shipped = " ".join(compose_config(kind, []).wording.consent)
-    for stored in ("click", "hidden", "look up", "recruiting platform", "reference", "erase"):
+    for stored in ("click", "hides it", "look up", "recruiting platform", "reference", "erase"):
         assert stored in shipped, stored
