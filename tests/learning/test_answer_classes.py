@@ -77,7 +77,7 @@ def test_what_is_expected_is_that_of_all_partitions() -> None:
             total += weight
             number[len(member)] += weight
             expected += weight * ((first + ones) / (c + ones + zeros))[partition]
-    found = answer_classes(data, 1.0, 40, 0)
+    found = answer_classes(data, 1.0, 20, 0)
     assert found.expected == pytest.approx(expected / total, abs=0.02)
     for k, share in found.posterior.items():
         assert share == pytest.approx(number[k] / total, abs=0.03)
