@@ -108,7 +108,7 @@ def test_every_method_bears_what_people_do(run, tmp_path: Path, caplog, method: 
     pd.concat(own).to_csv(tmp_path / "labels.csv", index=False)
     code, out, err = run("discover", "data=labels.csv", f"clusterer={method}")
     assert code == 0, err
-    assert "1 observers gave one label only" in caplog.text
+    assert "1 observers gave only one label" in caplog.text
     assert "answered both ways by one observer" in caplog.text
     answer = json.loads(out.splitlines()[-1])
     assert len(answer["assignment"]) == 5
