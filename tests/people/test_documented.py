@@ -1,4 +1,4 @@
-"""The commands accept all keys that the pages on a study and a collection name."""
+"""The commands accept all that pages and comments on a study and a collection name."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 from xplain.cli.people import load_config, server_of
+from xplain.experiment.config import CONF
+from xplain.people.plan import LabQuestion, make_typed
 from xplain.people.study.flow import ENDS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -41,3 +44,17 @@ def test_every_ending_can_have_a_code_of_its_own(kind: str) -> None:
         codes = server_of(load_config(kind, [f"server.codes={{{ending}: ABC}}"])).codes
         assert codes[ending] == "ABC"
         assert codes == dict.fromkeys((*ENDS, "full"), "") | {ending: "ABC"}
+
+
+COMMENTED = ("study.yaml", "collect/texts/en.yaml")
+EXAMPLES = [
+    (file, found)
+    for file in COMMENTED
+    for found in re.findall(r"^#\s+- (\{name: .*\})$", (CONF / file).read_text("utf-8"), re.M)
+]
+
+
+@pytest.mark.parametrize(("file", "example"), EXAMPLES)
+def test_commented_questions_can_be_asked(file: str, example: str) -> None:
+    question = make_typed(LabQuestion, "questions", yaml.safe_load(example))
+    assert question.label[0].isupper()

@@ -80,22 +80,22 @@ def unchanged(folder: Path) -> Iterator[None]:
     assert {name: after.get(name) for name in before} == before
 
 
-@pytest.mark.parametrize("place", [".", "mine"])
 @pytest.mark.parametrize(
-    "words",
+    ("place", "words"),
     [
-        ("dry_run=true",),
-        ("lambda=-1",),
-        ("lambda=abc",),
-        ("lambda=1,2",),
-        ("solver=nonsense",),
-        ("domain.map=S",),
-        ("observers=file", "observers.path=absent.csv"),
-        ("users=explicit", "users.groups={}"),
-        ("-m", "lambda=1,2", "dry_run=true"),
-        ("-m", "lambda=1,-2"),
+        (".", ("dry_run=true",)),
+        (".", ("lambda=-1",)),
+        ("mine", ("dry_run=true",)),
+        ("mine", ("lambda=-1",)),
+        ("mine", ("lambda=abc",)),
+        ("mine", ("lambda=1,2",)),
+        ("mine", ("solver=nonsense",)),
+        ("mine", ("domain.map=S",)),
+        ("mine", ("observers=file", "observers.path=absent.csv")),
+        ("mine", ("users=explicit", "users.groups={}")),
+        (".", ("-m", "lambda=1,2", "dry_run=true")),
+        ("mine", ("-m", "lambda=1,-2")),
     ],
-    ids=" ".join,
 )
 def test_refusals_and_dry_runs_leave_a_users_files(
     tmp_path: Path, place: str, words: tuple[str, ...]
