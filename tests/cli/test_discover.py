@@ -172,9 +172,9 @@ def test_true_labels_are_nothing_that_a_file_of_labels_can_be_learned_with(run) 
     ("text", "named"),
     [
         ("flood: Beware.", "flood"),
-        ("- fire", "what to say"),
-        ("fire: [1]", "what to say"),
-        (None, "what to say"),
+        ("- fire", "a line for each message"),
+        ("fire: [1]", "a line for each message"),
+        (None, "a line for each message"),
     ],
 )
 def test_sentences_that_cannot_be_used_are_refused(tmp_path: Path, text: str, named: str) -> None:
