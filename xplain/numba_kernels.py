@@ -37,10 +37,10 @@ def kernel(function: Callable[..., Any]) -> Any:
     digest = sha256(b"".join(Path(file).read_bytes() for file in sorted(files))).hexdigest()[:12]
     function.__qualname__ += f"_{digest}"
     try:
-        return numba.njit(cache=True, nogil=True)(function)
+        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError as error:
         log.warning("every process compiles the kernels again (%s): set NUMBA_CACHE_DIR", error)
-        return numba.njit(nogil=True)(function)
+        return numba.njit(nogil=True, error_model="numpy")(function)
 
 
 class _Compilation(event.Listener):  # type: ignore[misc]

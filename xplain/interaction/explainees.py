@@ -66,7 +66,7 @@ class Person(Protocol):
         raise InputError("explainee", type(self).__name__, "one who answers questions; ask=never")
 
 
-class Explainee(Protocol):
+class Explainee:
     """A kind of user. Subclasses inherit what they do not define.
 
     Attributes:
@@ -103,7 +103,7 @@ class Explainee(Protocol):
         return labels
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """Makes a new person, by default one who says what they think.
+        """Makes a new person, by default a :class:`SimulatedUser` of this kind.
 
         Args:
             labels: labels 0 and 1 of one type, for m transitions and then for the possible
@@ -112,23 +112,69 @@ class Explainee(Protocol):
                 labels and errors to equal ones.
             seed: the person's seed.
         """
-        return SimulatedUser(self.thoughts(labels, same, seed))
+        return SimulatedUser(self.thoughts(labels, same, seed), self, same, seed)
+
+    def hear(self, user: SimulatedUser, new: int) -> None:
+        """Changes what a user knows, or remembers, after messages (a bitmask)."""
+
+    def find_known(self, user: SimulatedUser, given: int) -> int:
+        """Returns a bitmask of the facts that a user knows after the messages ``given``."""
+        return given
+
+    def say(
+        self,
+        user: SimulatedUser,
+        thoughts: NDArray[np.uint8],
+        rows: NDArray[np.int64],
+        given: int,
+        *when: int | str,
+    ) -> NDArray[np.uint8]:
+        """Returns a user's answers about some rows of the table, given their thoughts about these.
+
+        Args:
+            user: the user.
+            thoughts: the labels that the user truly thinks.
+            rows: rows of the table: transitions, or questions.
+            given: bitmask of the messages.
+            when: the step, or the question.
+        """
+        return thoughts
+
+    def end_step(self, user: SimulatedUser, known: int, thoughts: NDArray[np.uint8]) -> None:
+        """Changes what a user knows, or remembers, after a step's answers.
+
+        Args:
+            user: the user.
+            known: bitmask of the facts that they knew at this step.
+            thoughts: what they thought of the transitions.
+        """
+
+
+@dataclass(frozen=True)
+class Exact(Explainee):
+    """The paper's users."""
 
 
 @dataclass
 class SimulatedUser(Person):
-    """Accepts each message at once and for ever, and answers by the true labels of one user type.
-
-    Subclasses for other people override what they know (:meth:`find_known`) or what they say
-    (:meth:`say`).
+    """A person of any kind. By default they accept each message at once and for ever, and answer by
+    the true labels of one user type.
 
     Attributes:
         table: label table of this type alone.
+        kind: decides what they know and what they say.
+        same, seed: see :meth:`Explainee.meet`.
         step: number of transitions shown so far.
+        memory: numbers that the kind remembers, by message.
     """
 
     table: LabelTable
+    kind: Explainee = Exact()
+    same: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    seed: int = 0
+    knows: int | None = field(default=None, init=False)
     step: int = field(default=0, init=False)
+    memory: Counter[int] = field(default_factory=Counter, init=False)
 
     @classmethod
     def of(cls, labels: ArrayLike) -> SimulatedUser:
@@ -140,42 +186,23 @@ class SimulatedUser(Person):
         labels = self.table.label_probabilities(count, message_set)[0]
         return labels.astype(np.uint8)
 
-    def find_known(self, given: int) -> int:
-        """Bitmask of the facts that the user knows after the messages ``given``."""
-        return given
-
-    def say(
-        self, thoughts: NDArray[np.uint8], rows: NDArray[np.int64], given: int, *when: int | str
-    ) -> NDArray[np.uint8]:
-        """Returns the user's answers about some rows of the table, given their thoughts about
-        these.
-
-        Args:
-            thoughts: the labels that the user truly thinks.
-            rows: rows of the table: transitions, or questions.
-            given: bitmask of the messages.
-            when: the step, or the question.
-        """
-        return thoughts
-
     def hear(self, new: int) -> None:
-        """Does nothing, because ``given`` says what the user knows."""
+        """See :class:`Person`."""
+        self.kind.hear(self, new)
 
     def react(self, given: int, count: int) -> Reaction:
         """See :class:`Person`."""
         self.step = count
-        thoughts = self.labels(count, self.find_known(given))
-        return Reaction(thoughts, self.say(thoughts, np.arange(count), given, count))
+        known = self.kind.find_known(self, given)
+        thoughts = self.labels(count, known)
+        answers = self.kind.say(self, thoughts, np.arange(count), given, count)
+        self.kind.end_step(self, known, thoughts)
+        return Reaction(thoughts, answers)
 
     def answer(self, row: int, given: int) -> int:
         """See :class:`Person`."""
-        thought = self.labels(row + 1, self.find_known(given))[row:]
-        return int(self.say(thought, np.array([row]), given, "asked", row)[0])
-
-
-@dataclass(frozen=True)
-class Exact(Explainee):
-    """The paper's users."""
+        thought = self.labels(row + 1, self.kind.find_known(self, given))[row:]
+        return int(self.kind.say(self, thought, np.array([row]), given, "asked", row)[0])
 
 
 @checks("explainee")
@@ -196,25 +223,19 @@ class Slips(Explainee):
     polite: Probability = 0.0
     tires: Probability = 0.0
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """See :class:`Explainee`."""
-        return _Slipping(labels, self, same, seed)
-
-
-@dataclass
-class _Slipping(SimulatedUser):
-    how: Slips
-    same: NDArray[np.int64]
-    seed: int
-
     def say(
-        self, thoughts: NDArray[np.uint8], rows: NDArray[np.int64], given: int, *when: int | str
+        self,
+        user: SimulatedUser,
+        thoughts: NDArray[np.uint8],
+        rows: NDArray[np.int64],
+        given: int,
+        *when: int | str,
     ) -> NDArray[np.uint8]:
-        rate, times = self.how.rate, () if self.how.repeats else when
-        if self.how.tires:
-            rate = max(rate, min(rate + self.how.tires * self.step, 0.5))
-        drawn = stream(self.seed, "slips", given, *times).random(len(self.same))[self.same[rows]]
-        return thoughts ^ (drawn < np.where(thoughts == 0, max(rate, self.how.polite), rate))
+        """See :class:`Explainee`."""
+        times = () if self.repeats else when
+        rate = max(self.rate, min(self.rate + self.tires * user.step, 0.5))
+        drawn = stream(user.seed, "slips", given, *times).random(len(user.same))[user.same[rows]]
+        return thoughts ^ (drawn < np.where(thoughts == 0, max(rate, self.polite), rate))
 
 
 @checks("explainee")
@@ -228,21 +249,17 @@ class Sticky(Explainee):
 
     rate: Probability = 0.4
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """See :class:`Explainee`."""
-        return _Sticky(labels, self.rate, seed)
-
-
-@dataclass
-class _Sticky(SimulatedUser):
-    rate: float
-    seed: int
-
     def say(
-        self, thoughts: NDArray[np.uint8], rows: NDArray[np.int64], given: int, *when: int | str
+        self,
+        user: SimulatedUser,
+        thoughts: NDArray[np.uint8],
+        rows: NDArray[np.int64],
+        given: int,
+        *when: int | str,
     ) -> NDArray[np.uint8]:
+        """See :class:`Explainee`."""
         answers = thoughts.copy()
-        repeated = stream(self.seed, "sticky", given, *when).random(len(rows)) < self.rate
+        repeated = stream(user.seed, "sticky", given, *when).random(len(rows)) < self.rate
         for i in np.flatnonzero(repeated[1:]) + 1:
             answers[i] = answers[i - 1]
         return answers
@@ -308,29 +325,17 @@ class LearnsUntold(Explainee):
 
     after: Count = 2
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """See :class:`Explainee`."""
-        return _LearningUntold(labels, self.after)
-
-
-@dataclass
-class _LearningUntold(SimulatedUser):
-    """A person of :class:`LearnsUntold`; ``mattered`` has the first step at which each message
-    would have changed a label."""
-
-    after: int
-    mattered: dict[int, int] = field(default_factory=dict)
-
-    def find_known(self, given: int) -> int:
-        found = (j for j, step in self.mattered.items() if self.step >= step + self.after)
+    def find_known(self, user: SimulatedUser, given: int) -> int:
+        """See :class:`Explainee`. The user remembers the first step at which each message would
+        have changed a label."""
+        found = (j for j, step in user.memory.items() if user.step >= step + self.after)
         return given | sum(1 << j for j in found)
 
-    def react(self, given: int, count: int) -> Reaction:
-        reaction, known = super().react(given, count), self.find_known(given)
-        for j in indices(sum(1 << j for j in self.table.rows[0]) & ~known):
-            if (self.labels(count, known | 1 << j) != reaction.thoughts).any():
-                self.mattered.setdefault(j, count)
-        return reaction
+    def end_step(self, user: SimulatedUser, known: int, thoughts: NDArray[np.uint8]) -> None:
+        """See :class:`Explainee`."""
+        for j in indices(sum(1 << j for j in user.table.rows[0]) & ~known):
+            if (user.labels(user.step, known | 1 << j) != thoughts).any():
+                user.memory.setdefault(j, user.step)
 
 
 @checks("explainee")
@@ -351,38 +356,25 @@ class Heedless(Explainee):
         """See :class:`Explainee`."""
         return habits_of(0.0, self.accept, self.forget)
 
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """See :class:`Explainee`."""
-        return _Heedless(labels, self, seed)
-
-
-@dataclass
-class _Heedless(SimulatedUser):
-    """A person of :class:`Heedless`; ``told`` counts how often each message was given."""
-
-    how: Heedless
-    seed: int
-    knows: int = 0
-    told: Counter[int] = field(default_factory=Counter)
-
-    def hear(self, new: int) -> None:
+    def hear(self, user: SimulatedUser, new: int) -> None:
+        """See :class:`Explainee`. The user remembers how often each message was given."""
         for j in indices(new):
-            self.told[j] += 1
-            if self._by_chance("accept", j, self.told[j], self.how.accept):
-                self.knows |= 1 << j
+            user.memory[j] += 1
+            if stream(user.seed, "accept", j, user.memory[j]).random() < self.accept:
+                user.knows = self.find_known(user, new) | 1 << j
 
-    def find_known(self, given: int) -> int:
-        return self.knows
+    def find_known(self, user: SimulatedUser, given: int) -> int:
+        """See :class:`Explainee`."""
+        return user.knows or 0
 
-    def react(self, given: int, count: int) -> Reaction:
-        reaction = super().react(given, count)
-        for j in indices(self.knows):
-            if self._by_chance("forget", j, count, self.how.forget):
-                self.knows &= ~(1 << j)
-        return reaction
-
-    def _by_chance(self, what: str, message: int, time: int, chance: float) -> bool:
-        return bool(stream(self.seed, what, message, time).random() < chance)
+    def end_step(self, user: SimulatedUser, known: int, thoughts: NDArray[np.uint8]) -> None:
+        """See :class:`Explainee`."""
+        forgotten = [
+            j
+            for j in indices(known)
+            if stream(user.seed, "forget", j, user.step).random() < self.forget
+        ]
+        user.knows = known & ~sum(1 << j for j in forgotten)
 
 
 class _Others(Exact):

@@ -104,23 +104,11 @@ class GivenTypes:
         if any(facts) != all(facts) or len(self.wrong or self.names) != len(self.names):
             wanted = f"of {len(self.names)} types, with about_everything"
             raise InputError("wrong", self.wrong, wanted)
-        if not callable(self.table) and not self._fitting(self.table, len(self.names)).p.any():
+        if callable(self.table):
+            return
+        self.label_table(())
+        if not np.any(self.table.p if isinstance(self.table, LabelTable) else self.table):
             raise InputError("table", 0, "probabilities that a label is 1; all of these are 0")
-
-    def _fitting(self, table: ArrayLike | LabelTable, types: int) -> LabelTable:
-        """Checks that a table has these types and messages.
-
-        Raises:
-            InputError: it has other numbers of them.
-        """
-        n = len(self.messages)
-        made = table if isinstance(table, LabelTable) else LabelTable.dense(table)
-        if made.n_types != types:
-            raise InputError("table", made.n_types, f"{types} types, as there are names")
-        if not isinstance(table, LabelTable) and made.relevant.shape[1] != n:
-            wanted = f"2**{n} = {1 << n} sets of {n} messages, as there are names"
-            raise InputError("table", 1 << made.relevant.shape[1], wanted)
-        return made
 
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
         """See :class:`Types`.
@@ -128,24 +116,34 @@ class GivenTypes:
         Raises:
             InputError: an index outside the table.
         """
-        return self._of(self.table, transitions, len(self.names))
+        return self._rows(self.table, transitions, len(self.names))
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
         """See :class:`Types`."""
         about = self.about_everything
-        return None if about is None else self._of(about, transitions, 1)
+        return None if about is None else self._rows(about, transitions, 1)
 
-    def _of(self, given: Any, transitions: Sequence[Any], types: int) -> LabelTable:
-        if callable(given):
-            made = self._fitting(given(transitions), types)
-            if len(made.p) != len(transitions):
-                raise InputError("table", len(made.p), f"{len(transitions)} rows, one a transition")
-            return made
-        table = self._fitting(given, types)
-        last = len(table.p) - 1
-        for index in transitions:
-            whole_number("trace", index, 0, last)
-        return table.of_steps(transitions)
+    def _rows(self, given: Any, transitions: Sequence[Any], types: int) -> LabelTable:
+        """The rows of these transitions in a table, or of a function.
+
+        Raises:
+            InputError: other numbers of types, messages or transitions.
+        """
+        rows = given(transitions) if callable(given) else given
+        table = rows if isinstance(rows, LabelTable) else LabelTable.dense(rows)
+        n, width = len(self.messages), table.relevant.shape[1]
+        if table.n_types != types:
+            raise InputError("table", table.n_types, f"{types} types, as there are names")
+        if table is not rows and width != n:
+            wanted = f"2**{n} = {1 << n} sets of {n} messages, as there are names"
+            raise InputError("table", 1 << width, wanted)
+        if not callable(given):
+            for index in transitions:
+                whole_number("trace", index, 0, len(table.p) - 1)
+            return table.of_steps(transitions)
+        if len(table.p) != len(transitions):
+            raise InputError("table", len(table.p), f"{len(transitions)} rows, one a transition")
+        return table
 
 
 @checks()

@@ -26,18 +26,15 @@ RATIOS = (
 """Figures that compare the costs of two solvers of the records."""
 
 
-SIGNED = ("regret",)
-"""Measures that may be negative: the oracle's labelers err, so a plan can have a lower cost by
-chance."""
-SHARES = ("final_belief", "fit")
+RANGES: dict[str, Range] = {"regret": ANY, "final_belief": (0.0, 1.0), "fit": (0.0, 1.0)}
+"""Ranges of measures that are no costs. A regret may be negative: the oracle's labelers err, so a
+plan can have a lower cost by chance."""
 
 
 def possible(measure: str) -> Range:
     """The range of a measure of an episode. Costs below the clairvoyant's are exceptions: they
     occur because plans are discounted and costs are not."""
-    if measure in SIGNED:
-        return ANY
-    return (0.0, 1.0) if measure in SHARES else (0.0, np.inf)
+    return RANGES.get(measure, (0.0, np.inf))
 
 
 @dataclass(frozen=True)

@@ -120,6 +120,9 @@ class Session:
         begin: makes the dialogue about the known transitions, after some events.
         trace: the known transitions.
         expected_steps, clips: see :meth:`xplain.Explainer.session`.
+
+    Attributes:
+        trace: all transitions known so far, in order, as given.
     """
 
     def __init__(
@@ -130,10 +133,10 @@ class Session:
         clips: tuple[Candidate, ...],
     ) -> None:
         self._begin = begin
-        self._trace = tuple(trace)
+        self.trace = tuple(trace)
         self._expected_steps = expected_steps
         self._clips = clips
-        self._talk = begin(self._trace, ())
+        self._talk = begin(self.trace, ())
 
     def restart(self) -> Session:
         """Begins to explain the same trace to another person. Both share its plan, whose decisions
@@ -143,11 +146,6 @@ class Session:
         return other
 
     @property
-    def trace(self) -> tuple[Any, ...]:
-        """All transitions known so far, in order, as given."""
-        return self._trace
-
-    @property
     def shown(self) -> int:
         """Number of transitions that are shown to the user at this step."""
         return self._talk.state.visible.step + (not self.finished)
@@ -155,7 +153,7 @@ class Session:
     @property
     def finished(self) -> bool:
         """True if the user has labelled all known transitions."""
-        return self._talk.state.visible.step == len(self._trace)
+        return self._talk.state.visible.step == len(self.trace)
 
     @property
     def said(self) -> tuple[str, ...]:
@@ -202,8 +200,8 @@ class Session:
             InputError: a transition that ``types`` does not accept.
         """
         if new := [plain(row) for row in transitions]:
-            self._talk = self._begin((*self._trace, *new), self._talk.events)
-            self._trace = (*self._trace, *new)
+            self._talk = self._begin((*self.trace, *new), self._talk.events)
+            self.trace = (*self.trace, *new)
 
     def next(self) -> Move:
         """Returns the next action: ask a question, then call :meth:`answer`; or say messages and
@@ -253,7 +251,7 @@ class Session:
         """
         if self._talk.state.new is None:
             if self.finished:
-                raise InputError("session", len(self._trace), "is finished; extend the trace first")
+                raise InputError("session", len(self.trace), "is finished; extend the trace first")
             self._decide(asking=False)
         return self._names(self._talk.state.new or 0)
 
@@ -344,7 +342,7 @@ class Session:
             "format": FORMAT,
             "messages": talk.problem.message_names,
             "types": talk.problem.found_types,
-            "trace": self._trace,
+            "trace": self.trace,
             "expected_steps": self._expected_steps,
             "clips": [[clip.transition, clip.text, clip.right] for clip in self._clips],
             "events": list(zip(kinds, contents, strict=True)),
@@ -352,7 +350,7 @@ class Session:
         try:
             return json.dumps(state)
         except TypeError as error:
-            first = [*self._trace, *(clip.transition for clip in self._clips)][0]
+            first = [*self.trace, *(clip.transition for clip in self._clips)][0]
             raise InputError("trace", first, f"transitions for JSON ({error})") from None
 
     def _decide(self, asking: bool) -> None:

@@ -23,22 +23,19 @@ class Estimate:
     high: float
 
 
-def half_width(error: float, freedom: int, level: float = 0.95) -> float:
-    """The number after ±: half of Student's interval of a mean.
+def half_width(error: float, freedom: int) -> float:
+    """The number after ±: half of Student's 95 % interval of a mean.
 
     Args:
         error: standard error of the mean.
         freedom: degrees of freedom of that error, ≥ 1.
-        level: level of the interval.
     """
     from scipy.special import stdtrit
 
-    return float(stdtrit(freedom, 0.5 + level / 2)) * error
+    return float(stdtrit(freedom, 0.975)) * error
 
 
-def clustered_ratio(
-    above: ArrayLike, below: ArrayLike, clusters: ArrayLike, level: float = 0.95
-) -> Estimate:
+def clustered_ratio(above: ArrayLike, below: ArrayLike, clusters: ArrayLike) -> Estimate:
     """Ratio of two means of numbers ≥ 0, measured on the same episodes.
 
     The interval is the linearised one: the quantity R + (a − R b) / mean(b) has the mean R and, in
@@ -46,18 +43,16 @@ def clustered_ratio(
 
     Args:
         above, below: [E]; the mean of ``below`` is above 0.
-        clusters, level: see :func:`clustered_mean`.
+        clusters: see :func:`clustered_mean`.
     """
     above, below = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
     ratio = above.mean() / below.mean()
-    found = clustered_mean(ratio + (above - ratio * below) / below.mean(), clusters, level)
+    found = clustered_mean(ratio + (above - ratio * below) / below.mean(), clusters)
     return Estimate(float(ratio), float(np.maximum(found.low, 0)), found.high)
 
 
-def clustered_mean(
-    values: ArrayLike, clusters: ArrayLike, level: float = 0.95, possible: Range = ANY
-) -> Estimate:
-    """Mean of values with a t interval from the spread of cluster means.
+def clustered_mean(values: ArrayLike, clusters: ArrayLike, possible: Range = ANY) -> Estimate:
+    """Mean of values with a 95 % t interval from the spread of cluster means.
 
     Episodes on one trace share its difficulty, so the trace (in a sweep: seed and trace) is the
     sampled unit: the variance of the mean comes from clusters, not from episodes.
@@ -65,7 +60,6 @@ def clustered_mean(
     Args:
         values: [E].
         clusters: [E] the same number for values of one cluster.
-        level: level of the interval.
         possible: range of the quantity; the interval is cut at it. (An observed value outside
             extends the range.)
     """
@@ -79,7 +73,7 @@ def clustered_mean(
     # Total residual of each cluster: exact for equal sizes, the usual ratio estimate otherwise.
     totals = np.bincount(index, weights=values - mean)
     variance = groups / (groups - 1) * float((totals**2).sum()) / len(values) ** 2
-    half = half_width(variance**0.5, groups - 1, level)
+    half = half_width(variance**0.5, groups - 1)
     least = min(possible[0], float(values.min()))
     most = max(possible[1], float(values.max()))
     return Estimate(mean, max(mean - half, least), min(mean + half, most))

@@ -73,6 +73,7 @@ TAIL = 0.6
 """The share of the gap that may come from the answers that are treated as one."""
 SAME = 1e-9
 """Beliefs whose entries all differ by less than this are the same."""
+NOTHING = np.empty(0, np.int64)
 Gap = Annotated[float, Range(1e-9)]
 
 
@@ -243,15 +244,24 @@ class _Search:
     ) -> None:
         self.began, self.effort, self.told = time.perf_counter(), effort, told
         self.process, self.tables, self.kept = known.process, known.tables, known.kept
-        self.missed = None if self.process.jump is None else True
         self.store, self.answers = _store(self.tables, len(belief)), 256
-        given = compress(before_step(self.process, visible.given), self.kept)
-        start = np.ascontiguousarray(belief, dtype=np.float64)
-        words = _words(self.tables, visible.asked)
-        kernel.make_root(self.tables, self.store, visible.step, given, start, words)
+        self._make_root(visible, belief)
         self.backed_up = 1  # number of nodes when all were backed up last
         # Coarse before fine: a trial for the final gap would refine actions that are excluded later
         self.asked = max(float(effort.gap), self.gap / COARSER)
+
+    def _make_root(self, visible: VisibleState, belief: NDArray[np.float64]) -> None:
+        """Makes the first node, with the bounds of known states and of plans."""
+        step, given = visible.step, compress(before_step(self.process, visible.given), self.kept)
+        cells = given * self.tables.width + np.arange(len(belief))
+        plans = self.tables.plans[:, step, cells]
+        values = plans @ belief
+        upper = self.tables.model.value[step, cells] @ belief
+        lower = min(values.max(), upper)
+        self.store.nodes[ROOT] = upper, lower, step, given, kernel.NONE, 0, kernel.SILENCE
+        self.store.belief[ROOT], self.store.alpha[ROOT] = belief, plans[values.argmax()]
+        self.store.asked[ROOT] = _words(self.tables, visible.asked)
+        self.store.used[NODES] = 1
 
     @property
     def gap(self) -> float:
@@ -265,8 +275,8 @@ class _Search:
         limits = effort.nodes, CHUNK
         while True:
             scratch = _scratch(self.tables, self.store, self.answers)
-            where = self.tables, self.store, scratch, self.missed
-            status = kernel.sample(*where, self.asked, tail_gap, *limits)
+            where = self.tables, self.store, scratch
+            status = kernel.sample(*where, NOTHING, 0.0, self.asked, tail_gap, *limits)
             if status == FULL and self._grow():
                 continue
             if self.told is not None:
@@ -289,8 +299,8 @@ class _Search:
         nodes = self.store.nodes[: self.backed_up]
         asked = np.bitwise_count(self.store.asked[: self.backed_up]).sum(axis=1)
         order = np.lexsort((-asked.astype(np.int64), -nodes["step"]))
-        least = kernel.NEWS * self.effort.gap
-        kernel.back_up_all(self.tables, self.store, scratch, self.missed, order, least)
+        where, least = (self.tables, self.store, scratch), kernel.NEWS * self.effort.gap
+        kernel.sample(*where, order, least, math.inf, 0.0, 0, 0)
 
     def _grow(self) -> bool:
         """Enlarges the store. Returns False if that would take more memory than allowed."""

@@ -1,8 +1,7 @@
 """The compiled search of :mod:`xplain.solvers.hsvi`: sample, back up, share.
 
-numba compiles this source once for each kind of problem. ``missed`` is None if messages land, and
-True if messages may be missed or forgotten: then they change the hidden state. numba removes the
-branches of a None.
+``tables.width`` is 0 if messages may be missed or forgotten: then they change the hidden state, and
+branches for this case move beliefs and average values over it.
 
 A node is a belief at (k, v) before a step's messages. Between two *explain* actions only questions
 bring information, so an action is either a set of messages (the cheapest first) followed by
@@ -191,36 +190,23 @@ class Scratch(NamedTuple):
 
 
 @kernel
-def sample(tables, store, scratch, missed, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
-    """Runs trials from the root until its gap is at most ``gap``, ``opened`` nodes are opened, or
+def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
+    """Backs up nodes, after tightening them by the bounds that their places have published. Then
+    runs trials from the root until its gap is at most ``gap``, ``opened`` nodes are opened, or
     ``work`` more work was done.
+
+    Args:
+        tables, store, scratch: the data, the results so far, and scratch memory.
+        order: the nodes to back up, later steps first.
+        least: the improvement that is published when they are backed up (:func:`_publish`).
+        gap, opened, work: the limits of the trials.
+        tail_gap: see :func:`_expand`.
 
     Returns:
         DONE, WORKING (call again), or FULL (grow the store and the scratch, call again).
     """
     tables, store, scratch = borrow((tables, store, scratch))
     _rehash(store)
-    stop, root, status = store.used[WORK] + work, store.nodes[ROOT], DONE
-    while root.first_action < 0 or (root.upper - root.lower > gap and store.used[OPENED] < opened):
-        if store.used[WORK] >= stop:
-            status = WORKING
-            break
-        found = store.used[OPENED] + store.used[ANSWERS]
-        last = _walk_down(tables, store, scratch, missed, gap, tail_gap)
-        moved = _walk_up(tables, store, scratch, missed, last, NEWS * gap)
-        if scratch.taken[last] == NO_ROOM:
-            status = FULL
-            break
-        if not moved and found == store.used[OPENED] + store.used[ANSWERS]:
-            break  # rounding is all that is left
-    return status
-
-
-@kernel
-def back_up_all(tables, store, scratch, missed, order, least):  # type: ignore[no-untyped-def]
-    """Backs up every open node, after tightening it by the bounds that its place has published. The
-    array ``order`` lists all nodes, later steps first; ``least`` is that of :func:`_publish`."""
-    tables, store, scratch = borrow((tables, store, scratch))
     for index in order:
         node = store.nodes[index]
         upper, lower = node.upper, node.lower
@@ -229,7 +215,21 @@ def back_up_all(tables, store, scratch, missed, order, least):  # type: ignore[n
             if store.actions[a].first_answer >= 0:
                 _back_up(store, index, a)
         if node.first_action >= 0:
-            _publish(tables, store, scratch, missed, index, upper, lower, least)
+            _publish(tables, store, scratch, index, upper, lower, least)
+    stop, root, status = store.used[WORK] + work, store.nodes[ROOT], DONE
+    while root.first_action < 0 or (root.upper - root.lower > gap and store.used[OPENED] < opened):
+        if store.used[WORK] >= stop:
+            status = WORKING
+            break
+        found = store.used[OPENED] + store.used[ANSWERS]
+        last = _walk_down(tables, store, scratch, gap, tail_gap)
+        moved = _walk_up(tables, store, scratch, last, NEWS * gap)
+        if scratch.taken[last] == NO_ROOM:
+            status = FULL
+            break
+        if not moved and found == store.used[OPENED] + store.used[ANSWERS]:
+            break  # rounding is all that is left
+    return status
 
 
 @kernel
@@ -260,15 +260,8 @@ def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[n
                     plans[u, k, at + t] = value
 
 
-@kernel
-def make_root(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
-    """Makes the first node."""
-    tables, store = borrow((tables, store))
-    _get_node(tables, store, step, given, belief, asked)
-
-
 @part
-def _walk_down(tables, store, scratch, missed, gap, tail_gap):  # type: ignore[no-untyped-def]
+def _walk_down(tables, store, scratch, gap, tail_gap):  # type: ignore[no-untyped-def]
     """Runs one trial. At each node it takes the action with the best upper bound, then the answer
     whose gap exceeds the allowed gap most, weighted by probability. Returns the last level
     visited."""
@@ -276,7 +269,7 @@ def _walk_down(tables, store, scratch, missed, gap, tail_gap):  # type: ignore[n
     while True:
         node = store.nodes[index]
         scratch.path[level], scratch.gaps[level] = index, node.upper - node.lower
-        a = _settle(tables, store, scratch, missed, index, allowed, tail_gap)
+        a = _settle(tables, store, scratch, index, allowed, tail_gap)
         scratch.taken[level] = a
         if a < 0:
             break
@@ -298,7 +291,7 @@ def _walk_down(tables, store, scratch, missed, gap, tail_gap):  # type: ignore[n
 
 
 @part
-def _walk_up(tables, store, scratch, missed, last, least):  # type: ignore[no-untyped-def]
+def _walk_up(tables, store, scratch, last, least):  # type: ignore[no-untyped-def]
     """Backs up the nodes of a trial, and publishes improved bounds. Returns whether a bound
     changed."""
     moved = False
@@ -310,17 +303,17 @@ def _walk_up(tables, store, scratch, missed, last, least):  # type: ignore[no-un
             _back_up(store, index, a)
             # The node's own bounds may come from other nodes of its place, and so hide this change.
             moved = moved or store.actions[a].upper < before
-            _publish(tables, store, scratch, missed, index, upper, lower, least)
+            _publish(tables, store, scratch, index, upper, lower, least)
         moved = moved or node.upper - node.lower < scratch.gaps[level]
     return moved
 
 
 @part
-def _settle(tables, store, scratch, missed, index, allowed, tail_gap):  # type: ignore[no-untyped-def]
+def _settle(tables, store, scratch, index, allowed, tail_gap):  # type: ignore[no-untyped-def]
     """Opens a node, and expands its best action until the best action is an expanded one. Returns
     that action; CLOSED if the node's gap is small enough, NO_ROOM if the store is full."""
     node, chosen = store.nodes[index], np.int64(CLOSED)
-    if node.first_action < 0 and not _open(tables, store, scratch, missed, index):
+    if node.first_action < 0 and not _open(tables, store, scratch, index):
         chosen = np.int64(NO_ROOM)
     else:
         _tighten(tables, store, index)
@@ -335,14 +328,14 @@ def _settle(tables, store, scratch, missed, index, allowed, tail_gap):  # type: 
             last = node.step == len(tables.model.explain_cost) - 1
             if last and store.actions[best].messages >= 0:
                 break  # nothing comes after it
-            if not _expand(tables, store, scratch, missed, index, best, tail_gap):
+            if not _expand(tables, store, scratch, index, best, tail_gap):
                 chosen = np.int64(NO_ROOM)
                 break
             _back_up(store, index, best)
     return chosen
 
 
-@njit(nogil=True)
+@njit(nogil=True, error_model="numpy")
 def _back_up(store, index, a):  # type: ignore[no-untyped-def]
     """Computes both bounds of an expanded action and of its node, from the bounds of the answers'
     nodes."""
@@ -365,7 +358,7 @@ def _back_up(store, index, a):  # type: ignore[no-untyped-def]
     node.lower = min(best_lower, node.upper)
 
 
-@njit(nogil=True)
+@njit(nogil=True, error_model="numpy")
 def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
     """Tightens a node's bounds by the bounds that were published at its place."""
     node, belief = store.nodes[index], store.belief[index]
@@ -417,8 +410,8 @@ def _have_same_questions(store, index, other):  # type: ignore[no-untyped-def]
     return alike
 
 
-@njit(nogil=True)
-def _publish(tables, store, scratch, missed, index, upper, lower, least):  # type: ignore[no-untyped-def]
+@njit(nogil=True, error_model="numpy")
+def _publish(tables, store, scratch, index, upper, lower, least):  # type: ignore[no-untyped-def]
     """Publishes a node's bounds for the other nodes of its place, if they are better than ``upper``
     and ``lower`` by more than ``least``."""
     node = store.nodes[index]
@@ -434,15 +427,15 @@ def _publish(tables, store, scratch, missed, index, upper, lower, least):  # typ
             if store.actions[a].lower > store.actions[best].lower:
                 best = a
         if store.actions[best].first_answer >= 0:
-            _make_alpha(tables, store, scratch, missed, index, best)
+            _make_alpha(tables, store, scratch, index, best)
             i = store.published[row, 0] % KEPT
             _copy(store.alpha[index], store.vector[row, i])
             store.by[row, i], store.source[row, i, 0] = store.actions[best].messages, index
             store.published[row, 0] += 1
 
 
-@njit(nogil=True)
-def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-untyped-def]
+@part
+def _make_alpha(tables, store, scratch, index, a):  # type: ignore[no-untyped-def]
     """Computes a node's alpha vector: the value by state of taking an expanded action and following
     the policies of the answers' nodes afterwards."""
     node, action, alpha = store.nodes[index], store.actions[a], store.alpha[index]
@@ -454,8 +447,8 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
             alpha[s] = -tables.model.question_cost
         discount = 1.0
     else:
-        shown |= action.messages if missed is None else 0
-        if missed is not None:
+        shown |= action.messages if tables.width > 0 else 0
+        if tables.width == 0:
             _give_all(tables, action.messages, belief)
         for s in range(len(alpha)):
             alpha[s] = -tables.model.explain_cost[step, shown * tables.width + s]
@@ -466,7 +459,7 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
         else:
             for s in range(len(alpha)):
                 scratch.after[s] = tables.plans[-1, step + 1, shown * tables.width + s]
-        if missed is not None and action.messages >= 0:
+        if tables.width == 0 and action.messages >= 0:
             _average_over_forgetting(tables, scratch.after)
         for s in range(len(alpha)):
             alpha[s] += discount * store.likelihood[o, s] * scratch.after[s]
@@ -474,7 +467,7 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
         if belief[s] <= 0.0:
             alpha[s] = tables.floor[step]
     if action.messages >= 0:
-        if missed is not None:
+        if tables.width == 0:
             _average_over_giving(tables, action.messages, alpha)
         for s in range(len(alpha)):
             alpha[s] = tables.factor[action.messages] * alpha[s] - tables.price[action.messages]
@@ -484,12 +477,12 @@ def _make_alpha(tables, store, scratch, missed, index, a):  # type: ignore[no-un
     store.used[WORK] += action.n_answers
 
 
-@njit(nogil=True)
-def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def]
+@njit(nogil=True, error_model="numpy")
+def _open(tables, store, scratch, index):  # type: ignore[no-untyped-def]
     """Lists the actions that may be optimal at a node. Returns False if the store is full."""
     node, belief = store.nodes[index], store.belief[index]
     place = store.places[node.step, node.given]
-    if place.row < 0 and not _list_sets(tables, store, scratch, missed, node.step, node.given):
+    if place.row < 0 and not _list_sets(tables, store, scratch, node.step, node.given):
         return False
     begin = store.used[ACTIONS]
     if begin + place.n_sets + len(tables.model.asked_answered) > len(store.actions):
@@ -504,7 +497,7 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
             action.base, action.later = _dot(belief, store.base[c]), tables.model.discount
             action.later *= tables.factor[store.sets[c]]
             action.lower = _dot(belief, store.under[c])
-            if missed is None:  # then no answer changes what a plan expects of this belief
+            if tables.width > 0:  # then no answer changes what a plan expects of this belief
                 shown = node.given | action.messages
                 plan = _best_plan(tables, belief, node.step + 1, shown)
                 row = tables.plans[plan, node.step + 1]
@@ -552,8 +545,8 @@ def _open(tables, store, scratch, missed, index):  # type: ignore[no-untyped-def
     return True
 
 
-@njit(nogil=True)
-def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-untyped-def]
+@part
+def _list_sets(tables, store, scratch, step, given):  # type: ignore[no-untyped-def]
     """Lists the sets of messages that may be optimal at a place for some belief. A set is left out
     if, in every state, its upper bound is at most the lower bound of giving nothing, or of giving
     the set without one message. Returns False if the store is full."""
@@ -564,13 +557,13 @@ def _list_sets(tables, store, scratch, missed, step, given):  # type: ignore[no-
         return False
     end, chosen = begin, np.int64(0)
     while True:
-        shown = (given | chosen if missed is None else 0) * tables.width
+        shown = (given | chosen if tables.width > 0 else 0) * tables.width
         base, over, under = store.base[end], store.over[end], scratch.under[chosen]
         for s in range(states):
             base[s] = -tables.model.explain_cost[step, shown + s]
             over[s] = tables.model.explain[step, shown + s]
             under[s] = tables.plans[-1, step, shown + s]
-        if missed is not None:
+        if tables.width == 0:
             for vector in (base, over, under):
                 _average_over_giving(tables, chosen, vector)
         factor, price = tables.factor[chosen], tables.price[chosen]
@@ -605,8 +598,8 @@ def _is_dominated(over, under):  # type: ignore[no-untyped-def]
     return dominated
 
 
-@njit(nogil=True)
-def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-untyped-def]
+@njit(nogil=True, error_model="numpy")
+def _expand(tables, store, scratch, index, a, gap):  # type: ignore[no-untyped-def]
     """Makes the nodes of the answers to an action. Unlikely answers are left out while this widens
     the gap by at most ``gap``. Returns False if the store or the scratch memory is full."""
     node, action, belief = store.nodes[index], store.actions[a], scratch.belief
@@ -623,7 +616,7 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
             like[1, s] = tables.model.asked_answered[~messages, cell]
             like[0, s] = 1.0 - like[1, s]
     else:
-        if missed is not None:
+        if tables.width == 0:
             _give_all(tables, messages, belief)
             given = np.int64(0)
         else:
@@ -635,7 +628,7 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
                 return False
             for s in range(len(belief)):
                 scratch.after[s] = scratch.tail[s] * belief[s]
-            if missed is not None:
+            if tables.width == 0:
                 forget(tables.model.forget, scratch.after)
             upper = _dot_cells(tables, scratch.after, tables.model.value[step + 1], given)
             lower = _dot_cells(tables, scratch.after, tables.plans[-1, step + 1], given)
@@ -660,7 +653,7 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
             if o < count:
                 for s in range(len(belief)):
                     scratch.after[s] /= total
-                if missed is not None and messages >= 0:
+                if tables.width == 0 and messages >= 0:
                     forget(tables.model.forget, scratch.after)
                 after = _get_node(tables, store, step, given, scratch.after, scratch.asked)
                 store.answers[end].node = after
@@ -671,7 +664,7 @@ def _expand(tables, store, scratch, missed, index, a, gap):  # type: ignore[no-u
     return True
 
 
-@njit(nogil=True)
+@part
 def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ignore[no-untyped-def]
     """Lists the likelihoods by state of all answers to *explain* that are more likely than
     ``negligible``. ``scratch.tail`` receives the likelihood of all other answers. Returns the
@@ -735,7 +728,7 @@ def _count_kind(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
     return size
 
 
-@njit(nogil=True)
+@part
 def _rank_questions(tables, store, scratch, index):  # type: ignore[no-untyped-def]
     """Computes in ``scratch.news`` [Q] how informative each question is that may be asked at a
     node."""
@@ -753,7 +746,7 @@ def _rank_questions(tables, store, scratch, index):  # type: ignore[no-untyped-d
     rank_questions(model.asked_answered, model.likelier, scratch.cells, belief, scratch.news)
 
 
-@njit(nogil=True)
+@part
 def _get_node(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
     """Returns the node of a belief. A new node is made with its first bounds."""
     slot = _find(store, step, given, belief, asked)
@@ -777,7 +770,7 @@ def _get_node(tables, store, step, given, belief, asked):  # type: ignore[no-unt
     return index
 
 
-@njit(nogil=True)
+@njit(nogil=True, error_model="numpy")
 def _best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def]
     """Returns the plan with the largest value at (k, v) and a belief."""
     best, most = 0, -np.inf
@@ -788,7 +781,7 @@ def _best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(nogil=True)
+@njit(nogil=True, error_model="numpy")
 def _find(store, step, given, belief, asked):  # type: ignore[no-untyped-def]
     """Returns the slot of this belief's node, or the free slot where the node belongs."""
     mask = uint64(len(store.table) - 1)
