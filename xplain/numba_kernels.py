@@ -44,7 +44,7 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 class _Compilation(event.Listener):  # type: ignore[misc]
-    """Reports the kernel of ours that is being compiled, and "" when this is done."""
+    """Reports the name of an xplain kernel while it is compiled, and "" at the end."""
 
     say: Callable[[str], None] | None = None
     told = False

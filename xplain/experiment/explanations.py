@@ -82,7 +82,8 @@ class Costs:
         type_names: tuple[str, ...],
         shares: NDArray[np.float64],
     ) -> Problem:
-        """The problem of one trace; ``shares`` [N] are those of the observers, for the prior."""
+        """Makes the problem of one trace. The prior may be ``shares`` [N], each type's share of the
+        observers."""
         return Problem(
             table,
             message_cost=self.message_costs(message_names),

@@ -125,9 +125,9 @@ def component_code(config: Any) -> dict[str, str]:
     """``{top-level package: digest}`` of everything that ``_target_`` (or a text such as
     ``module:Name``) names outside this package, and of its imports. No code is executed.
 
-    The digest of an installed distribution covers its list of files with their hashes; that of any
-    other package (a checkout) covers all of its files, including data; that of a module covers its
-    source.
+    The digest of an installed distribution covers its list of files with their hashes. The digest
+    of any other package (a checkout) covers all of its files, including data. The digest of a
+    module covers its source.
     """
     found: dict[str, str] = {}
     names = (text for key, text in _texts(config) if key == "_target_" or _NAMES_CODE(text))

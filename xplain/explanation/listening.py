@@ -2,10 +2,10 @@
 before and after them.
 
 An exact filter over (type, habits, knowledge) computes the posterior of a person's habits from an
-explanation: a person whose labels do not change after a message missed it; one whose labels change
-back forgot. The frequencies of habits among people are the mode of their posterior: the prior is
-Dirichlet around the documented shares, and each person's habit is hidden (EM; the objective is
-concave, so it ends at the mode).
+explanation: a person whose labels do not change after a message missed it; a person whose labels
+change back forgot it. The frequencies of habits among people are the mode of their posterior: the
+prior is Dirichlet around the documented shares, and each person's habit is hidden (EM; the
+objective is concave, so it ends at the mode).
 """
 
 from __future__ import annotations

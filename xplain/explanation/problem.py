@@ -175,8 +175,8 @@ class Problem:
         return np.asarray(np.bincount(self.whose, belief, self.n_user_types), np.float64)
 
     def fit(self, belief: NDArray[np.float64]) -> float:
-        """The probability, in a belief over hidden states, of found user types with the assumed
-        habits."""
+        """The probability that the user has a found user type and the assumed habits, from a belief
+        over hidden states."""
         return float(belief.reshape(-1, self.n_types)[:, self.as_found].sum())
 
     @property

@@ -53,9 +53,9 @@ def find_differences(flow: Flow[Any, S], people: Iterable[Participant[S]]) -> li
 
 
 def codebook(package: str) -> list[dict[str, str]]:
-    """Every column of the tables of a flow: its table, name, type, unit and meaning. A file beside
-    the flow has these rows; a file beside this module has the rows of columns that all exports
-    have."""
+    """Lists every column of the tables of a flow: its table, name, type, unit and meaning. The rows
+    are in ``codebook.csv`` of the flow's package and, for columns that all exports have, of
+    xplain.people."""
     books = [files(one).joinpath("codebook.csv") for one in (package, "xplain.people")]
     texts = [book.read_text(encoding="utf-8").splitlines() for book in books]
     return [row for lines in texts for row in csv.DictReader(lines)]

@@ -72,7 +72,8 @@ class Table:
         return "\n".join([r"% \usepackage{booktabs}", f"{text}% {said}", ""])
 
     def html(self) -> str:
-        """The table without other texts; its class gives the number of heading columns."""
+        """The table as HTML, without its other texts. The HTML class gives the number of heading
+        columns."""
         kind = f"left{self.left}"
         # pandas would write a line break as a backslash and a letter.
         lines = self.sparse.replace("\n", "\u2028", regex=True)

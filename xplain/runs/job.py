@@ -243,8 +243,8 @@ def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:
 
 @contextmanager
 def failing_into(folder: Path) -> Iterator[None]:
-    """A context that writes an error into the folder and ends, because a failure is a result of a
-    sweep."""
+    """A context manager that writes an error of its block into the folder. It does not raise the
+    error, because a failed job does not stop a sweep."""
     try:
         yield
     except SystemExit as error:

@@ -4,7 +4,7 @@
   −(λ C_e(a) + Σ_{j > k}^{m} Σ_{i ≤ j} C_inexp (1 − P[t, i, H ∪ a])), the expectation over the
   belief (the paper, "Myopic Approximation: QHR", after Fern et al. 2014). The sum over j begins
   with the prefix that the next *explain* shows. As in the paper nothing is discounted.
-- *Silent* gives no messages: its cost is that of all labels 0 under the empty message set.
+- *Silent* gives no messages: it pays for all labels 0 under the empty message set.
 - *Say all* gives every message before the first step: λ Σ_j C_e(j) plus the remaining labels 0.
 - *Ask first* asks the most informative questions (greedy mutual information), at any cost, before
   the first step; then it is QMDP.

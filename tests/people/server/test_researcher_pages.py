@@ -168,7 +168,7 @@ def test_the_researcher_sees_labels_types_and_what_more_people_bring(opened: Ope
     assert "<strong>3</strong> types found" in html
     for wrong in ("bridge, market", "market, school", "school, tunnel"):
         assert f"<td>{wrong}</td>" in html
-    assert "another ten are expected to bring" in html
+    assert "Ten more people are expected to bring" in html
     reply = client.post("/researcher/export", data={"token": field(html, "token")})
     with zipfile.ZipFile(io.BytesIO(reply.data)) as archive:
         names = ("labels.csv", "observers.csv", "clips.parquet", "events.csv")

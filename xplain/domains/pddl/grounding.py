@@ -130,8 +130,8 @@ class Grounding:
         atoms: atoms that actions can change.
         beliefs: literals that differ between beliefs.
         start: atoms that hold at the start.
-        starts: for each fact, the atoms in which the believed start differs, and those of them that
-            hold in it.
+        starts: for each fact, the atoms whose values differ in the believed start, and those of
+            them that hold there.
         actions: (name, object, …) of each ground action, in the order of the files.
         variants: the distinct forms of an action in any belief: its index, its precondition, and
             its effects.
@@ -233,7 +233,7 @@ class Grounding:
         return self.complete(atoms) & self.beliefs
 
     def imagine(self, state: int, wrong: Wrong) -> int:
-        """The state that people with another believed start see: atoms that differ there have their
+        """The state as people who believe another start see it: atoms that differ there have their
         believed values until the robot changes one of them."""
         for differing, held in (self.starts[j] for j in sorted(wrong)):
             if not (state ^ self.start) & differing & ~self.beliefs:
@@ -261,8 +261,8 @@ class BelievedTask:
     Attributes:
         atoms: atoms that can change.
         states: S sets of atoms. First come the states that the robot reaches, beginning with the
-            initial one; then the states that people with another believed start see instead; then
-            all states that actions of any beliefs reach from these.
+            initial one. Then come these states as people who believe another start see them. Last
+            come all other states that actions under any beliefs reach from these.
         table: [S, atoms] True if an atom holds in a state.
         actions: A ground actions, (name, object, …), that occur between these states.
 

@@ -345,8 +345,8 @@ def columns_of(features: NDArray[np.float64], names: Sequence[str]) -> dict[str,
 
 
 def is_parquet(path: Path, key: str) -> bool:
-    """True if the name of a table ends as that of a Parquet file, False if it ends as that of a CSV
-    file.
+    """True if the name of a table has the ending of a Parquet file, False if it has the ending of a
+    CSV file.
 
     Raises:
         InputError: the name has another ending; the error names ``key``.

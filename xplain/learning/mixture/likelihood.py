@@ -179,8 +179,8 @@ class KnownTransitions:
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
     def find_supported(self, answers: Answers) -> NDArray[np.int64]:
-        """The essential facts of the candidates that the answers of one type support, ascending. If
-        all sets are candidates, all are returned."""
+        """Returns the essential facts of the candidates that are probable given the answers of one
+        type, ascending. If all sets are candidates, returns the essential facts of all."""
         if self.hypotheses.complete:
             return np.unique(self.essential)
         posterior = self._posterior(self.hypotheses, answers)

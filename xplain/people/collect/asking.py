@@ -188,7 +188,7 @@ def belief(asking: Questionnaire) -> dict[str, float]:
 
 
 def questions_of(plan: CollectPlan) -> int:
-    """Number of questions for each participant; the last one may have fewer steps."""
+    """Number of questions for each participant. The last question may have fewer steps."""
     return -(-plan.rules.points // plan.design.clip)
 
 

@@ -82,9 +82,9 @@ class CollectPlan(StoredPlan):
         roles: roles of simulated people.
         assigned: True if each participant gets the briefing of a role.
         hypotheses: what people might believe incorrectly, with phrases.
-        whole: hypotheses for all transitions, including those that are not asked about because
-            others have the same features; types are learned with them. None if there are no such
-            transitions.
+        whole: hypotheses for all transitions, from which types are learned: also for transitions
+            that nobody is asked about, because others have the same features. None if all
+            transitions are asked about.
         subject: subject of the phrases; "" if phrases are whole sentences.
         questions: the list of questions for all people, as (transition, message set); empty if each
             question depends on earlier answers.

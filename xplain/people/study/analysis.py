@@ -192,8 +192,8 @@ def _compared(
 
 
 def _flow(own: pd.DataFrame, ends: Mapping[str, pd.Series[bool]]) -> pd.DataFrame:
-    """Counts how far participants came, how the others ended, who is excluded and why, and who is
-    analysed.
+    """Counts participants, in all and in each condition, by stage reached, kind of end and reason
+    for exclusion; also counts analysed participants.
 
     Args:
         own: participants of a stream.

@@ -106,7 +106,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return [("label", str(label))], seconds
 
     def at_quiz(self, page: Page) -> Fields:
-        """Ticks the statements that they believe."""
+        """Ticks the statements that the simulated participant believes."""
         wrong = self.plan.wrong[self.user_type]
         self._lose(self.habits.fading)
         true = {

@@ -136,8 +136,9 @@ def _quiz(
 
     If fewer than two facts were needed, the type's other incorrect facts follow, then any facts.
     The other statements are about facts that everybody is told, or that the type believes
-    correctly. One statement of each two is true. True sentences that everybody is told are bad
-    news, so good and bad news do not reveal which sentences are true.
+    correctly. One statement of each two is true. The true sentences of ``known`` are
+    about limits and losses, unlike the messages. So the tone of a sentence does not reveal whether
+    it is true.
 
     Args:
         facts, known: of the plan.
