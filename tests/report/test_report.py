@@ -221,6 +221,8 @@ def test_a_report_is_made_again_when_what_it_shows_has_changed(tmp_path, monkeyp
 
     assert is_made()
     assert not is_made()
+    (tmp_path / "report" / "regret.csv").unlink()
+    assert is_made()
     address = folder / "results" / "solver=qhr"
     save_results(address, replace(load_results(address), seconds={"explain": 5.0}))
     assert is_made()

@@ -31,6 +31,8 @@ from xplain.report.table import Table, count_things, number, table_of
 from xplain.storage import write_text
 
 REPORT = "report"
+FILES = ("table.md", "table.tex", "regret.csv", "differences.csv", "index.html")
+"""Files that every report has."""
 
 LEARNING = {
     "true_types": "types",
@@ -44,8 +46,8 @@ LEARNING = {
 
 
 def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Path]:
-    """Writes everything below ``<sweep>/report`` from the finished jobs, unless a report of the
-    same content is there.
+    """Writes everything below ``<sweep>/report`` from the finished jobs, unless a whole report of
+    the same content is there.
 
     Args:
         folder: folder of the sweep.
@@ -59,7 +61,8 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
     report.mkdir(exist_ok=True)
     made_of = digest_content(summary)
     last = report / "index.html"
-    is_there = last.exists() and made_of in last.read_text(encoding="utf-8")
+    is_there = all((report / name).exists() for name in FILES)
+    is_there = is_there and made_of in last.read_text(encoding="utf-8")
     if summary.results and not is_there:
         tables = {"table": table(summary), "undecided": claims.list_undecided(summary)}
         if summary.is_table1:
