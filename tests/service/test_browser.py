@@ -60,7 +60,7 @@ def test_the_playground_tells_who_you_are(running: Running, talks: Talks, width:
                 assert in_sight(driver, said[0])
             if turn in (0, 8):
                 driver.save_screenshot(str(SCREENSHOTS / f"playground-{width}-{turn}.png"))
-        assert "messages" in find("#end").text
+        assert "messages" in find("#now").text
         assert driver.execute_script("return document.documentElement.scrollWidth") <= width
         driver.save_screenshot(str(SCREENSHOTS / f"playground-{width}-end.png"))
         assert not [one for one in driver.get_log("browser") if one["level"] == "SEVERE"]
