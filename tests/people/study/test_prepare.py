@@ -17,7 +17,7 @@ from tests.people.visitors import GENEROUS, Visitor
 from xplain.domains.base import cell_name
 from xplain.errors import InputError
 from xplain.experiment.config import compose_config
-from xplain.explanation.belief import Persistent
+from xplain.explanation.anybody import Open
 from xplain.people.bots import visit
 from xplain.people.material import Material, name_items, phrases_of
 from xplain.people.store import Store
@@ -32,13 +32,14 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
     cfg = compose_config("study", ["seed=0", "trace.candidates=40"])
     plan = study_plan(cfg)
     assert study_plan(cfg).hash == plan.hash  # same configuration, same study
-    assert Study.of(plan).belief == Persistent("learned")
+    assert Study.of(plan).belief == Open("learned")
     assert (len(plan.roles), plan.problem.trade_off) == (5, 1.0)
     assert set(plan.conditions) == {"personalized", "conformant"}
-    rates = plan.problem.habits.error
-    assert rates.min() == 0 < rates.max()  # some never err
-    true = np.repeat(plan.true_labels.astype(bool), len(rates), axis=0)
-    agree = (plan.problem.p_explicable > 0.5) == true
+    found = plan.problem.as_found  # people who answer what they think, then those who err
+    assert plan.problem.whose[found].tolist() == [*range(5), *range(5)]
+    assert 0.5 < plan.problem.start[found].sum() < 1
+    true = np.tile(plan.true_labels.astype(bool), (2, 1, 1))
+    agree = (plan.problem.p_explicable[found] > 0.5) == true
     assert agree.mean() > 0.95
     assert plan.scene is not None
     assert set(plan.icons) >= {item.name for item in plan.scene.items}

@@ -13,6 +13,7 @@ import pytest
 from tests.people.study.protocol.test_machine import at_evaluation
 from tests.people.study.stand_in import ASK, CONFIG, street_plan, street_study
 from xplain.errors import InputError
+from xplain.explanation.anybody import Open
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable, join_steps
 from xplain.interaction.episode import explain
@@ -32,13 +33,13 @@ def with_belief(study: Study, update: Persistent | Independent | None) -> Study:
     """Returns the study with this belief about people; None keeps its own."""
     if update is None:
         return study
-    problem = study.plan.problem.with_habits(update.habits())
+    problem = update.people(study.plan.problem, None, None)
     plan = replace(study.plan, problem=problem)
     policies = {"asking": CachedPolicy(QMDP().plan(problem))}
     return replace(study, plan=plan, policies=policies, belief=update)
 
 
-UPDATES = [None, Persistent(), Persistent(0.1), Independent("learned")]
+UPDATES = [None, Persistent(), Persistent(0.1), Independent("learned"), Open("learned")]
 
 
 @pytest.mark.parametrize("update", UPDATES)

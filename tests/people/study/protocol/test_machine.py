@@ -12,6 +12,7 @@ import pytest
 from tests.people.bare_flow import take_part
 from tests.people.study.stand_in import FAULTLESS, SCREENS, street_study
 from xplain.errors import Refused
+from xplain.explanation.anybody import Open
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
@@ -77,6 +78,7 @@ def test_participants_meet_what_the_offline_experiment_computes(
         Persistent(0.05, 0.7),
         Persistent(0.0, "learned", 0.1),
         Independent(0.0, 0.8, 0.1),
+        Open("learned"),
     ],
 )
 def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
@@ -84,7 +86,7 @@ def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
 ) -> None:
     """The belief that a state carries is over types, habits and knowledge, that of the log over
     types."""
-    problem = study.plan.problem.with_habits(update.habits())
+    problem = update.people(study.plan.problem, None, None)
     policy = QMDP().plan(problem)
     failing = replace(
         study,
