@@ -14,6 +14,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.mixture.kernels import WIDE
 from xplain.learning.mixture.sampler import (
     CELL,
+    MANY_OBSERVERS,
     NOISE,
     DirichletMixture,
     Prior,
@@ -65,8 +66,8 @@ def test_no_type_stays_split_among_many_observers() -> None:
 @pytest.mark.parametrize(
     ("observers", "concentration", "temperature"),
     [
-        (120, 0.3, 1.0),
-        (120, 4.0, 1.0),
+        (MANY_OBSERVERS + 20, 0.3, 1.0),
+        (MANY_OBSERVERS + 20, 4.0, 1.0),
         (12, 0.3, 1.0),
         (12, 0.3, 1000.0),  # heated sweeps are not drawn from the prior, and count for nothing
     ],
@@ -90,9 +91,8 @@ def test_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
     answers, prior = SortedLabels.of(dataset), Prior.of(2, 2)
     first = np.zeros(observers, dtype=np.int64)
     rng = np.random.default_rng(1)
-    sweeps = 800 if observers > 100 else 2000
-    found = sample(answers, prior, concentration, first, sweeps, temperature, rng).types
-    assert len(found) == sweeps // 2
+    found = sample(answers, prior, concentration, first, 2000, temperature, rng).types
+    assert len(found) == 1000
     step = np.arange(observers)
     not_one = np.log((step + 0.75 * concentration) / (step + concentration)).sum()
     batches = found.reshape(20, -1).mean(axis=1)

@@ -22,6 +22,7 @@ from xplain.learning.mixture.likelihood import (
     KnownTransitions,
     by_level,
 )
+from xplain.learning.mixture.partition import partition
 
 
 def known_of(hypotheses_seed=0, facts=3, transitions=5, variants=1, unwritten=0):
@@ -124,16 +125,42 @@ def _with_truth(known, answers, facts, d, error, t, told, label):
     return (one if label else zero) / (one + zero)
 
 
-def people(known, facts, count, rng, error=0.0):
-    """Observers who believe ``facts`` incorrectly and answer ``count`` random questions."""
+def people(known, facts, count, rng, error=0.0, contrary=()):
+    """Observers who believe ``facts`` incorrectly and answer ``count`` random questions; at
+    transitions in ``contrary`` the other way."""
     h = known.hypotheses
     said = []
     for held in facts:
         t = rng.integers(0, h.n_transitions, count)
         told = rng.integers(0, 1 << h.n_messages, count)
         label = h.labels[h.row(held & ~told), t].astype(np.int64)
-        said.append(Answers(t, told, label ^ (rng.random(count) < error)))
+        flip = (rng.random(count) < error) ^ np.isin(t, contrary)
+        said.append(Answers(t, told, label ^ flip))
     return said
+
+
+def test_types_are_found_with_some_wrong_answers():
+    rng = np.random.default_rng(1)
+    known = known_of(1, facts=4, transitions=30, variants=0)
+    facts = [3, 3, 3, 12, 12, 12, 5, 5, 5]
+    said = people(known, facts, 40, rng, 0.05)
+    found, answers, _ = partition(known, said, 1.0)
+    assert found.tolist() == known.hypotheses.essential[facts].tolist()
+    asked = np.concatenate([one.transition for one in said])
+    assert 0.01 <= answers.wrong(asked, np.repeat(np.arange(9), 40)) <= 0.1
+
+
+def test_where_answers_contradict_the_hypotheses_the_answers_win():
+    rng = np.random.default_rng(2)
+    known = known_of(1, facts=3, transitions=20, variants=0)
+    said = people(known, [5], 600, rng, 0.05, contrary=(0, 1))[0]
+    made = HypothesisLabeler.of(known, said, None)
+    every = np.arange(8)
+    for t in range(20):
+        p = made.predict_known(np.full(8, t), every)
+        truth = known.hypotheses.labels[5 & ~every, t] ^ (t < 2)
+        asked = np.isin(5 & ~every, 5 & ~said.message_set[said.transition == t])
+        assert ((p > 0.5) == truth)[asked].all()
 
 
 def dataset_of(known, said):
@@ -196,3 +223,31 @@ def test_somebody_may_hold_wrong_what_no_hypothesis_does():
     assert known_of(3, facts=3).unwritten == 0
     # No two of these transitions share their features.
     assert not known.ambiguous.any()
+
+
+def odd_people(known, facts, count, rng, odd):
+    """As :func:`people`; whoever believes fact 3 incorrectly, too, finds the transitions ``odd``
+    inexplicable until told."""
+    said = people(known, [held & 7 for held in facts], count, rng, 0.03)
+    for held, one in zip(facts, said, strict=True):
+        wonders = (held & ~one.message_set & 8 > 0) & np.isin(one.transition, odd)
+        one.label[wonders] = 0
+    return said
+
+
+def test_what_nobody_wrote_down_is_learned_from_answers(caplog):
+    rng = np.random.default_rng(5)
+    known = known_of(1, facts=3, transitions=30, variants=0, unwritten=1)
+    facts, odd = [1, 1, 1, 9, 9, 9], np.arange(8)
+    said = odd_people(known, facts, 120, rng, odd)
+    found = partition(known, said, 1.0).facts
+    assert found.tolist() == [int(known.essential[f]) for f in facts]
+    together = Answers.join(said[3:])
+    made = HypothesisLabeler.of(known, together, None)
+    h, before = known.hypotheses, np.flatnonzero(known.hypotheses.labels[1, odd])
+    told_rest = np.full(len(before), 0b0110)
+    assert (made.predict_known(odd[before], told_rest) < 0.5).all()
+    assert (made.predict_known(odd[before], told_rest | 8) > 0.5).all()
+    # Elsewhere nothing spoke against the hypotheses.
+    other = np.flatnonzero(h.labels[1, 8:]) + 8
+    assert (made.predict_known(other, np.full(len(other), 0b0110)) > 0.9).mean() > 0.9

@@ -1,6 +1,7 @@
 """Hypotheses: candidates that behave alike, predicted answers, and files."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ from hydra.utils import instantiate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.domains.configs import domain_of
 from tests.domains.users.corridor import Corridor
 from tests.questions.tables import random_hypotheses
+from xplain.domains.users import hypotheses as hypotheses_module
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.inaccurate_values import AS_ASSUMED, OPPOSITE
 from xplain.domains.users.setting import Setting, UserType
@@ -68,6 +71,19 @@ def test_of_a_domain_they_are_the_labels_of_its_inaccurate_values(corridor):
         setting = Setting.build(corridor, (UserType("one", held),))
         table = setting.label_table(setting.reachable)[0]
         assert np.array_equal(table[:, 0], hypotheses.labels[row])
+
+
+@pytest.mark.parametrize("limit", [12, 59, 60, 63, 64])
+def test_as_many_facts_are_wrong_together_as_models_may_be_solved(limit, monkeypatch):
+    """Sets of k facts span 2^k models each, and all sets together 2^n."""
+    monkeypatch.setattr(hypotheses_module, "MAX_MODELS", limit)
+    domain = domain_of("domain=rescue")
+    n = len(domain.parameters)
+    spanned = {k: sum(2**k for _ in combinations(range(n), k)) for k in range(n + 1)}
+    spanned[n] = 2**n
+    most = max(k for k in spanned if spanned[k] <= limit)
+    found = Hypotheses.of_domain(domain, scales=())
+    assert max(facts.bit_count() for facts in found.facts.tolist()) == most
 
 
 def test_a_file_holds_all_of_them(tmp_path, corridor):

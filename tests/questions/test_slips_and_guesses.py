@@ -102,3 +102,31 @@ def test_with_nothing_told_no_question_comes_more_often_than_allowed() -> None:
         assert sorted(asked) == sorted([(t, 0) for t in range(ITEMS)] * repeats)
         with pytest.raises(InputError, match="every question was asked"):
             questions.next()
+
+
+def test_examinees_are_known_after_ten_questions() -> None:
+    """Five skills; of 300 items each needs one to three. A better choice needs fewer questions than
+    one that knows a single rate of errors."""
+    right, until = [], []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        sets = np.arange(32)[:, None]
+        skills = [rng.choice(5, rng.integers(1, 4), replace=False) for _ in range(300)]
+        needed = np.array([(1 << own).sum() for own in skills])
+        labels = ((sets & needed) == 0).astype(np.uint8)
+        slip, guess = rng.uniform(0.05, 0.15, (2, 300))
+        item_bank = Questionnaire(labels, 0.0, none=0.0, slip=slip, guess=guess, told=False)
+        for person in range(40):
+            held, questions = int(rng.integers(32)), item_bank.restart(None, person)
+            number = 0
+            while number < 10 or not questions.done:
+                item, _ = questions.next()
+                one = channel(labels[held, item], slip[item], guess[item], 0.0)
+                questions.answer(int(rng.random() < one))
+                number += 1
+                if number == 10:
+                    right.append(questions.best == held)
+                if questions.done and len(until) < len(right) + (number < 10):
+                    until.append(number)
+    assert np.mean(right) >= 0.88  # four standard errors below 0.95
+    assert np.mean(until) <= 11

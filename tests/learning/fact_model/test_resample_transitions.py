@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import gammaln
 
 from tests.learning.fact_model.states import counted
 from xplain.learning.data.dataset import Dataset
@@ -16,6 +17,7 @@ from xplain.learning.mixture.sampler import (
     Prior,
     SortedLabels,
     init,
+    sample,
 )
 
 LOG_NOISE = np.log(np.arange(1.0, len(NOISE) + 1) / np.arange(1.0, len(NOISE) + 1).sum())
@@ -105,3 +107,27 @@ def test_the_score_is_the_sum_over_all_of_them_however_many_labels_agree(ones: f
     score = resample_transitions(answers, prior, state, 1.0, rng)
     expected = np.logaddexp.reduce(log_joint(answers, prior, state).reshape(2, -1), axis=1)
     assert score == pytest.approx(expected.sum(), rel=1e-9)
+
+
+def test_chains_of_many_observers_are_compared_by_the_joint_of_the_same_variables() -> None:
+    """Types are merged at the end with S and ε fixed; the score is summed over both, as that of any
+    other chain."""
+    rng, n, observers = np.random.default_rng(5), 2, 120
+    dataset = Dataset(
+        features=np.arange(2.0)[:, None],
+        feature_names=("place",),
+        messages=("m0", "m1"),
+        observers=tuple(f"o{o}" for o in range(observers)),
+        observer=rng.integers(observers, size=400),
+        transition=rng.integers(2, size=400),
+        message_set=rng.integers(1 << n, size=400),
+        label=rng.integers(0, 2, 400).astype(np.uint8),
+    )
+    answers, prior = SortedLabels.of(dataset), Prior.of(n, 2)
+    first = rng.integers(0, 1 << n, observers)
+    chain = sample(answers, prior, 0.5, first, 4, 2.0, rng)
+    joint = log_joint(answers, prior, chain.best, chain.best.log_noise).reshape(2, -1)
+    members = np.unique(chain.best.facts, return_counts=True)[1]
+    restaurant = (np.log(0.5) - n * np.log(2) + gammaln(members)).sum()
+    expected = np.logaddexp.reduce(joint, axis=1).sum() + restaurant
+    assert chain.score == pytest.approx(expected, rel=1e-9)

@@ -368,3 +368,24 @@ def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # ty
             for i in range(len(masks)):
                 values[i] += by_cell[pack(subsets, z, masks[i])]
         begin = end
+
+
+@kernel
+def log_likelihood(state, prior):  # type: ignore[no-untyped-def]
+    """Computes log P(all labels | M of every answer, S, ε), with f integrated out."""
+    total, counts = 0.0, state.counts
+    for t in range(len(counts)):
+        for c in range(counts.shape[1]):
+            zeros, ones = counts[t, c, 0], counts[t, c, 1]
+            if zeros + ones > 0:
+                total += log_cell_of(zeros, ones, c, state.noise[t], prior)
+    return total
+
+
+@kernel
+def relabel(members, new, answers, prior, state):  # type: ignore[no-untyped-def]
+    """Gives the observers ``members`` the fact set ``new``, and updates ``state.counts``."""
+    for o in members:
+        count_rows(o, -1, answers, prior, state)
+        state.facts[o] = new
+        count_rows(o, 1, answers, prior, state)

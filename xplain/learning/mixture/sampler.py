@@ -18,7 +18,11 @@ answers, then (S_τ, ε_τ) of each transition. A Chinese restaurant process ass
 (Neal 2000, "Markov chain sampling methods for Dirichlet process mixture models"), with a uniform
 base measure over fact sets.
 
-A sweep draws (S, ε) of every transition, then R of every observer.
+A sweep draws (S, ε) of every transition, then R of every observer. With many observers it then
+tries to split and merge whole types, after Jain & Neal (2004), "A split-merge Markov chain Monte
+Carlo procedure for the Dirichlet process mixture model", in its plain form: the observers of a new
+type are drawn at random, without Gibbs scans. Without these moves two types with equal answers
+merge only one observer at a time, which takes as many sweeps as they have observers.
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ import logging
 import math
 from dataclasses import dataclass
 from itertools import combinations
-from math import comb, lgamma
+from math import comb, exp, lgamma
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -41,6 +45,8 @@ from xplain.learning.mixture.classes import answer_classes
 from xplain.learning.mixture.kernels import (
     REACH,
     WIDE,
+    log_likelihood,
+    relabel,
     resample_facts,
     resample_transitions,
 )
@@ -218,8 +224,9 @@ def sample(
     In the first half of the sweeps probabilities are raised to the power 1 / temperature; the
     temperature falls from ``initial_temperature`` to 1.
     """
-    log_new = math.log(concentration) - answers.n_messages * math.log(2)
-    state, room = init(answers, prior, first), np.zeros(len(first), dtype=np.int64)
+    n, observers = answers.n_messages, len(first)
+    log_new = math.log(concentration) - n * math.log(2)
+    state, room = init(answers, prior, first), np.zeros(observers, dtype=np.int64)
     best, best_score = state, -np.inf
     types = np.zeros(sweeps, dtype=np.int64)
     for sweep in range(sweeps):
@@ -228,13 +235,20 @@ def sample(
         temperature = 1.0 + (initial_temperature - 1.0) * heat
         score = resample_transitions(answers, prior, state, temperature, rng)
         used, members = np.unique(state.facts, return_counts=True)
-        # … and log P(partition of the observers, and each type's fact set).
-        score += sum(log_new + lgamma(size) for size in members.tolist())
+        score += _log_restaurant(members, log_new)
         types[sweep] = len(set((used & facts_that_matter(prior, state)).tolist()))
         if score > best_score:
             best, best_score = state.copy(), score
         in_use = np.append(used, room), np.append(members, room), len(used)
         resample_facts(answers, prior, state, *in_use, log_new, temperature, rng)
+        if observers >= MANY_OBSERVERS:
+            split_merge(answers, prior, state, log_new, temperature, rng)
+    if observers >= MANY_OBSERVERS:
+        best_score += merge_types(answers, prior, best, log_new)
+        if n <= WIDE:  # merges compare with S and ε fixed; chains are compared with both summed out
+            members = np.unique(best.facts, return_counts=True)[1]
+            best_score = resample_transitions(answers, prior, best.copy(), 1.0, rng)
+            best_score += _log_restaurant(members, log_new)
     return Chain(best, best_score, types[sweeps // 2 :])
 
 
@@ -251,6 +265,128 @@ def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> Chain
         counts=np.zeros((transitions, 1 << prior.subsets.shape[1], 2), dtype=np.int64),
         order=np.arange(answers.n_messages),
     )
+
+
+def _log_restaurant(members: NDArray[np.int64], log_new: float) -> float:
+    """Computes log P(partition of the observers, and each type's fact set) for types with
+    ``members`` [K]."""
+    return sum(log_new + lgamma(size) for size in members.tolist())
+
+
+MANY_OBSERVERS = 100
+"""Number of observers from which whole types are moved too."""
+MOVES = 20
+"""Split and merge moves in one sweep."""
+
+
+def split_merge(
+    answers: SortedLabels,
+    prior: Prior,
+    state: ChainState,
+    log_new: float,
+    temperature: float,
+    rng: np.random.Generator,
+) -> None:
+    """Tries MOVES Metropolis-Hastings moves; overwrites ``state``.
+
+    Args:
+        answers, prior, state: see :func:`sample`.
+        log_new: log weight of an unused fact set in the Chinese restaurant process.
+        temperature: temperature of the target distribution.
+        rng: the chain's stream.
+    """
+    now = log_likelihood(state, prior)
+    for _ in range(MOVES):
+        move = _propose(state.facts, answers.n_messages, exp(log_new), rng)
+        if move is not None:
+            members, new, log_prior, log_proposal = move
+            least = temperature * (math.log(rng.random()) - log_proposal) - log_prior
+            now += _take(members, new, least, now, answers, prior, state)
+
+
+def merge_types(answers: SortedLabels, prior: Prior, state: ChainState, log_new: float) -> float:
+    """Gives a type the fact set of another wherever this makes ``state`` more likely.
+
+    Returns:
+        The total increase of the log-likelihood.
+    """
+    gained, facts = 0.0, state.facts
+    used = np.unique(facts)
+    for old in used:
+        members = np.flatnonzero(facts == old)
+        for new in used:
+            others = int((facts == new).sum())
+            if new == old or others == 0:
+                continue
+            urn, now = _log_merged(len(members), others, exp(log_new)), log_likelihood(state, prior)
+            gained += _take(members, new, -urn, now, answers, prior, state)
+            if facts[members[0]] == new:
+                gained += urn
+                break
+    return gained
+
+
+def _take(
+    members: NDArray[np.int64],
+    new: int,
+    least: float,
+    now: float,
+    answers: SortedLabels,
+    prior: Prior,
+    state: ChainState,
+) -> float:
+    """Gives all observers of a type the fact set ``new`` if the log-likelihood then exceeds ``now``
+    by more than ``least``. Returns the gain, or 0 without a change."""
+    old, counts = state.facts[members[0]], state.counts.copy()
+    relabel(members, new, answers, prior, state)
+    gain = float(log_likelihood(state, prior)) - now
+    if gain > least:
+        return gain
+    state.facts[members] = old
+    state.counts[:] = counts
+    return 0.0
+
+
+def _propose(
+    facts: NDArray[np.int64], n: int, urn: float, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], int, float, float] | None:
+    """Proposes a merge (all observers of a type take the fact set of another) or a split (a random
+    part of a type takes an unused fact set).
+
+    Returns the observers, their new fact set, the log ratio of the priors (after / before), and the
+    log ratio of the proposal probabilities (back / forth). None if there is no such type or part.
+    """
+    used = np.unique(facts)
+    a = rng.integers(0, len(used))
+    members = np.flatnonzero(facts == used[a])
+    size = len(members)
+    if rng.random() < 0.5:
+        if len(used) == 1:
+            return None
+        new = int(used[(a + rng.integers(1, len(used))) % len(used)])
+        others = int((facts == new).sum())
+        back = math.log(len(used)) - n * math.log(2) - _log_ways(size + others, size)
+        return members, new, _log_merged(size, others, urn), back
+    new = int(rng.integers(0, 1 << n))
+    if size == 1 or (facts == new).any():
+        return None
+    part = int(rng.integers(1, size))
+    rng.shuffle(members)
+    back = _log_ways(size, part) + n * math.log(2) - math.log(len(used) + 1)
+    return members[:part], new, -_log_merged(part, size - part, urn), back
+
+
+def _log_merged(size: int, others: int, urn: float) -> float:
+    """Computes log P(one type) − log P(two types) under Pólya's urn, which begins with ``urn``
+    balls of each fact set."""
+    return lgamma(size + others + urn) + lgamma(urn) - lgamma(size + urn) - lgamma(others + urn)
+
+
+def _log_ways(whole: int, part: int) -> float:
+    """Computes −log P(a part is chosen) for parts of ``whole`` observers; all sizes 1 … whole − 1
+    are equally likely."""
+    choose = lgamma(whole + 1) - lgamma(part + 1) - lgamma(whole - part + 1)
+    return math.log(whole - 1) + choose
 
 
 log = logging.getLogger(__name__)
