@@ -14,9 +14,14 @@ from tests.domains.users.corridor import Corridor
 from tests.questions.tables import random_hypotheses
 from xplain.domains.users import hypotheses as hypotheses_module
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.domains.users.inaccurate_values import AS_ASSUMED, OPPOSITE
+from xplain.domains.users.inaccurate_values import (
+    AS_ASSUMED,
+    NUDGES,
+    OPPOSITE,
+    FactLabels,
+)
 from xplain.domains.users.setting import Setting, UserType
-from xplain.errors import DomainError, InputError
+from xplain.errors import DomainError, InputError, XplainError
 from xplain.experiment.config import compose_config
 
 seeds = st.integers(0, 10_000)
@@ -192,12 +197,19 @@ def test_bad_files_are_one_line(tmp_path):
 
 
 class Toll(Corridor):
-    """The corridor with this incorrect value of the toll."""
+    """The corridor with this incorrect value of the toll. If both facts are believed incorrectly,
+    models with a toll in ``refused`` (low, high) are ambiguous."""
 
-    def __init__(self, inaccurate):
+    def __init__(self, inaccurate, refused=(0.0, 0.0)):
         super().__init__()
         end, toll = Corridor.parameters
         self.parameters = (end, replace(toll, inaccurate=inaccurate))
+        self.refused = refused
+
+    def model(self, values):
+        if values["end"] == "left" and self.refused[0] < values["toll"] < self.refused[1]:
+            raise DomainError("ambiguous")
+        return super().model(values)
 
 
 def labels_at(domain, values):
@@ -206,18 +218,35 @@ def labels_at(domain, values):
     return setting.label_table(setting.reachable)[0, :, 0]
 
 
-def test_a_variant_that_ties_is_left_out(caplog):
+def test_a_variant_that_ties_is_nudged():
     """From cell 2 the way to the goal has the value toll + 0.81, and staying has 0: at half of this
-    toll the two differ by 1.5e-10 of the largest possible value, at a third by much more."""
+    toll the two differ by 1.5e-10 of the largest possible value, at 1.01 times the half by 8e-4."""
     domain = Toll(2 * (-0.81 - 1.5e-9))
     with pytest.raises(DomainError, match="ambiguous tie"):
         labels_at(domain, {"toll": -0.81 - 1.5e-9})
-    alone = Hypotheses.of_domain(domain, scales=(1 / 3,))
-    assert "left out" not in caplog.text
-    both = Hypotheses.of_domain(domain, scales=(0.5, 1 / 3))
-    assert "a variant is left out" in caplog.text
-    assert np.array_equal(both.tables, alone.tables)
-    assert np.array_equal(both.variant_prior, alone.variant_prior)
+    variant = Hypotheses.of_domain(domain, scales=(0.5,)).variants[0]
+    assert np.array_equal(variant[0b10], labels_at(domain, {"toll": -0.8181}))
+    assert np.array_equal(variant[0b11], labels_at(domain, {"end": "left", "toll": -0.8181}))
+
+
+@given(st.floats(-1, 1), st.floats(0.01, 0.2), seeds)
+@settings(deadline=None, max_examples=25)
+def test_values_without_ties_are_the_first_nudge_that_has_none(middle, width, seed):
+    half = -float(np.random.default_rng(seed).uniform(0.5, 3))
+    low = half * (1 + 0.05 * middle)
+    domain = Toll(2 * half, (low - width, low + width))
+    tolls = [half * nudge for nudge in NUDGES]
+    fine = [toll for toll in tolls if not domain.refused[0] < toll < domain.refused[1]]
+    try:
+        labels_at(domain, {"end": "left", "toll": 2 * half})
+    except XplainError:
+        return  # the hypotheses themselves are ambiguous
+    transitions = Setting.build(domain, (UserType("one", {}),)).reachable
+    found, labels = FactLabels(domain, transitions).without_ties(
+        {"end": "left", "toll": half}, np.arange(4)
+    )
+    assert found == {"end": "left", "toll": fine[0] if fine else 2 * half}
+    assert np.array_equal(labels[0b11], labels_at(domain, found))
 
 
 def test_values_on_the_other_side_are_variants_all_at_once_and_each_alone():

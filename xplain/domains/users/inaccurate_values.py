@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import MAX_MODELS, task_of
-from xplain.errors import DomainError, TooLargeError, XplainError
+from xplain.errors import DomainError, InputError, TooLargeError, XplainError
 from xplain.explanation.message_sets import indices, names_of, subsets
 
 log = logging.getLogger(__name__)
@@ -24,6 +24,9 @@ OPPOSITE = 0.05
 EACH = 8
 """Maximum number of facts for which each fact has a variant with only its value on the other
 side."""
+NUDGES = (1.0, 1.01, 0.99, 1.02, 0.98, 1.05, 0.95)
+"""If ties at a value are ambiguous, the value times each of these factors is tried, in order.
+People's ideas of a value are not that exact."""
 Values = Mapping[str, Any]
 """An inaccurate value of each parameter."""
 
@@ -78,14 +81,47 @@ class FactLabels:
         whose = [f"somebody who believes {', '.join(own)} incorrectly" for own in wrong]
         return np.array([one.labels(self.transitions) for one in models[0].solve(models, whose)])
 
+    def without_ties(
+        self, wanted: Values, facts: NDArray[np.int64]
+    ) -> tuple[Values, NDArray[np.uint8]]:
+        """Finds values near the wanted ones without ambiguous ties. Returns them with the labels
+        [C, T] of people who believe these sets [C] incorrectly.
+
+        If ties are ambiguous, each parameter in turn takes its wanted value, or its first
+        :data:`NUDGES` without ambiguous ties. Earlier parameters then have the values already
+        found, later ones the assumed values. If every nudge fails, the parameter keeps its assumed
+        value and a warning names it.
+        """
+        try:
+            return dict(wanted), self.at(wanted, facts)
+        except DomainError:
+            log.debug("hypotheses: ties are ambiguous at %s", wanted)
+        assumed: Values = {one.name: one.inaccurate for one in self.domain.parameters}
+        chosen, labels = assumed, self.at(assumed, facts)
+        for name in (name for name in wanted if wanted[name] != assumed[name]):
+            for nudge in NUDGES:
+                value = wanted[name]
+                tried = {**chosen, name: value * nudge if _is_number(value) else value}
+                try:
+                    chosen, labels = tried, self.at(tried, facts)
+                    if nudge != 1:
+                        log.info("hypotheses: a variant has %s=%s", name, tried[name])
+                    break
+                except (DomainError, InputError) as error:
+                    reason = str(error)
+            else:
+                stays = "hypotheses: no variant with %s=%s, it stays %s: %s"
+                log.warning(stays, name, wanted[name], assumed[name], reason)
+        return chosen, labels
+
     def variants(
         self, facts: NDArray[np.int64], scales: Sequence[float]
     ) -> list[tuple[Values, NDArray[np.uint8], float]]:
         """Finds values that people may believe instead of the assumed ones, with the labels [C, T]
         of people who believe these sets [C] incorrectly, and their prior probability.
 
-        If the domain refuses a value, the assumed value is used. There is no variant if all values
-        equal the assumed ones, or if ties are ambiguous.
+        If the domain refuses a value, the assumed value is used. :meth:`without_ties` resolves
+        ambiguous ties. If all values equal the assumed ones, there is no variant.
 
         Args:
             facts: the sets.
@@ -99,18 +135,12 @@ class FactLabels:
         turned = [opposite]
         if len(opposite) <= EACH:
             turned += [assumed | {name: value} for name, value in opposite.items()]
-        scaled = [
-            other_values(self.domain, lambda _, wrong, scale=scale: scale * wrong)  # type: ignore[misc]
-            for scale in scales
-        ]
-        found: list[tuple[Values, NDArray[np.uint8], float]] = []
+        scaled = [scaled_values(self.domain, scale) for scale in scales]
+        found = []
         for share, wanted in ((1 - AS_ASSUMED - OPPOSITE, scaled), (OPPOSITE, turned)):
-            made = []
-            for values in {str(one): one for one in wanted if one != assumed}.values():
-                try:
-                    made.append((values, self.at(values, facts)))
-                except DomainError as error:
-                    log.warning("hypotheses: a variant is left out: %s", error)
+            different = {str(one): one for one in wanted if one != assumed}
+            made = [self.without_ties(one, facts) for one in different.values()]
+            made = [(values, labels) for values, labels in made if values != assumed]
             found += [(values, labels, share / len(made)) for values, labels in made]
         return found
 
@@ -121,8 +151,7 @@ def other_values(domain: Domain, other: Callable[[float, float], float]) -> dict
     accurate = {one.name: one.accurate for one in domain.parameters}
     values = {one.name: one.inaccurate for one in domain.parameters}
     for name, wrong in values.items():
-        both = wrong, accurate[name]
-        if all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in both):
+        if _is_number(wrong) and _is_number(accurate[name]):
             tried = other(accurate[name], wrong)
             try:
                 domain.model({**accurate, name: tried})
@@ -130,6 +159,15 @@ def other_values(domain: Domain, other: Callable[[float, float], float]) -> dict
             except XplainError:
                 log.debug("hypotheses: the domain refuses %s=%s", name, tried)
     return values
+
+
+def scaled_values(domain: Domain, scale: float) -> dict[str, Any]:
+    """All inaccurate values times ``scale``, by parameter; see :func:`other_values`."""
+    return other_values(domain, lambda _, wrong: scale * wrong)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def few(facts: NDArray[np.int64], n: int, share: float) -> NDArray[np.float64]:
