@@ -259,13 +259,3 @@ def whole_number(key: str, value: object, least: int, most: float = math.inf) ->
     """
     Range(least, most).check(key, value, whole=True)
     return value  # type: ignore[return-value]
-
-
-def refuse_if(bad: object, key: str, value: object, allowed: str) -> None:
-    """Refuses a value if ``bad`` is true.
-
-    Raises:
-        InputError: it is.
-    """
-    if bad:
-        raise InputError(key, value, allowed)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import MOVES, Cell, Grid, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import InputError, Range, Slip, checks, number, refuse_if, require_list
+from xplain.errors import InputError, Range, Slip, checks, number, require_list
 
 PARAMETERS = ("goals", "discount", "step_cost", "penalty_cells", "penalty")
 DOORS = ((3, 6), (10, 6), (6, 2), (7, 9))
@@ -98,14 +98,11 @@ class FourRooms:
         key = "domain.parameters.goals"
         goals = {}
         for goal in require_list(key, value):
-            refuse_if(
-                not isinstance(goal, Mapping) or set(goal) != {"cell", "reward"},
-                key,
-                goal,
-                "{cell: [row, column], reward: a number}",
-            )
+            if not isinstance(goal, Mapping) or set(goal) != {"cell", "reward"}:
+                raise InputError(key, goal, "{cell: [row, column], reward: a number}")
             goals[self.grid.at(goal["cell"], key)] = number(f"{key}.reward", goal["reward"])
-        refuse_if(not goals, key, value, "at least one goal")
+        if not goals:
+            raise InputError(key, value, "at least one goal")
         return goals
 
     def position(self, state: int) -> Cell:

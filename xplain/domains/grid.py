@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Parameter, Scene
 from xplain.domains.mdp import find_reached
-from xplain.errors import InputError, mapping, one_of, refuse_if, sentence
+from xplain.errors import InputError, mapping, one_of, sentence
 
 Cell = tuple[int, int]
 
@@ -58,12 +58,10 @@ class Grid:
         known = {WALL: "wall", FLOOR: "floor", START: "floor where traces start", **symbols}
         where: dict[str, list[Cell]] = {}
         for r, line in enumerate(lines):
-            refuse_if(
-                len(line) != len(lines[0]),
-                MAP,
-                line,
-                f"row {r} has {len(line)} symbols, row 0 has {len(lines[0])}",
-            )
+            if len(line) != len(lines[0]):
+                raise InputError(
+                    MAP, line, f"row {r} has {len(line)} symbols, row 0 has {len(lines[0])}"
+                )
             for c, symbol in enumerate(line):
                 if symbol not in known:
                     legend = ", ".join(f"{s} {meaning}" for s, meaning in known.items())
@@ -72,7 +70,8 @@ class Grid:
                     )
                 where.setdefault(symbol, []).append((r, c))
         wall = np.array([[symbol == WALL for symbol in line] for line in lines])
-        refuse_if(wall.all(), MAP, text, "at least one cell that is not a wall")
+        if wall.all():
+            raise InputError(MAP, text, "at least one cell that is not a wall")
         number = np.where(wall, -1, np.cumsum(~wall).reshape(wall.shape) - 1)
         return cls(wall.shape, np.argwhere(~wall), number, {s: tuple(c) for s, c in where.items()})
 
@@ -87,12 +86,8 @@ class Grid:
             r, c = (index(x) for x in cell)
         except (TypeError, ValueError):
             raise InputError(key, cell, allowed) from None
-        refuse_if(
-            not (0 <= r < self.shape[0] and 0 <= c < self.shape[1]) or self.number[r, c] < 0,
-            key,
-            tuple(cell),
-            allowed,
-        )
+        if not (0 <= r < self.shape[0] and 0 <= c < self.shape[1]) or self.number[r, c] < 0:
+            raise InputError(key, tuple(cell), allowed)
         return int(self.number[r, c])
 
     def only(self, symbol: str, name: str) -> int:
@@ -102,7 +97,8 @@ class Grid:
             InputError: there is none, or more than one.
         """
         found = self.where.get(symbol, ())
-        refuse_if(len(found) != 1, MAP, found, f"exactly one {name} ({symbol}) must be on the map")
+        if len(found) != 1:
+            raise InputError(MAP, found, f"exactly one {name} ({symbol}) must be on the map")
         return self.at(found[0], MAP)
 
     @cached_property
@@ -132,12 +128,10 @@ class Grid:
             InputError: it has none.
         """
         # Moves are reversible: cells that can be reached from the goal have a path to it.
-        refuse_if(
-            not find_reached(np.array([goal]), len(self.cells), self.neighbour.__getitem__)[cell],
-            MAP,
-            self.position(cell),
-            f"no path from the {what} to the {goal_name}",
-        )
+        if not find_reached(np.array([goal]), len(self.cells), self.neighbour.__getitem__)[cell]:
+            raise InputError(
+                MAP, self.position(cell), f"no path from the {what} to the {goal_name}"
+            )
 
     def starts(self) -> NDArray[np.int64]:
         """Cells marked ``s``, or every floor cell if none is marked.
@@ -146,7 +140,8 @@ class Grid:
             InputError: the map has neither.
         """
         marked = self.where.get(START) or self.where.get(FLOOR, ())
-        refuse_if(not marked, MAP, "no floor", "a floor cell (s or .) to start from")
+        if not marked:
+            raise InputError(MAP, "no floor", "a floor cell (s or .) to start from")
         return np.array([self.number[cell] for cell in marked], dtype=np.int64)
 
     def position(self, cell: int) -> Cell:
@@ -169,33 +164,21 @@ def parameters_of(
         InputError: there is no parameter, an unknown one, a missing or unknown field, an empty
             message, or an inaccurate value equal to the accurate one.
     """
-    refuse_if(
-        not isinstance(given, Mapping) or not given,
-        "domain.parameters",
-        given,
-        f"at least one of {', '.join(known)}",
-    )
+    if not isinstance(given, Mapping) or not given:
+        raise InputError("domain.parameters", given, f"at least one of {', '.join(known)}")
     parameters = []
     for name, fields in given.items():
         key = f"domain.parameters.{name}"
         one_of("domain.parameters", name, known, "parameter")
         mapping(key, fields, "the fields accurate, inaccurate, message, belief")
         needed = {"accurate", "inaccurate", "message"}
-        refuse_if(
-            missing := needed - fields.keys(),
-            key,
-            dict(fields),
-            f"lacks {', '.join(sorted(missing))}",
-        )
+        if missing := needed - fields.keys():
+            raise InputError(key, dict(fields), f"lacks {', '.join(sorted(missing))}")
         for field in fields:
             one_of(key, field, sorted(needed | {"belief"}), "field")
         parameter = Parameter(name=name, **fields)
         sentence(f"{key}.message", parameter.message)
-        refuse_if(
-            parameter.accurate == parameter.inaccurate,
-            f"{key}.inaccurate",
-            parameter.inaccurate,
-            "differs from accurate",
-        )
+        if parameter.accurate == parameter.inaccurate:
+            raise InputError(f"{key}.inaccurate", parameter.inaccurate, "differs from accurate")
         parameters.append(parameter)
     return tuple(parameters)

@@ -26,7 +26,6 @@ from xplain.errors import (
     mapping,
     number,
     one_of,
-    refuse_if,
     require_list,
 )
 
@@ -52,12 +51,8 @@ class Features:
         self.values = {feature: _values(feature, values) for feature, values in given.items()}
         self.names = tuple(self.values)
         self.sizes = tuple(len(values) for values in self.values.values())
-        refuse_if(
-            not self.sizes or int(np.prod(self.sizes)) != n_states,
-            "domain.states",
-            dict(given),
-            f"their product must be {n_states}",
-        )
+        if not self.sizes or int(np.prod(self.sizes)) != n_states:
+            raise InputError("domain.states", dict(given), f"their product must be {n_states}")
         self.codes = np.stack(np.unravel_index(np.arange(n_states), self.sizes), axis=1)
 
     def where(self, key: str, condition: Any) -> NDArray[np.bool_]:
@@ -144,21 +139,16 @@ class Gymnasium:
         self._own, self.starts = read_model(id, self._arguments, discount)
         n_states, n_actions, _ = self._own.successor.shape
         self.actions = tuple(actions)
-        refuse_if(
-            len(self.actions) != n_actions or len(set(self.actions)) < n_actions,
-            "domain.actions",
-            actions,
-            f"{n_actions} different names for {id}",
-        )
+        if len(self.actions) != n_actions or len(set(self.actions)) < n_actions:
+            raise InputError("domain.actions", actions, f"{n_actions} different names for {id}")
         self._features = Features(states, n_states)
         self.feature_names = self._features.names
         self.state_features = self._features.codes.astype(np.float64)
         if starts is not None:
             here = self._features.where("domain.starts", starts) & ~self._own.terminal
             self.starts = np.flatnonzero(here)
-        refuse_if(
-            not len(self.starts), "domain.starts", starts, "at least one state that is not terminal"
-        )
+        if not len(self.starts):
+            raise InputError("domain.starts", starts, "at least one state that is not terminal")
         given = mapping("domain.parameters", parameters, "{name: {inaccurate, message}}")
         # The robot's value is the unchanged environment.
         unchanged = {
@@ -198,12 +188,8 @@ class Gymnasium:
         if arguments:
             every = {k: v for one in (self._arguments, *arguments) for k, v in one.items()}
             start, _ = read_model(self._id, every, self.discount)
-            refuse_if(
-                start.successor.shape[:2] != self._own.successor.shape[:2],
-                "domain.parameters",
-                arguments,
-                "arguments that keep the states",
-            )
+            if start.successor.shape[:2] != self._own.successor.shape[:2]:
+                raise InputError("domain.parameters", arguments, "arguments that keep the states")
         successor, probability = start.successor.copy(), start.probability.copy()
         reward = start.reward.copy()
         for key, change in changes:
@@ -256,19 +242,12 @@ def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
     for change in require_list(key, value, "a list of changes"):
         for field in mapping(key, change, f"a change with {', '.join(CHANGES)}"):
             one_of(key, field, CHANGES, "field")
-        refuse_if(
-            sum(effect in change for effect in EFFECTS) != 1,
-            key,
-            dict(change),
-            f"one of {', '.join(EFFECTS)}",
-        )
-        refuse_if(
-            "arguments" in change and len(change) > 1,
-            key,
-            dict(change),
-            "a change with arguments has no other field",
-        )
-        refuse_if("next" in change and "add" not in change, key, dict(change), "next needs add")
+        if sum(effect in change for effect in EFFECTS) != 1:
+            raise InputError(key, dict(change), f"one of {', '.join(EFFECTS)}")
+        if "arguments" in change and len(change) > 1:
+            raise InputError(key, dict(change), "a change with arguments has no other field")
+        if "next" in change and "add" not in change:
+            raise InputError(key, dict(change), "next needs add")
         require_list(f"{key}.actions", change.get("actions", []), "a list of actions")
         mapping(f"{key}.arguments", change.get("arguments", {}), "{argument: value}")
     return list(value)
@@ -309,9 +288,8 @@ def read_model(
             "domain.id", id, f"gymnasium cannot make it: {first_line(error)}"
         ) from None
     environment.close()
-    refuse_if(
-        table is None, "domain.id", id, "an environment with a tabular model (env.unwrapped.P)"
-    )
+    if table is None:
+        raise InputError("domain.id", id, "an environment with a tabular model (env.unwrapped.P)")
     try:
         rows = [
             ((_whole(s), _whole(a), k, _whole(after)), (float(p), float(r), bool(end)))

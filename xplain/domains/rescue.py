@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import MOVES, Cell, Grid, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import Discount, Positive, Slip, checks, number, refuse_if
+from xplain.errors import Discount, InputError, Positive, Slip, checks, number
 
 SHELTER, VICTIM = "S", "V"
 BONUSES = {"first_aid": "A", "fire": "F", "refuel": "U"}
@@ -86,12 +86,10 @@ class Rescue:
         self.grid = Grid.parse(map, SYMBOLS)
         named = [parameter.name for parameter in self.parameters]
         for kind, symbol in {**BONUSES, **OBSTACLES}.items():
-            refuse_if(
-                (symbol in self.grid.where) != (kind in named),
-                "domain.map",
-                symbol,
-                f"on the map if and only if {kind} is a parameter",
-            )
+            if (symbol in self.grid.where) != (kind in named):
+                raise InputError(
+                    "domain.map", symbol, f"on the map if and only if {kind} is a parameter"
+                )
         self.bonuses = {
             kind: self.grid.only(BONUSES[kind], kind) for kind in BONUSES if kind in named
         }

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, Range, TooLargeError, checks, refuse_if
+from xplain.errors import InputError, Range, TooLargeError, checks
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import subsets
 from xplain.learning.answers import AnswerModel
@@ -205,18 +205,10 @@ class LabelerTrainer:
 
     def __post_init__(self) -> None:
         for method in ("fit", "predict"):
-            refuse_if(
-                not hasattr(self.classifier, method),
-                "labeler.classifier",
-                self.classifier,
-                "a scikit-learn classifier",
-            )
-        refuse_if(
-            self.confidence == "leaf" and not hasattr(self.classifier, "predict_proba"),
-            "labeler.classifier",
-            self.classifier,
-            "leaf needs predict_proba",
-        )
+            if not hasattr(self.classifier, method):
+                raise InputError("labeler.classifier", self.classifier, "a scikit-learn classifier")
+        if self.confidence == "leaf" and not hasattr(self.classifier, "predict_proba"):
+            raise InputError("labeler.classifier", self.classifier, "leaf needs predict_proba")
 
     def adapt_to(self, observed: Observed) -> LabelerTrainer:
         """Returns the trainer with what it can use of the observers' task and questions."""
@@ -266,7 +258,8 @@ class LabelerTrainer:
         Raises:
             InputError: no labels.
         """
-        refuse_if(len(dataset) == 0, "data", 0, "a labeler needs at least one label")
+        if len(dataset) == 0:
+            raise InputError("data", 0, "a labeler needs at least one label")
         seed = derive_seed(seed, "labelers")
         # Sorted, because the result of some classifiers depends on the order of rows.
         dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))

@@ -17,7 +17,7 @@ import numpy as np
 import skops.io
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, refuse_if
+from xplain.errors import InputError
 from xplain.explanation.belief import OPEN, fact_sets
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
@@ -84,18 +84,10 @@ def _labeler(
     figures: dict[str, Any] = {key: kind(kept[key]) for key, kind in FIGURES.items()}
     if "table" in kept:
         rows, table = kept["rows"], kept["table"]
-        refuse_if(
-            rows.shape != (len(rows), features) or table.shape != (len(rows), 1 << messages),
-            "types",
-            f"table of type {t}",
-            "arrays of a table, as saved",
-        )
-        refuse_if(
-            not ((table > 0) & (table < 1)).all(),
-            "types",
-            f"table of type {t}",
-            "probabilities inside (0, 1)",
-        )
+        if rows.shape != (len(rows), features) or table.shape != (len(rows), 1 << messages):
+            raise InputError("types", f"table of type {t}", "arrays of a table, as saved")
+        if not ((table > 0) & (table < 1)).all():
+            raise InputError("types", f"table of type {t}", "probabilities inside (0, 1)")
         rows, table = rows.astype(np.float32), table.astype(np.float64)
         return TableLabeler(rows=rows, values=table, n_messages=messages, **figures)
     data = kept["skops"].tobytes()
@@ -107,12 +99,8 @@ def _labeler(
     inputs = features + messages
     trees = [classifier, *np.ravel(getattr(classifier, "estimators_", []))]
     sound = (_is_sound(one.tree_, inputs) for one in trees if hasattr(one, "tree_"))
-    refuse_if(
-        getattr(classifier, "n_features_in_", inputs) != inputs or not all(sound),
-        "types",
-        f"classifier of type {t}",
-        "a fitted classifier, as saved",
-    )
+    if getattr(classifier, "n_features_in_", inputs) != inputs or not all(sound):
+        raise InputError("types", f"classifier of type {t}", "a fitted classifier, as saved")
     calibrated = bool(kept["calibrated"])
     return FittedLabeler(
         classifier=classifier, n_messages=messages, calibrated=calibrated, **figures
@@ -212,10 +200,10 @@ class LearnedTypes:
             rows = np.asarray(transitions, dtype=np.float64)
         except (TypeError, ValueError):
             raise InputError("trace", transitions, wanted) from None
-        refuse_if(
-            rows.ndim != 2 or rows.shape[1] != len(self.feature_names), "trace", rows.shape, wanted
-        )
-        refuse_if(not np.isfinite(rows).all(), "trace", "NaN or infinite", wanted)
+        if rows.ndim != 2 or rows.shape[1] != len(self.feature_names):
+            raise InputError("trace", rows.shape, wanted)
+        if not np.isfinite(rows).all():
+            raise InputError("trace", "NaN or infinite", wanted)
         return label_table(self.labelers, rows)
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
@@ -258,7 +246,8 @@ class LearnedTypes:
             names = {key: arrays[key].tolist() for key in NAMES}
             kept = decode(cls, json.loads(arrays[WHOLE].item()) | names, arrays)
             size = len(kept.feature_names), len(kept.messages)
-            refuse_if(size[1] > MAX_MASK, "types", size[1], f"at most {MAX_MASK} messages")
+            if size[1] > MAX_MASK:
+                raise InputError("types", size[1], f"at most {MAX_MASK} messages")
             *labelers, everything = (
                 own and _labeler({k: arrays.get(x, x) for k, x in own.items()}, t, *size, trusted)
                 for t, own in enumerate([*kept.labelers, kept.about_everything])
@@ -273,11 +262,7 @@ class LearnedTypes:
                 "types", str(path), f"a file of LearnedTypes.save ({reason})"
             ) from None
         each = [kept.names, prior, *([] if kept.wrong is None else [kept.wrong])]
-        refuse_if(
-            not labelers or prior.ndim != 1 or any(len(own) != len(labelers) for own in each),
-            "types",
-            str(path),
-            "one name, one prior and one labeler a type",
-        )
+        if not labelers or prior.ndim != 1 or any(len(own) != len(labelers) for own in each):
+            raise InputError("types", str(path), "one name, one prior and one labeler a type")
         every = tuple(labelers)
         return replace(kept, labelers=every, prior=prior, about_everything=everything)

@@ -26,7 +26,6 @@ from xplain.errors import (
     checks,
     mapping,
     one_of,
-    refuse_if,
     sentence,
 )
 
@@ -98,7 +97,8 @@ class PDDL:
         )
         given = mapping("domain.facts", facts or {}, "{name: {change, message, belief}}")
         read = [*self._read_facts(given, found, other)]
-        refuse_if(not read, "domain.facts", dict(given), "at least one fact, here or by believed")
+        if not read:
+            raise InputError("domain.facts", dict(given), "at least one fact, here or by believed")
         self.parameters = tuple(parameter for parameter, _ in read)
         changes = [change for _, change in read]
         given = mapping("domain.features", features or {}, "{name: pattern, or a list of them}")
@@ -110,12 +110,8 @@ class PDDL:
         varying = np.flatnonzero(table.any(axis=0) & ~table.all(axis=0))
         counted = [self._beliefs.count(name, frozenset()) for name in counts]
         self.feature_names = (*(" ".join(self._beliefs.atoms[i]) for i in varying), *counts)
-        refuse_if(
-            len(set(self.feature_names)) < len(self.feature_names),
-            "domain.features",
-            list(given),
-            "names that no atom has",
-        )
+        if len(set(self.feature_names)) < len(self.feature_names):
+            raise InputError("domain.features", list(given), "names that no atom has")
         self.state_features = np.column_stack([table[:, varying], *counted]).astype(float)
         robot = self._model(frozenset())
         robot.require_solution("the robot's model")
@@ -130,12 +126,8 @@ class PDDL:
         if believed is None:
             return {}, {}
         both = {"file": believed} if isinstance(believed, str) else believed
-        refuse_if(
-            not isinstance(both, Mapping) or not both or set(both) - {"file", "problem"},
-            "domain.believed",
-            believed,
-            "a domain file, or {file, problem}",
-        )
+        if not isinstance(both, Mapping) or not both or set(both) - {"file", "problem"}:
+            raise InputError("domain.believed", believed, "a domain file, or {file, problem}")
         keys = ("domain.believed.file", "domain.believed.problem")
         robot = self.task
         other = read_task(both.get("file", file), both.get("problem", problem), keys)
@@ -193,12 +185,8 @@ class PDDL:
     def _read_patterns(self, name: object, given: Any) -> Condition:
         """Reads the variables and the literals of a feature."""
         key, patterns = f"domain.features.{name}", [given] if isinstance(given, str) else given
-        refuse_if(
-            not isinstance(patterns, Sequence) or not patterns,
-            key,
-            given,
-            "an atom such as (on ?x b), or a list of them",
-        )
+        if not isinstance(patterns, Sequence) or not patterns:
+            raise InputError(key, given, "an atom such as (on ?x b), or a list of them")
         variables = sorted(set(re.findall(r"\?[^\s()?]+", str(patterns).lower())))
         typed = tuple((variable, "object") for variable in variables)
         sources = [Source(key, pattern, str(pattern).lower()) for pattern in patterns]
@@ -213,9 +201,8 @@ class PDDL:
             raise InputError("domain.starts", starts, "initial, reachable, or a number of actions")
         near = robot.steps_from(0) <= min(steps, robot.n_states)
         found = np.flatnonzero(near & np.isfinite(robot.to_go) & ~robot.terminal)
-        refuse_if(
-            not len(found), "domain.starts", starts, "a state where the goal does not hold yet"
-        )
+        if not len(found):
+            raise InputError("domain.starts", starts, "a state where the goal does not hold yet")
         return found
 
     def _try_facts(self, robot: GoalTask) -> None:

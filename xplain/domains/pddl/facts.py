@@ -21,7 +21,7 @@ from xplain.domains.pddl.task import (
     read_text,
     write,
 )
-from xplain.errors import InputError, Range, number, one_of, refuse_if
+from xplain.errors import InputError, Range, number, one_of
 
 Atom = tuple[str, ...]
 INFIX = ("above", "at", "behind", "below", "beside", "in", "inside", "near", "on", "under")
@@ -52,12 +52,8 @@ class Words:
         }
         for name, template in self._given.items():
             key = f"domain.words.{one_of('domain.words', name, self._names, 'name')}"
-            refuse_if(
-                not isinstance(template, str) or not template.strip() or "\n" in template,
-                key,
-                template,
-                "a line of text",
-            )
+            if not isinstance(template, str) or not template.strip() or "\n" in template:
+                raise InputError(key, template, "a line of text")
             for used in re.findall(r"\{(.*?)\}", template):
                 if used not in self._names[name]:
                     allowed = f"{used} is none of {', '.join(self._names[name])}"
@@ -183,12 +179,8 @@ def read_changes(key: str, value: Any, task: Task, other: Items) -> Items:
         InputError: a change has an invalid form, or does not fit the task.
     """
     listed = [value] if isinstance(value, Mapping) else value
-    refuse_if(
-        isinstance(listed, str) or not isinstance(listed, Sequence) or not listed,
-        key,
-        value,
-        "a change or a list of changes",
-    )
+    if isinstance(listed, str) or not isinstance(listed, Sequence) or not listed:
+        raise InputError(key, value, "a change or a list of changes")
     made: dict[Item, Any] = {}
     for change in listed:
         fields = set(change) if isinstance(change, Mapping) else set()
@@ -230,12 +222,8 @@ def _read_change(key: str, kind: str, change: Change, task: Task, other: Items) 
         value = change["value"]
         return {Item(kind, "", text): value if value is None else number(key, value, Range(0))}
     item = Item(what, owner, text)
-    refuse_if(
-        what == "initial" and item.text.startswith("(not"),
-        source.key,
-        source.value,
-        "an atom such as (on a b)",
-    )
+    if what == "initial" and item.text.startswith("(not"):
+        raise InputError(source.key, source.value, "an atom such as (on a b)")
     if (item in task.items) == (does == "add"):
         known = sorted(x.text for x in task.items if x[:2] == item[:2])
         absent = f"does not exist; known: {', '.join(known) or 'none'}"
@@ -266,7 +254,8 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
     for item in (x for x in robot.items if x.kind == "action" and x in items):
         robots, others = (declare(x.items[item]) for x in (robot, believed))
         allowed = f"the robot's parameters: {robots}"
-        refuse_if(robots != others, f"{key}.{item.owner}", others, allowed)
+        if robots != others:
+            raise InputError(f"{key}.{item.owner}", others, allowed)
     unknown = {*robot.predicates} ^ {*believed.predicates}
     both = {*_actions(robot.items)} & {*_actions(items)} | {""}
     found: dict[str, dict[Item, Any]] = {}

@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from xplain.errors import InputError, XplainError, refuse_if
+from xplain.errors import InputError, XplainError
 
 try:
     from fast_downward.translate import build_model, instantiate, normalize, options, pddl_to_prolog
@@ -334,7 +334,8 @@ def read_text(task: Task, signature: Signature, source: Source, effect: bool = F
     found = [
         x for y in actions for x in (y.effects if effect else split_conjunction(y.precondition))
     ]
-    refuse_if(len(found) != 1, source.key, source.value, "one literal such as (on ?x b)")
+    if len(found) != 1:
+        raise InputError(source.key, source.value, "one literal such as (on ?x b)")
     _refuse_universal(found[0].condition if effect else found[0], source)
     return found[0]
 

@@ -28,7 +28,7 @@ from xplain.domains.users.inaccurate_values import (
     with_subsets,
 )
 from xplain.domains.users.setting import MAX_MODELS, Setting, UserType
-from xplain.errors import InputError, TooLargeError, refuse_if, whole_number
+from xplain.errors import InputError, TooLargeError, whole_number
 from xplain.explanation.message_sets import names_of
 from xplain.storage import open_atomic
 
@@ -48,15 +48,10 @@ def prior_over(prior: ArrayLike | None, count: int, key: str) -> NDArray[np.floa
         weight = np.asarray(prior, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(key, prior, f"{count} probabilities") from None
-    refuse_if(
-        weight.shape != (count,), key, weight.shape, f"{count} probabilities, one a candidate"
-    )
-    refuse_if(
-        not (weight >= 0).all() or not abs(weight.sum() - 1) < SUM,
-        key,
-        float(weight.sum()),
-        "probabilities that sum to 1",
-    )
+    if weight.shape != (count,):
+        raise InputError(key, weight.shape, f"{count} probabilities, one a candidate")
+    if not (weight >= 0).all() or not abs(weight.sum() - 1) < SUM:
+        raise InputError(key, float(weight.sum()), "probabilities that sum to 1")
     return np.asarray(weight / weight.sum())
 
 
@@ -66,12 +61,8 @@ def table_of_labels(labels: ArrayLike) -> NDArray[np.uint8]:
         table = np.asarray(labels)
     except ValueError:
         table = np.zeros(0)
-    refuse_if(
-        table.ndim != 2 or 0 in table.shape or table.dtype.kind not in "biuf",
-        "hypotheses.labels",
-        table.shape,
-        "a table [2^n, transitions]",
-    )
+    if table.ndim != 2 or 0 in table.shape or table.dtype.kind not in "biuf":
+        raise InputError("hypotheses.labels", table.shape, "a table [2^n, transitions]")
     if not np.isin(table, (0, 1)).all():
         other = table[~np.isin(table, (0, 1))][0]
         raise InputError("hypotheses.labels", other.item(), "labels 0 and 1")
@@ -149,28 +140,16 @@ class Hypotheses:
                 candidates.
         """
         table = table_of_labels(labels)
-        refuse_if(
-            facts is None and len(table) & (len(table) - 1),
-            "hypotheses.labels",
-            table.shape,
-            "2^n rows, one a set of facts",
-        )
+        if facts is None and len(table) & (len(table) - 1):
+            raise InputError("hypotheses.labels", table.shape, "2^n rows, one a set of facts")
         masks = np.arange(len(table)) if facts is None else np.asarray(facts)
-        refuse_if(
-            masks.shape != table.shape[:1] or masks.dtype.kind not in "iu" or (masks < 0).any(),
-            "hypotheses.facts",
-            masks.shape,
-            "one bitmask a row of labels",
-        )
+        if masks.shape != table.shape[:1] or masks.dtype.kind not in "iu" or (masks < 0).any():
+            raise InputError("hypotheses.facts", masks.shape, "one bitmask a row of labels")
         masks = masks.astype(np.int64)
         n = int(masks.max()).bit_length()
         names = tuple(f"fact_{j}" for j in range(n)) if messages is None else tuple(messages)
-        refuse_if(
-            len(names) < n or len(set(names)) < len(names),
-            "hypotheses.messages",
-            ", ".join(names),
-            f"{n} names, all different",
-        )
+        if len(names) < n or len(set(names)) < len(names):
+            raise InputError("hypotheses.messages", ", ".join(names), f"{n} names, all different")
         weight = prior_over(prior, len(table), "hypotheses.prior")
         order = np.argsort(masks)
         if len(about.get("variants", ())):
@@ -244,9 +223,8 @@ class Hypotheses:
         except (OSError, ValueError, EOFError, zipfile.BadZipFile, TypeError) as error:
             reason = (str(error).splitlines() or [""])[0] or type(error).__name__
             raise InputError("hypotheses", str(path), f"an .npz file ({reason})") from None
-        refuse_if(
-            "labels" not in arrays, "hypotheses", str(path), "an .npz file with the array labels"
-        )
+        if "labels" not in arrays:
+            raise InputError("hypotheses", str(path), "an .npz file with the array labels")
         if unknown := arrays.keys() - set(ARRAYS):
             raise InputError("hypotheses", min(unknown), f"arrays {', '.join(ARRAYS)}")
         texts = {key: tuple(map(str, arrays[key].ravel())) for key in TEXTS if key in arrays}
@@ -395,12 +373,8 @@ class Hypotheses:
 
     def _check(self) -> None:
         """Raises InputError if attributes contradict each other."""
-        refuse_if(
-            self.facts[0] != 0 or len(np.unique(self.facts)) < len(self.facts),
-            "hypotheses.facts",
-            self.facts[0],
-            "different sets, the empty one too",
-        )
+        if self.facts[0] != 0 or len(np.unique(self.facts)) < len(self.facts):
+            raise InputError("hypotheses.facts", self.facts[0], "different sets, the empty one too")
         for j in range(int(self.facts[-1]).bit_length()):
             less = self.facts & ~(1 << j)
             if not np.isin(less, self.facts).all():
@@ -416,25 +390,17 @@ class Hypotheses:
         for key, array in (("features", self.features), ("states", self.states)):
             if array is not None and (array.ndim != 2 or len(array) != self.n_transitions):
                 raise InputError(f"hypotheses.{key}", array.shape, f"{self.n_transitions} rows")
-        refuse_if(
-            self.features is not None and not np.isfinite(self.features).all(),
-            "hypotheses.features",
-            "NaN or infinite",
-            "finite numbers",
-        )
-        refuse_if(
-            self.phrases and len(self.phrases) != self.n_transitions,
-            "hypotheses.phrases",
-            len(self.phrases),
-            f"{self.n_transitions} texts",
-        )
-        refuse_if(
-            not self.essential.any(),
-            "hypotheses",
-            ", ".join(self.messages),
-            "facts that cannot be told apart: no question separates any of them, as every "
-            "transition has one label whatever is believed incorrectly",
-        )
+        if self.features is not None and not np.isfinite(self.features).all():
+            raise InputError("hypotheses.features", "NaN or infinite", "finite numbers")
+        if self.phrases and len(self.phrases) != self.n_transitions:
+            raise InputError("hypotheses.phrases", len(self.phrases), f"{self.n_transitions} texts")
+        if not self.essential.any():
+            raise InputError(
+                "hypotheses",
+                ", ".join(self.messages),
+                "facts that cannot be told apart: no question separates any of them, as every "
+                "transition has one label whatever is believed incorrectly",
+            )
 
 
 _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()

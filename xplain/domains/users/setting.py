@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xplain.domains import mdp
 from xplain.domains.base import Domain
-from xplain.errors import InputError, TooLargeError, one_of, refuse_if
+from xplain.errors import InputError, TooLargeError, one_of
 from xplain.explanation.label_table import LabelTable
 
 MAX_MODELS = 1 << 14
@@ -71,11 +71,11 @@ class Setting:
             TooLargeError: more than MAX_MODELS distinct models.
         """
         names = [parameter.name for parameter in domain.parameters]
-        refuse_if(not types, "users", [], "at least one user type")
+        if not types:
+            raise InputError("users", [], "at least one user type")
         called = [user_type.name for user_type in types]
-        refuse_if(
-            len(set(called)) < len(called), "users", called, "user types need different names"
-        )
+        if len(set(called)) < len(called):
+            raise InputError("users", called, "user types need different names")
         for user_type in types:
             for name in user_type.inaccurate:
                 one_of(f"users.{user_type.name}", name, names, f"parameter of {domain.name}")

@@ -14,7 +14,7 @@ import numpy as np
 
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting, UserType
-from xplain.errors import Count, InputError, checks, one_of, refuse_if, whole_number
+from xplain.errors import Count, InputError, checks, one_of, whole_number
 from xplain.explanation.message_sets import indices
 
 
@@ -48,12 +48,8 @@ def user_type(domain: Domain, name: str, facts: Sequence[str] | Mapping[str, Any
     """
     default = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
     key = f"users.{name}"
-    refuse_if(
-        isinstance(facts, str) or not isinstance(facts, (Sequence, Mapping)) or not facts,
-        key,
-        facts,
-        f"some of the parameters {', '.join(default)}",
-    )
+    if isinstance(facts, str) or not isinstance(facts, (Sequence, Mapping)) or not facts:
+        raise InputError(key, facts, f"some of the parameters {', '.join(default)}")
     own = facts if isinstance(facts, Mapping) else dict.fromkeys(facts)
     for fact in own:
         one_of(key, fact, default, f"parameter of {domain.name}")
@@ -73,12 +69,8 @@ class Explicit:
 
     def __post_init__(self) -> None:
         """Raises InputError if ``groups`` is not a mapping with at least one type."""
-        refuse_if(
-            not isinstance(self.groups, Mapping) or not self.groups,
-            "users.groups",
-            self.groups,
-            "at least one user type, {name: [facts]}",
-        )
+        if not isinstance(self.groups, Mapping) or not self.groups:
+            raise InputError("users.groups", self.groups, "at least one user type, {name: [facts]}")
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
         """The types from YAML; ``rng`` is not used."""
@@ -186,9 +178,8 @@ class RandomCover:
         """
         n = len(domain.parameters)
         full = (1 << n) - 1
-        refuse_if(
-            n < 31 and self.count > full, "users.count", self.count, f"at most {full} subsets exist"
-        )
+        if n < 31 and self.count > full:
+            raise InputError("users.count", self.count, f"at most {full} subsets exist")
         masks = (rng.integers(1, full + 1, self.count).tolist() for _ in range(ATTEMPTS))
         covers = (
             [indices(mask) for mask in drawn]
@@ -226,7 +217,8 @@ class FewFacts:
             InputError: fewer parameters than ``most``, or no suitable draw.
         """
         n = len(domain.parameters)
-        refuse_if(self.most > n, "users.most", self.most, f"at most {n}, {domain.name}'s facts")
+        if self.most > n:
+            raise InputError("users.most", self.most, f"at most {n}, {domain.name}'s facts")
         sizes = (rng.integers(self.fewest, self.most + 1, self.count) for _ in range(ATTEMPTS))
         facts = ([sorted(rng.permutation(n)[:size].tolist()) for size in drawn] for drawn in sizes)
         return first_distinct(domain, self.count, facts)

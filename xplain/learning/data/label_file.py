@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, first_line, one_of, quote, refuse_if
+from xplain.errors import InputError, first_line, one_of, quote
 from xplain.explanation.message_sets import mask_of, names_of
 from xplain.learning.data.dataset import Dataset, query_index
 
@@ -191,7 +191,8 @@ def put_in_order(
     for name in names:
         one_of(key, name, like, "feature")
     for name in like:
-        refuse_if(name not in names, key, name.partition("=")[0], "this column is missing")
+        if name not in names:
+            raise InputError(key, name.partition("=")[0], "this column is missing")
     return features[..., [names.index(name) for name in like]]
 
 
@@ -212,7 +213,8 @@ def encode_transition(
         Column("trace", name, np.array([str(value).strip()], dtype=object), alone)
         for name, value in transition.items()
     ]
-    refuse_if(not columns, "trace", dict(transition), "a value for each column")
+    if not columns:
+        raise InputError("trace", dict(transition), "a value for each column")
     found = put_in_order(*features_of(columns, feature_names), feature_names, "trace")
     return tuple(found[0].tolist())
 
@@ -252,13 +254,10 @@ def read_table(
         others = [name for name in columns if name not in {*COLUMNS, *ignore}]
         sure = {*like, *(name.partition("=")[0] for name in like)}
         features = _choose_features(columns, others, sure)
-    refuse_if(
-        len({*COLUMNS, *features}) < len(COLUMNS) + len(features),
-        key,
-        [*COLUMNS, *features],
-        "each column once",
-    )
-    refuse_if(not features, key, str(path), "needs a column that describes the transition")
+    if len({*COLUMNS, *features}) < len(COLUMNS) + len(features):
+        raise InputError(key, [*COLUMNS, *features], "each column once")
+    if not features:
+        raise InputError(key, str(path), "needs a column that describes the transition")
     described = features_of([columns[name] for name in features], like)
     label = columns["label"]
     label.refuse([word in MISSING for word in label.words], "missing")
@@ -352,12 +351,8 @@ def is_parquet(path: Path, key: str) -> bool:
         InputError: the name has another ending; the error names ``key``.
     """
     name = path.name.lower()
-    refuse_if(
-        not name.endswith((".csv", ".csv.gz", ".parquet")),
-        key,
-        str(path),
-        "a file that ends in .csv, .csv.gz or .parquet",
-    )
+    if not name.endswith((".csv", ".csv.gz", ".parquet")):
+        raise InputError(key, str(path), "a file that ends in .csv, .csv.gz or .parquet")
     return name.endswith(".parquet")
 
 
@@ -376,7 +371,8 @@ def read_cells(path: Path, key: str) -> pd.DataFrame:
     import pandas as pd
 
     parquet = is_parquet(path, key)
-    refuse_if(not path.is_file(), key, str(path), "no such file")
+    if not path.is_file():
+        raise InputError(key, str(path), "no such file")
     try:
         table = _as_texts(pd.read_parquet(path)) if parquet else _read_csv(path, key)
     except UnicodeDecodeError:
@@ -385,7 +381,8 @@ def read_cells(path: Path, key: str) -> pd.DataFrame:
         raise
     except (OSError, EOFError, zlib.error, ValueError, csv.Error, pd.errors.ParserError) as error:
         raise InputError(key, str(path), f"not a readable table ({first_line(error)})") from None
-    refuse_if(not len(table), key, str(path), "has no rows")
+    if not len(table):
+        raise InputError(key, str(path), "has no rows")
     return table
 
 
@@ -413,7 +410,8 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
     names = (" ".join(name.split()) for name in next(filter(any, reader)))
     header = [name or f"Unnamed: {i}" for i, name in enumerate(names)]
     for name in header:
-        refuse_if(header.count(name) > 1, key, name, "two columns have this name")
+        if header.count(name) > 1:
+            raise InputError(key, name, "two columns have this name")
     rows: list[list[str]] = []
     for row in reader:
         if not "".join(row).strip():
@@ -455,18 +453,14 @@ def _require(
     :data:`COLUMNS`, or if it has a "=" and is not one of ``like``."""
     columns = [*table.columns]
     for name in columns:
-        refuse_if(
-            "=" in name and name not in like, key, name, "rename this column: a name has no ="
-        )
+        if "=" in name and name not in like:
+            raise InputError(key, name, "rename this column: a name has no =")
         for near in {*COLUMNS} - {*columns}:
-            refuse_if(
-                name.casefold().rstrip("s") == near.rstrip("s"),
-                key,
-                name,
-                f"rename this column to {near}",
-            )
+            if name.casefold().rstrip("s") == near.rstrip("s"):
+                raise InputError(key, name, f"rename this column to {near}")
     for name in names:
-        refuse_if(name not in columns, key, str(path), f"lacks the column {name}; it has {columns}")
+        if name not in columns:
+            raise InputError(key, str(path), f"lacks the column {name}; it has {columns}")
 
 
 def _choose_features(
@@ -571,9 +565,8 @@ def message_sets(
     if messages is None:
         _ask_about_names(column.key, found)
     known = tuple(found if messages is None else messages)
-    refuse_if(
-        len(known) > MAX_MASK, column.key, len(known), f"at most {MAX_MASK} different messages"
-    )
+    if len(known) > MAX_MASK:
+        raise InputError(column.key, len(known), f"at most {MAX_MASK} different messages")
     unknown = [not {*names} <= {*known} for names in given]
     column.refuse(unknown, "unknown message", f"; known: {', '.join(known)}")
     masks = np.array([mask_of(names, known, column.key) for names in given], dtype=np.int64)
@@ -593,46 +586,28 @@ def _ask_about_names(key: str, names: Sequence[str]) -> None:
         joined = len(own) > 1 and all(own) and (single or {*own} & elsewhere)
         others = "|".join(re.escape(other) for other in names if other != name)
         several = rf"\W*({others})((\W|_)+(and\W+)?({others}))+\W*"
-        refuse_if(
-            name in MISSING or re.fullmatch(NOTHING, name, re.IGNORECASE),
-            key,
-            name,
-            f"leave the cell empty if nothing was told; {one}",
-        )
+        if name in MISSING or re.fullmatch(NOTHING, name, re.IGNORECASE):
+            raise InputError(key, name, f"leave the cell empty if nothing was told; {one}")
         bracket = name[0] in "[{('\"" or name[-1] in ")}]"
         if bracket or joined or (others and re.fullmatch(several, name)):
             allowed = f"looks like messages joined by something else than a semicolon; {one}"
             raise InputError(key, name, allowed)
         for other in names:
-            refuse_if(
-                name < other and name.casefold() == other.casefold(),
-                key,
-                name,
-                f"differs from {other} by case alone; {one}",
-            )
+            if name < other and name.casefold() == other.casefold():
+                raise InputError(key, name, f"differs from {other} by case alone; {one}")
 
 
 def _check(dataset: Dataset, key: str) -> None:
-    refuse_if(
-        len(dataset.observers) < 2,
-        key,
-        dataset.observers[0],
-        "one observer; types need at least two",
-    )
-    refuse_if(
-        dataset.label.min() == dataset.label.max(),
-        key,
-        int(dataset.label[0]),
-        "all labels are equal; nothing to learn",
-    )
+    if len(dataset.observers) < 2:
+        raise InputError(key, dataset.observers[0], "one observer; types need at least two")
+    if dataset.label.min() == dataset.label.max():
+        raise InputError(key, int(dataset.label[0]), "all labels are equal; nothing to learn")
     query = query_index(dataset)
     count = int(query.max()) + 1
-    refuse_if(
-        count < MIN_QUERIES,
-        key,
-        count,
-        f"a split needs at least {MIN_QUERIES} distinct (transition, messages)",
-    )
+    if count < MIN_QUERIES:
+        raise InputError(
+            key, count, f"a split needs at least {MIN_QUERIES} distinct (transition, messages)"
+        )
     single = np.bincount(dataset.observer) == 1
     if single.any():
         log.warning("%d observers gave only one label, which decides their type", int(single.sum()))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting
-from xplain.errors import Count, InputError, Range, checks, refuse_if
+from xplain.errors import Count, InputError, Range, checks
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import read_table
 from xplain.learning.data.queries import Queries
@@ -44,13 +44,13 @@ class Observed:
             return
         domain, dataset = self.setting.domain, self.dataset
         names = transition_feature_names(domain)
-        refuse_if(
-            dataset.feature_names != names,
-            "observers.path",
-            ",".join(dataset.feature_names),
-            f"labels of {domain.name} need the features {','.join(names)} in this order "
-            "(python -m xplain discover finds types in labels of any task)",
-        )
+        if dataset.feature_names != names:
+            raise InputError(
+                "observers.path",
+                ",".join(dataset.feature_names),
+                f"labels of {domain.name} need the features {','.join(names)} in this order "
+                "(python -m xplain discover finds types in labels of any task)",
+            )
         wanted = self.setting.message_names
         if dataset.messages != wanted:
             given = ",".join(dataset.messages)
@@ -113,12 +113,8 @@ class SimulatedObservers:
 
     def __post_init__(self) -> None:
         counts = np.asarray(self.per_type)
-        refuse_if(
-            counts.ndim > 1 or counts.dtype.kind != "i" or counts.min() < 1,
-            "observers.per_type",
-            self.per_type,
-            "a number ≥ 1, or one a type",
-        )
+        if counts.ndim > 1 or counts.dtype.kind != "i" or counts.min() < 1:
+            raise InputError("observers.per_type", self.per_type, "a number ≥ 1, or one a type")
 
     def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
         """Returns the labels of all observers and their true types.
@@ -127,12 +123,8 @@ class SimulatedObservers:
             InputError: ``per_type`` does not fit the types.
         """
         types, counts = len(setting.types), np.asarray(self.per_type)
-        refuse_if(
-            counts.ndim and len(counts) != types,
-            "observers.per_type",
-            self.per_type,
-            f"a number, or {types} of them",
-        )
+        if counts.ndim and len(counts) != types:
+            raise InputError("observers.per_type", self.per_type, f"a number, or {types} of them")
         truth = np.repeat(np.arange(types), counts)
         sizes = np.full(len(truth), self.points)
         noise = [stream(seed, "observers", "noise", o) for o in range(len(truth))]
@@ -183,7 +175,8 @@ class FileObservers:
 
     def __post_init__(self) -> None:
         """Raises InputError if the file does not exist."""
-        refuse_if(not Path(self.path).is_file(), "observers.path", str(self.path), "no such file")
+        if not Path(self.path).is_file():
+            raise InputError("observers.path", str(self.path), "no such file")
 
     def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
         """Reads the table, with its features in the order of the domain's features. Labelers

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
-from xplain.errors import TooLargeError, refuse_if
+from xplain.errors import InputError, TooLargeError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import bits_of, indices, names_of, subsets
 from xplain.learning.answers import AnswerModel
@@ -438,12 +438,8 @@ class HypothesisTrainer(LabelerTrainer):
             InputError: no hypotheses, or hypotheses without features.
         """
         hypotheses = self.hypotheses or hypotheses_of(None, self.path)
-        refuse_if(
-            hypotheses.features is None,
-            "hypotheses.features",
-            None,
-            "needed to match labels with hypotheses",
-        )
+        if hypotheses.features is None:
+            raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
         return KnownTransitions.of(hypotheses)
 
     def fit_unmeasured(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
