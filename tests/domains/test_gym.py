@@ -153,6 +153,15 @@ def test_a_reward_is_added_where_an_earlier_change_leads() -> None:
     assert np.array_equal(gained[:, others], 2.0 * (before.successor[:, others] == start))
 
 
+def test_an_outcome_that_never_comes_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    never = [(1.0, 1, 0.0, False), (0.0, 1, 0.0, True)]
+    shown({0: {0: never}, 1: {0: [(1.0, 0, 0.0, False)]}}, monkeypatch)
+    change = [{"add": 1.0}]
+    parameters = {"x": {"inaccurate": change, "message": "No."}}
+    made = Gymnasium("Two", {"place": 2}, ["go"], 0.9, parameters)
+    assert not made.model({"x": []}).terminal.any()
+
+
 END = {0: [(1.0, 2, 0.0, True)], 1: [(1.0, 2, 0.0, True)]}
 ROWS = {s: {a: [(1.0, max(s + 2 * a - 1, 0), -1.0, s + a == 2)] for a in (0, 1)} for s in (0, 1)}
 

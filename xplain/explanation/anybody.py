@@ -119,7 +119,7 @@ def with_anybody(
         plain._replace(answered=table * (1 - error) + (1 - table) * error, prior=share * erring),
         _never(plain._replace(answered=table + (1 - table) * GUESS, prior=share * POLITE)),
     ]
-    if stuck:
+    if stuck and any(wrong):
         parts_ += [_stuck(plain, share * exact * stuck, wrong, every)]
     people = _joined(parts_)
     most = max(NUMBERS // table[..., 0].size, count)

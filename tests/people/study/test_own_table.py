@@ -105,10 +105,11 @@ def plan_of(**changes: Any) -> StudyPlan:
 
 def test_the_plan_is_what_the_table_says(lab: Path) -> None:
     plan = plan_of()
+    problem = plan.problem
     rows = [row - 1 for row in TRACE]
     assert plan.trace == tuple(f"Step {row} & <more>" for row in rows)
     assert (plan.scene, plan.path, plan.ahead, plan.changes) == (None, None, None, ())
-    assert plan.problem.type_names == ("cable?", "lift?", "queue?")
+    assert problem.type_names == ("cable?", "lift?", "queue?", "none of these")
     assert [clip.picture and clip.picture.alt for clip in plan.shown] == [
         "A red cable" if row == 0 else None for row in rows
     ]
@@ -118,9 +119,8 @@ def test_the_plan_is_what_the_table_says(lab: Path) -> None:
         for (k, row), told in product(enumerate(rows), ([], ["lift"], ["cable", "queue"])):
             label = plan.true_labels[kind, k, mask_of(told, FACTS)]
             assert label == sense(row, held - {*told})
-    of_type = np.split(plan.problem.p_explicable, len(FACTS))
     for number, fact in enumerate(FACTS):
-        for p in of_type[number]:
+        for p in problem.p_explicable[problem.as_found & (problem.whose == number)]:
             assert [int(one) for one in p[:, 0] > 0.5] == [sense(row, {fact}) for row in rows]
     # Whole sentences, the practice's too.
     assert plan.training.action.startswith("The robot ")
