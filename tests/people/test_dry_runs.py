@@ -136,7 +136,7 @@ def test_from_bots_to_types(
     labels = [f"data={data}/labels_bot.csv", f"hypotheses={data}/hypotheses.npz"]
     main(["discover", *labels, "labeler=hypotheses", "output=found", "held_out=false"])
     # The tests of `discover` draw no pictures.
-    assert (tmp_path / "found" / "posterior.png").stat().st_size > 1000
+    assert (tmp_path / "found" / "messages.png").stat().st_size > 1000
     found = pd.read_csv(tmp_path / "found" / "assignment.csv").set_index("observer")["type"]
     observers = pd.read_csv(data / "observers.csv").set_index("observer").loc[found.index]
     # What they state is what they are: simulated people know what they believe incorrectly.

@@ -87,7 +87,7 @@ def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
     types: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = planned(types, "briefing=none")
-    assert plan.problem.type_names == LearnedTypes.load(types).names
+    assert plan.problem.type_names[:-1] == LearnedTypes.load(types).names
     assert [role.briefing for role in plan.roles] == [()]
     path = tmp_path / "study.sqlite"
 

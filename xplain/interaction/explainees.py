@@ -356,6 +356,12 @@ class Heedless(Explainee):
         """See :class:`Explainee`."""
         return habits_of(0.0, self.accept, self.forget)
 
+    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+        """See :class:`Explainee`. The person knows none of the facts at first."""
+        user = SimulatedUser(labels, self, same, seed)
+        user.knows = 0
+        return user
+
     def hear(self, user: SimulatedUser, new: int) -> None:
         """See :class:`Explainee`. The user remembers how often each message was given."""
         for j in indices(new):
