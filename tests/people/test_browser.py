@@ -90,9 +90,9 @@ def rescue() -> Study:
         "{name: gender, label: Your gender, kind: choice, choices: [woman, man, another]},"
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
     )
-    return Study.of(
-        study_plan(compose_config("study", ["seed=0", "observers.points=150", questions]))
-    )
+    # With this belief no message makes a faultless person change an earlier answer.
+    made = ["seed=0", "observers.points=150", "belief=persistent", questions]
+    return Study.of(study_plan(compose_config("study", made)))
 
 
 @pytest.fixture(scope="module")
