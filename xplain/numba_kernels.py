@@ -2,8 +2,8 @@
 words.
 
 numba caches machine code beside the source, or below ``NUMBA_CACHE_DIR``, and uses it until the
-kernel's own file changes. Parts may be in other files, so the name of the cache entry contains a
-digest of these files.
+kernel's own file changes. A kernel's parts may be in other files, so the name of the cache entry
+contains a digest of these files.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class _Compilation(event.Listener):  # type: ignore[misc]
     """Reports the name of an xplain kernel while it is compiled, and "" at the end."""
 
     say: Callable[[str], None] | None = None
-    told = False
+    logged = False
 
     def on_start(self, event: event.Event) -> None:
         function = event.data["dispatcher"].py_func
@@ -63,47 +63,47 @@ _compilation = _Compilation()
 event.register("numba:compile", _compilation)
 
 
-def _tell_once(kernel: str) -> None:
-    if kernel and not _compilation.told:
+def _log_once(kernel: str) -> None:
+    if kernel and not _compilation.logged:
         log.warning("compiling the solvers' kernels once; later runs load them")
-        _compilation.told = True
+        _compilation.logged = True
 
 
 def tell_when_compiling(say: Callable[[str], None] | None = None) -> None:
-    """From now on this process reports when kernels are compiled.
+    """Makes this process report the compilation of kernels from now on.
 
     Args:
-        say: receives the name of a kernel, and "" when it is done. None keeps an earlier receiver;
-            without one, a line is logged.
+        say: receives the name of a kernel, and "" when its compilation ends. None keeps the earlier
+            ``say``; without an earlier one, a line is logged.
     """
-    _compilation.say = say or _compilation.say or _tell_once
+    _compilation.say = say or _compilation.say or _log_once
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def borrow(typing: Any, value: Any) -> Any:
     """Returns the same arrays, in tuples of any depth, without counting references to them: numba
-    would count at every call and for every row. The kernel's caller keeps them alive."""
+    would count at every call and for every row. The kernel's caller keeps the arrays alive."""
 
-    def uncounted(context: Any, builder: Any, kind: Any, own: Any) -> Any:
+    def drop_counts(context: Any, builder: Any, kind: Any, own: Any) -> Any:
         if isinstance(kind, types.Array):
             array = context.make_array(kind)(context, builder, own)
             array.meminfo = cgutils.get_null_value(array.meminfo.type)
             array.parent = cgutils.get_null_value(array.parent.type)
             return array._getvalue()
         for i, each in enumerate(kind if isinstance(kind, types.BaseTuple) else ()):
-            inner = uncounted(context, builder, each, builder.extract_value(own, i))
+            inner = drop_counts(context, builder, each, builder.extract_value(own, i))
             own = builder.insert_value(own, inner, i)
         return own
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return uncounted(context, builder, value, arguments[0])
+        return drop_counts(context, builder, value, arguments[0])
 
     return value(value), generate
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def first_bit(typing: Any, mask: Any) -> Any:
-    """The position of the lowest bit set; undefined for 0."""
+    """Returns the position of the lowest bit that is 1; undefined for 0."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
@@ -113,7 +113,7 @@ def first_bit(typing: Any, mask: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def count_bits(typing: Any, mask: Any) -> Any:
-    """The number of bits that are 1."""
+    """Returns the number of bits that are 1."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.ctpop(arguments[0])
@@ -123,7 +123,7 @@ def count_bits(typing: Any, mask: Any) -> Any:
 
 @part
 def nth_bit(mask, r):  # type: ignore[no-untyped-def]
-    """The position of the r-th bit set in a mask, from 0."""
+    """Returns the position of the r-th bit that is 1 in a mask; r begins at 0."""
     for _ in range(r):
         mask &= mask - 1
     return first_bit(mask)
@@ -144,13 +144,13 @@ def splitmix64(x):  # type: ignore[no-untyped-def]
 
 @part
 def next_below(counter, count):  # type: ignore[no-untyped-def]
-    """A random number in 0 … count − 1, from the next word."""
+    """Returns a random number in 0 … count − 1, from the next word."""
     counter[0] += GOLDEN
     return np.int64(((splitmix64(counter[0]) >> uint64(32)) * uint64(count)) >> uint64(32))
 
 
 @part
 def next_uniform(counter):  # type: ignore[no-untyped-def]
-    """A random number in [0, 1), from the next word."""
+    """Returns a random number in [0, 1), from the next word."""
     counter[0] += GOLDEN
     return np.float64(splitmix64(counter[0]) >> uint64(11)) * 2.0**-53

@@ -56,6 +56,6 @@ EXPLAIN = Explain()
 
 
 def give(messages: int) -> Action:
-    """The action that gives these messages (a bitmask) and then explains; without messages, it
-    explains."""
+    """Returns the action *give messages* for a bitmask of messages, or *explain* if the bitmask is
+    0."""
     return GiveMessages(messages) if messages else EXPLAIN

@@ -1,4 +1,4 @@
-"""People nobody assumed: further hidden types besides the user types that were found.
+"""Hidden types that are added to the found user types, for people with other beliefs or habits.
 
 A hidden type is a set W of facts believed incorrectly, with a way of listening and answering. The
 found types have most of the prior. The rest is for
@@ -7,9 +7,9 @@ found types have most of the prior. The rest is for
   set has the same share, so that the many large sets do not outweigh the few small ones;
 - people who answer 1 although they think 0, and people who err in both directions;
 - people who keep one incorrect belief until all messages are given;
-- people whose answers give no information. They are one hidden type: its labels are the mean of all
-  others, and each answer is 0 or 1 with equal probability. So a policy plans for them without
-  learning from answers.
+- people whose answers give no information. They are one hidden type: its label probabilities are
+  the mean over all other hidden types, and each answer is 0 or 1 with equal probability. So a
+  policy plans for these people without learning from their answers.
 
 Nothing else changes: the problem has more hidden types, and is the same POMDP.
 """
@@ -29,20 +29,20 @@ from xplain.explanation.label_table import DENSE, LabelTable, join_steps
 from xplain.explanation.problem import Problem
 
 STUCK = 0.01
-"""Share of people who keep one incorrect belief, for each set."""
+"""Share of people who keep one incorrect belief, among the people with each set of facts."""
 LISTENING, ERRING, POLITE, COIN = 12 / 15, 1 / 15, 1 / 15, 1 / 15
 """Shares of people who answer what they think, err in both directions, answer 1 for 0, and answer
 at random."""
 ERROR, GUESS = 0.1, 0.4
 """P(the opposite answer) of people who err, and P(answer 1) of polite people who think 0."""
 NUMBERS = 1 << 24
-"""Maximum size of a label table; the least likely hidden types beyond it are left out."""
+"""Maximum size of a label table; from a larger table the least likely hidden types are left out."""
 NONE_OF_THESE = "none of these"
 
 
 class _People(NamedTuple):
-    """Hidden types: labels and answers [rows, 2^n, K], prior [K], user type [K], and whether they
-    were assumed [K]."""
+    """K hidden types: P(label is 1) and P(answer is 1) [rows, 2^n, K], prior [K], user type [K],
+    and True if the type was assumed [K]."""
 
     p: NDArray[np.float64]
     answered: NDArray[np.float64]
@@ -60,16 +60,17 @@ class _People(NamedTuple):
 
 @dataclass(frozen=True)
 class Open(Independent):
-    """People may have no found type, answer otherwise than they think, or miss messages.
+    """A belief about people who may have no found type, answer otherwise than they think, or miss
+    messages.
 
     Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. If ``error`` is not
-    0, its rates replace ERROR and the share of people who err in both directions.
+    0, the given rates replace ERROR and the share of people who err in both directions.
     """
 
     open: ClassVar[bool] = True
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
-        """See :class:`~xplain.explanation.belief.BeliefUpdate`."""
+        """Adds hidden types of people who were not assumed, and the assumed habits."""
         habits = self.habits(learned)
         if problem.n_messages > DENSE:
             return problem.with_habits(habits)
@@ -84,15 +85,17 @@ class Open(Independent):
 def with_anybody(
     problem: Problem, facts: Facts | None, erring: float, error: float, messages_land: bool
 ) -> Problem:
-    """Adds people nobody assumed to a problem. One further user type represents all people who have
-    none of the found types.
+    """Adds hidden types of people who were not assumed to a problem. One further user type
+    represents all people who have none of the found types.
 
     Args:
         problem: a problem of M user types, with at most DENSE messages.
         facts: the facts that people may believe incorrectly; None if unknown.
-        erring: share of people who err in both directions, among these and people who never err.
-        error: P(the opposite answer) of these people.
-        messages_land: True if no other part models messages without effect.
+        erring: share of people who err in both directions, if only they and people who never err
+            are counted.
+        error: P(the opposite answer) of people who err in both directions.
+        messages_land: True if the habits assume that messages always correct the fact. Then people
+            who keep one incorrect belief are added.
     """
     n, count = problem.n_messages, problem.n_types
     every, sets = (1 << n) - 1, np.arange(1 << n)
@@ -117,18 +120,20 @@ def with_anybody(
     parts_ = [
         plain,
         plain._replace(answered=table * (1 - error) + (1 - table) * error, prior=share * erring),
-        _never(plain._replace(answered=table + (1 - table) * GUESS, prior=share * POLITE)),
+        _mark_not_assumed(
+            plain._replace(answered=table + (1 - table) * GUESS, prior=share * POLITE)
+        ),
     ]
     if stuck and any(wrong):
-        parts_ += [_stuck(plain, share * exact * stuck, wrong, every)]
-    people = _joined(parts_)
+        parts_ += [_make_stuck(plain, share * exact * stuck, wrong, every)]
+    people = _concatenate(parts_)
     most = max(NUMBERS // table[..., 0].size, count)
     people = people.take(np.sort(np.argsort(-people.prior, kind="stable")[:most]))
     weight = people.prior / people.prior.sum()
     coin = (people.p @ weight)[..., None].clip(0, 1)
     half = np.full_like(coin, 0.5)
     one, no = np.full(1, count), np.zeros(1, np.bool_)
-    people = _joined([people, _People(coin, half, np.full(1, COIN), one, no)])
+    people = _concatenate([people, _People(coin, half, np.full(1, COIN), one, no)])
     relevant = np.tile(np.arange(n), (len(people.prior), 1))
     whole = LabelTable(relevant, people.p, people.answered)
     steps = range(problem.n_steps)
@@ -151,7 +156,7 @@ def _other_sets(found: tuple[int, ...], n: int) -> list[int]:
     return sorted({0, (1 << n) - 1, *(1 << j for j in range(n)), *unions} - {*found})
 
 
-def _joined(parts: list[_People]) -> _People:
+def _concatenate(parts: list[_People]) -> _People:
     """Concatenates hidden types."""
     p, answered, prior, whose, as_found = zip(*parts, strict=True)
     return _People(
@@ -163,16 +168,16 @@ def _joined(parts: list[_People]) -> _People:
     )
 
 
-def _never(people: _People) -> _People:
-    """Marks all of these hidden types as not assumed."""
+def _mark_not_assumed(people: _People) -> _People:
+    """Marks all given hidden types as not assumed."""
     return people._replace(as_found=np.zeros_like(people.as_found))
 
 
-def _stuck(
+def _make_stuck(
     people: _People, share: NDArray[np.float64], wrong: tuple[int, ...], every: int
 ) -> _People:
-    """Makes one more hidden type for each of these types and each fact that it believes
-    incorrectly: people who believe this fact incorrectly until all messages are given."""
+    """Makes a hidden type for each given type and each fact that the type believes incorrectly:
+    people who keep this incorrect belief until all messages are given."""
     which = [
         (k, j) for k, own in enumerate(wrong) for j in range(every.bit_length()) if own >> j & 1
     ]

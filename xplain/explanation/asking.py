@@ -4,14 +4,14 @@ A question has the answer 1 or 0, costs κ for either answer, and changes only t
 discounts, because a discounting action would gain by delaying later costs. It is asked before the
 messages of a step, at most once. There are two kinds:
 
-- a *clip*, (τ, H): "does this step make sense to you?", about a transition of the task, on the
-  trace or not, with the messages H given so far. The answer is the label of τ under H;
+- a *clip*, (τ, H): "does this step make sense to you?", about a transition τ, which need not be on
+  the trace, with the messages H given so far. The answer is the label of τ under H;
 - a *belief*: "which do you think?", about the two sentences of a fact. The answer is 1 if the user
   believes the fact correctly.
 
-Clips are alike if the more likely labels in their columns are equal. Of clips that are alike only
-the one nearest to the trace may be asked, and after it the next nearest: a second opinion for users
-who err. A question that all hidden types answer alike is left out.
+Two clips are alike if their more likely labels are equal in every hidden state. Among alike clips
+only the nearest to the trace may be asked. After its answer the next nearest may be asked, because
+users may err. A question is left out if all hidden types answer it alike.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Pool:
 
     Args:
         kinds: ``clips``, ``beliefs``, or both.
-        clips: maximum number of clips for a trace; the nearest of each kind come first.
+        clips: maximum number of clips for a trace; among alike clips the nearest comes first.
     """
 
     kinds: tuple[Kind, ...] = ("clips",)
@@ -92,17 +92,17 @@ class Question:
 
 @dataclass(frozen=True)
 class Questions:
-    """Q questions that one trace's explanation may ask, nearest to the trace first; none by
-    default.
+    """Q questions that the explanation of one trace may ask, the nearest to the trace first; none
+    by default.
 
     Attributes:
-        table: P(label is 1), and P(answer is 1) if users err, for Q transitions or beliefs in the
-            place of transitions.
+        table: P(label is 1), and P(answer is 1) if users err, of the Q questions; each question has
+            the place of a transition.
         limits: cost, number and time.
         shows: [Q, m] True if a question is a clip of this transition of the trace.
-        texts: Q texts, or none. The text of a clip is its step; that of a belief has its two
+        texts: Q texts, or none. The text of a clip is its step. The text of a belief has the two
             sentences on two lines, in the order of display.
-        right: [Q] index of the true line of a belief, 0 or 1; −1 for clips. None for clips alone.
+        right: [Q] index of the true line of a belief, 0 or 1; −1 for clips. By default −1 for all.
     """
 
     table: LabelTable = field(
@@ -128,7 +128,7 @@ class Questions:
         return len(self.table.p)
 
     def question(self, number: int) -> Question:
-        """The question with this number in words."""
+        """Returns the question with this number in words."""
         text = self.texts[number] if self.texts else f"question {number + 1}"
         return make_question(number, text, int(self.right[number]))
 
@@ -142,11 +142,13 @@ def make_question(number: int, text: str, right: int) -> Question:
 
 
 def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
-    """Selects at most ``most`` questions of a long list, which has the nearest first.
+    """Selects at most ``most`` questions from a list that begins with the nearest. Returns their
+    indices, ascending.
 
-    The order is: the nearest question of each kind, by its column before any message; then the
-    nearest questions that are of another kind only after messages; then second opinions, in turn.
-    Questions that all types answer alike, with any messages, are left out.
+    Two questions are alike if every type's more likely answer to both is equal, under every message
+    set. The nearest questions that differ before any message are selected first, then the nearest
+    questions that differ only after messages. Second, third, … questions that are alike follow.
+    Questions that all types answer alike under every message set are left out.
     """
     yes = table.p >= 0.5
     same = (table.answered == table.answered[:, :, :1]).all(axis=(1, 2))
@@ -164,9 +166,9 @@ def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
 def nearest_first(
     features: NDArray[np.float64], of_trace: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """[Q] the order of transitions with features [Q, F] by their distance to a trace [m, F]. The
-    distance is the number of features that differ from the nearest transition of the trace, then
-    the sum of the differences."""
+    """Returns [Q] the order of transitions with features [Q, F], by their distance to a trace
+    [m, F]. The distance is the number of features that differ from the nearest transition of the
+    trace, then the sum of the differences."""
     if not len(features):
         return np.empty(0, np.int64)
     scale = np.ptp(np.concatenate([features, of_trace]), axis=0)

@@ -3,11 +3,10 @@
 A belief is an array [N] that sums to 1. If messages may be missed or forgotten, a given message is
 not always a known fact. Then the type t, with its habits, and the set K of facts that the user
 currently believes correctly are hidden. Only facts relevant to t matter, so each K is a row of a
-label table. So a belief is an array [rows · N] with linear updates: a message moves a share α of
-the rows without the fact to those with it, and forgetting moves a share φ back.
+label table. A belief is then an array [rows · N] with linear updates: a message moves a share α of
+each row without the fact to the row with the fact, and forgetting moves a share φ back.
 
-A *belief update* is a function of what the user saw and answered. It chooses which labels count as
-evidence.
+A *belief update* chooses which of the user's labels count as evidence.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 
 Evidence = slice | NDArray[np.bool_]
-"""The labels of an answer that are evidence: [k + 1] by position."""
+"""The positions of the prefix whose labels are evidence: a slice, or [k + 1] True or False."""
 
 
 OPEN = 0.1
-"""Share of people with none of the found fact sets, if it was not counted."""
+"""Assumed share of people with none of the found fact sets, if no estimate is given."""
 
 
 class Facts(NamedTuple):
@@ -38,7 +37,7 @@ class Facts(NamedTuple):
         everything: P(label is 1) of a trace's transitions for a type that believes every fact
             incorrectly. Given all messages except those about W, this type behaves like people who
             believe W incorrectly.
-        asked: the same for the questions; None without questions.
+        asked: P(label is 1) of the questions for the same type; None without questions.
         wrong: bitmasks of the facts that each user type believes incorrectly.
         new: P(the next person has no found type).
     """
@@ -50,12 +49,12 @@ class Facts(NamedTuple):
 
 
 NO_FIT = 0.5
-"""If a person's fit (:meth:`Problem.fit`) is smaller, no found type fits them."""
+"""No found type fits a person whose fit (:meth:`Problem.fit`) is smaller than this."""
 
 
 def fact_sets(wrong: NDArray[np.float64]) -> tuple[int, ...]:
-    """Bitmasks of the facts that each type believes incorrectly with a probability above ½, from
-    probabilities [N, n]."""
+    """Returns the bitmask of the facts that each type believes incorrectly with a probability of at
+    least ½, from probabilities [N, n]."""
     return tuple(sum(1 << j for j in np.flatnonzero(own >= 0.5).tolist()) for own in wrong)
 
 
@@ -65,7 +64,7 @@ class BeliefUpdate(Protocol):
     Attributes:
         fresh_labels: True if each label of each step is drawn independently and is evidence, as in
             the POMDP of solvers and certificates. Otherwise people repeat themselves, and
-            :func:`xplain.interaction.dialogue.advance` leaves out labels without news.
+            :func:`xplain.interaction.dialogue.advance` leaves out labels without new information.
         open: True if people may have no found type.
     """
 
@@ -73,18 +72,18 @@ class BeliefUpdate(Protocol):
     open: ClassVar[bool] = False
 
     def habits(self, learned: Habits | None) -> Habits:
-        """The assumed habits of listening and answering.
+        """Returns the habits of listening and answering that the belief assumes.
 
         Args:
             learned: habits that were learned from observers' answers, if any.
         """
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
-        """Extends the problem of the found user types by these habits.
+        """Returns the problem of the found user types, extended by the assumed habits.
 
         Args:
             problem: the problem of the found user types.
-            learned: see :meth:`habits`.
+            learned: habits that were learned from observers' answers, if any.
             facts: facts that people may believe incorrectly, if known.
         """
         ...
@@ -112,11 +111,11 @@ class Assuming:
             check_assumed(key, getattr(self, key))
 
     def habits(self, learned: Habits | None = None) -> Habits:
-        """See :class:`BeliefUpdate`."""
+        """Combines the assumed rates; ``learned`` gives the rates that are set to ``learned``."""
         return habits_of(self.error, self.accept, self.forget, learned)
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
-        """See :class:`BeliefUpdate`."""
+        """Returns the problem with the assumed habits as a part of the hidden state."""
         return problem.with_habits(self.habits(learned))
 
 
@@ -131,8 +130,8 @@ class Independent(Assuming):
 @dataclass(frozen=True)
 class Persistent(Assuming):
     """Only new labels are evidence. A repeated label of (transition, message set), or of a copy of
-    the transition, is not evidence: without new information people repeat themselves. Messages only
-    accumulate, so only the newest transition's label is new unless a message was given. After a
+    the transition, is not evidence: without new information people repeat themselves. Message sets
+    only grow, so only the newest transition's label is new unless a message was given. After a
     message people err independently of their earlier labels."""
 
     fresh_labels: ClassVar[bool] = False
@@ -160,7 +159,7 @@ def update(
         The new belief, in the same form. Labels that are impossible for all types with positive
         belief (only with probabilities of exactly 0 or 1) leave the belief unchanged.
     """
-    posterior = _after(problem, problem.table, belief, message_set, labels, evidence)
+    posterior = _update_by_labels(problem, problem.table, belief, message_set, labels, evidence)
     return posterior if problem.messages_land else after_forgetting(posterior, problem.forget)
 
 
@@ -171,10 +170,10 @@ def update_by_answer(
     questions. Nothing is forgotten at a question."""
     table = problem.questions.table.of_steps([question])
     labels = np.array([answer], np.uint8)
-    return _after(problem, table, belief, message_set, labels, slice(None))
+    return _update_by_labels(problem, table, belief, message_set, labels, slice(None))
 
 
-def _after(
+def _update_by_labels(
     problem: Problem,
     table: LabelTable,
     belief: NDArray[np.float64],
@@ -182,7 +181,7 @@ def _after(
     labels: NDArray[np.uint8],
     evidence: Evidence,
 ) -> NDArray[np.float64]:
-    """The belief after answers about the first transitions of a table."""
+    """Updates the belief by answers about the first transitions of a table."""
     if not problem.messages_land:
         p = table.answered[: len(labels)].reshape(len(labels), -1).T[:, evidence]
     else:
@@ -202,7 +201,8 @@ def _after(
 def update_by_messages(
     problem: Problem, belief: NDArray[np.float64], new: int
 ) -> NDArray[np.float64]:
-    """Updates the belief by these messages; it changes only if users may miss messages."""
+    """Updates the belief by new messages. A belief changes only if messages may be missed or
+    forgotten."""
     if problem.messages_land:
         return belief
     for message in indices(new):
@@ -216,8 +216,9 @@ def after_message(
     message: int,
     accept: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Updates a belief [rows · N] by a message that was given once. ``relevant`` [N, r] marks its
-    bits in a row, and ``accept`` [N] is the probability α that it is accepted."""
+    """Updates a belief [rows · N] by a message that was given once. ``relevant`` [N, r] has the
+    message of each bit of a row, and ``accept`` [N] the probability α that each type accepts the
+    message."""
     after, landing = belief.copy(), np.where(relevant == message, accept[:, None], 0.0)
     for bit in np.flatnonzero(landing.any(axis=0)).tolist():
         pairs = after.reshape(-1, 2, 1 << bit, len(accept))
@@ -228,8 +229,8 @@ def after_message(
 
 
 def after_forgetting(belief: NDArray[np.float64], lose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[..., rows · N] the beliefs after the end of a step, when each known fact is forgotten with
-    probability φ (``lose`` [N])."""
+    """Returns [..., rows · N] the beliefs after the end of a step, at which each known fact is
+    forgotten with probability φ (``lose`` [N])."""
     after, width = np.array(belief, order="C"), len(lose)
     while width < after.shape[-1]:
         pairs = after.reshape(-1, 2, width // len(lose), len(lose))

@@ -4,7 +4,7 @@
 - ``.pomdp``: Cassandra's text format, for other POMDP programs; can be written. States are (k, H,
   type) and one absorbing end; actions are *explain* and the n messages; observations are "nothing"
   and the distinguishable answers at each (k, H), numbered. All entries are explicit numbers without
-  names, because parsers read these fast. Only rewards have wildcards, one line for each (state,
+  names, because parsers read numbers fast. Only rewards have wildcards, one line for each (state,
   action): SARSOP refuses rewards with an end state and an observation. The format cannot exclude
   actions. So a message that was already given, or that has no effect, leads to the end at a price
   above any cost, and no optimal policy gives it.
@@ -32,9 +32,9 @@ from xplain.storage import decode, encode
 WHOLE = "problem"
 """In a file of :func:`save`: the name of the text that assigns the arrays to fields."""
 DENSE, BY_TYPE = {"p_explicable"}, {"relevant", "p_relevant"}
-"""The arrays of a label table in other files, in its two forms."""
+"""Names of the arrays of a label table in files of other programs, for the two forms of a table."""
 EXPLAIN, NOTHING = 0, 0
-"""Numbers of an action and an observation in the text."""
+"""Numbers of the action *explain* and of the observation "nothing" in a ``.pomdp`` file."""
 MAX_LINES = 20_000_000
 
 
@@ -60,7 +60,7 @@ def load(path: str | Path) -> Problem:
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {key: _as_python(value) for key, value in file.items()}
+            arrays = {key: _convert_to_python(value) for key, value in file.items()}
     except (OSError, zipfile.BadZipFile, EOFError, ValueError, TypeError) as error:
         # A ValueError means that numpy would have to unpickle, which is forbidden here; a
         # TypeError means that the file has a single array.
@@ -85,7 +85,7 @@ def load(path: str | Path) -> Problem:
     return Problem(table, **arrays)
 
 
-def _as_python(array: NDArray[Any]) -> Any:
+def _convert_to_python(array: NDArray[Any]) -> Any:
     """Converts a single number or text, or several texts, to Python values."""
     if not array.ndim:
         return array.item()
@@ -93,7 +93,7 @@ def _as_python(array: NDArray[Any]) -> Any:
 
 
 def pomdp_lines(problem: Problem) -> Iterator[str]:
-    """The lines of a ``.pomdp`` file.
+    """Yields the lines of a ``.pomdp`` file.
 
     Raises:
         InputError: the problem has questions, or only its steps discount; the format allows
@@ -105,16 +105,14 @@ def pomdp_lines(problem: Problem) -> Iterator[str]:
             "discount_per", "step", "the format discounts every action; needs action, or γ = 1"
         )
     if problem.questions:
-        raise InputError(
-            "problem", "has questions", "one without: no question discounts or is asked twice"
-        )
+        raise InputError("problem", "has questions", "without questions: the format allows none")
     types, steps, n = problem.n_types, problem.n_steps, problem.n_messages
     sets = 1 << n
     end = types * steps * sets
     fewest = 3 * end * (n + 1)
     _check_lines(fewest)
     answers = {
-        (k, shown): _answers_of(problem, k, shown)
+        (k, shown): _list_answers(problem, k, shown)
         for k in range(steps - 1)
         for shown in range(sets)
     }
@@ -167,10 +165,10 @@ def _check_lines(expected: int) -> None:
         )
 
 
-def _answers_of(problem: Problem, step: int, shown: int) -> list[list[float]]:
-    """P(answer | type) for the distinguishable answers to *explain* at (k, H). Transitions with
-    equal columns are answered by their number of labels 1; those that all types label alike are
-    left out."""
+def _list_answers(problem: Problem, step: int, shown: int) -> list[list[float]]:
+    """Computes P(answer | type) of the distinguishable answers to *explain* at (k, H). If
+    transitions have equal columns, their number of labels 1 is the answer. Transitions that all
+    types label alike are left out."""
     labels = problem.table.answer_probabilities(step + 1, shown)
     columns: dict[tuple[float, ...], int] = {}
     for i in range(step + 1):

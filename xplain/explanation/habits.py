@@ -1,10 +1,10 @@
-"""Users' habits of listening and answering. The paper's users accept every message for ever, and
-never err.
+"""Users' habits of listening and answering. The paper's users accept every message, never forget,
+and never err.
 
 A user gives the opposite answer with probability e, accepts a given message with probability α, and
 forgets a corrected fact with probability φ at each step, after the labels. These *habits* are
-unknown, so they are a hidden part of the explanation besides the user type, on a small grid. Costs
-depend on what a user thinks, evidence on what they answer.
+unknown, so they belong to the hidden state, like the user type, and have values on a small grid.
+Costs depend on what a user thinks; beliefs depend on what the user answers.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ Assumed = float | Mapping[float, float] | Literal["learned"]
 """A rate that all users share; rates with their shares among users; or ``learned``: rates learned
 from people's answers, or a documented grid if these give no information."""
 MOST = 45
-"""Maximum number of habits on a grid; tables and beliefs grow by this factor."""
+"""Maximum number of habits on a grid; tables and beliefs grow in proportion to this number."""
 
 
 RANGES = {"error": Range(0, 0.5, "[)"), "accept": Range(0, 1, "(]"), "forget": Range(0, 1, "[)")}
-"""Possible rates. An error rate above ½ would mean the opposite."""
+"""Possible rates. An error rate above ½ would mean that a user's answers are the opposite."""
 
 
 @dataclass(frozen=True)
 class Habits:
-    """F habits.
+    """F habits that a user may have.
 
     Attributes:
         error: [F] e, in [0, ½).
@@ -54,7 +54,7 @@ class Habits:
         rates = {key: getattr(self, key) for key in RANGES}
         count = self.prior.size
         if not 1 <= count <= MOST or any(own.shape != (count,) for own in rates.values()):
-            raise InputError("habits", count, f"1 to {MOST} of them, each with all rates")
+            raise InputError("habits", count, f"1 to {MOST} habits, each with all rates")
         for key, own in rates.items():
             for rate in own.tolist():
                 RANGES[key].check(f"habits.{key}", rate)
@@ -77,13 +77,13 @@ class Habits:
         return bool((self.accept == 1).all()) and not self.forget.any()
 
     def shares(self, key: str) -> dict[float, float]:
-        """Probability of each rate of a kind (``error``, ``accept``, ``forget``), by ascending
-        rate."""
+        """Returns the probability of each rate of a kind (``error``, ``accept``, ``forget``), by
+        ascending rate."""
         rates = getattr(self, key)
         return {rate: float(self.prior[rates == rate].sum()) for rate in np.unique(rates).tolist()}
 
     def add_errors(self, meant: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[..., N F] P(answer is 1), computed from P(label is 1) ``meant`` [..., N]. The habits of
+        """Computes [..., N F] P(answer is 1) from P(label is 1) ``meant`` [..., N]. The habits of
         one type are neighbours."""
         e = np.tile(self.error, meant.shape[-1])
         a = meant.repeat(len(self), axis=-1)
@@ -91,7 +91,7 @@ class Habits:
 
 
 PAPER = Habits(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
-"""Users accept every message for ever, and answer what they think."""
+"""The paper's habit: users accept every message, never forget, and answer what they think."""
 
 Grid = tuple[tuple[float, ...], tuple[float, ...]]
 UNKNOWN: dict[str, Grid] = {
@@ -99,14 +99,15 @@ UNKNOWN: dict[str, Grid] = {
     "accept": ((1.0, 0.8, 0.6), (0.6, 0.25, 0.15)),
     "forget": ((0.0, 0.05, 0.1), (0.6, 0.25, 0.15)),
 }
-"""Rates and their probabilities if no answers were learned from. Half of the people never err by
-themselves; the mean error rate is 0.05."""
+"""Rates and their probabilities that are assumed if no rates were learned. Half of the people never
+err by themselves; the mean error rate is 0.05."""
 
 
 def habits_of(
     error: Assumed, accept: Assumed, forget: Assumed, learned: Habits | None = None
 ) -> Habits:
-    """The habits that a belief assumes: each rate as given or learned, independent of each other.
+    """Makes the habits that a belief assumes: each rate is given or learned, and the three rates
+    are independent.
 
     Args:
         error, accept, forget: the settings ``belief.error``, ``belief.accept``, ``belief.forget``.
@@ -115,7 +116,7 @@ def habits_of(
             were missed.
 
     Raises:
-        InputError: neither ``learned`` nor a rate in its range.
+        InputError: a setting is neither ``learned`` nor has rates in their range.
     """
     grids = []
     for key, assumed in (("error", error), ("accept", accept), ("forget", forget)):
@@ -143,7 +144,7 @@ def check_assumed(key: str, assumed: Assumed) -> None:
         if not isinstance(assumed, Mapping):
             return RANGES[key].check(f"belief.{key}", assumed)
         for rate, share in assumed.items():
-            RANGES[key].check(f"belief.{key}", float(rate))  # a text in a plan, which is JSON
+            RANGES[key].check(f"belief.{key}", float(rate))  # a rate is a text in JSON plans
             Range(0).check(f"belief.{key}", share)
         Range(0, ends="()").check(f"belief.{key}", sum(assumed.values()))
     except (InputError, ValueError):

@@ -1,13 +1,13 @@
 """P(label is 1 | transition, type, message set): everything that a solver knows about users.
 
 A label is what a user thinks; costs depend on labels. The user's answer may differ from the label
-by slips, guesses and errors (:mod:`xplain.explanation.habits`); beliefs depend on answers. If they
-differ, a table has both.
+by slips, guesses and errors (:mod:`xplain.explanation.habits`); beliefs depend on answers. If
+answers differ from labels, a table has both.
 
 Only messages that change a user's labels on the trace are relevant to this user: messages about
-facts believed incorrectly, or messages that the type's labeler tests. So a table stores each type's
-probabilities by its relevant messages. N types with r relevant messages need m · 2^r · N numbers,
-for any number of messages. In a dense table every message is relevant to every type.
+facts believed incorrectly, or messages that the type's labeler depends on. So a table stores each
+type's probabilities by its relevant messages. N types with r relevant messages need m · 2^r · N
+numbers, for any number of messages. In a dense table every message is relevant to every type.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class LabelTable:
 
     def __post_init__(self) -> None:
         """Converts the arrays to one memory layout, because kernels are compiled only for this
-        one."""
+        layout."""
         for name in ("relevant", "p", "answers"):
             array = np.require(getattr(self, name), requirements=["C", "W"])
             object.__setattr__(self, name, array)
@@ -62,8 +62,8 @@ class LabelTable:
         """[m, 2^r, N] P(answer is 1); the same array as ``p`` if users answer what they think."""
         return self.answers if self.answers.size else self.p
 
-    def _changed(self, relevant: NDArray[np.int64], change: Change) -> LabelTable:
-        """Returns a table with another ``relevant``, and both arrays changed by the same
+    def _change_arrays(self, relevant: NDArray[np.int64], change: Change) -> LabelTable:
+        """Returns a table with another ``relevant``, and with both arrays changed by the same
         function."""
         answers = change(self.answers) if self.answers.size else self.answers
         return LabelTable(relevant, change(self.p), answers)
@@ -76,25 +76,25 @@ class LabelTable:
         Raises:
             InputError: an invalid table, or one of more than MAX_RELEVANT messages.
         """
-        p = _table_array("p_explicable", table)
+        p = _check_array("p_explicable", table)
         relevant = np.tile(np.arange(p.shape[2].bit_length() - 1), (len(p), 1))
-        return cls._checked("p_explicable", relevant, p, answers)
+        return cls._make_checked("p_explicable", relevant, p, answers)
 
     @classmethod
     def by_type(
         cls, relevant: ArrayLike, tables: ArrayLike, answers: ArrayLike | None = None
     ) -> LabelTable:
-        """Makes a table from tables over each type's own messages.
+        """Makes a table from tables over the messages that are relevant to each type.
 
         Args:
             relevant: [N, r] message indices in any order, −1 for none.
             tables: [N, m, 2^r]; bit j of the last axis is message ``relevant[t, j]``.
-            answers: the same shape, P(answer is 1) if it differs.
+            answers: P(answer is 1) in the same shape, if it differs from P(label is 1).
 
         Raises:
             InputError: invalid or repeated indices, or a table of another width.
         """
-        p, indices = _table_array("p_relevant", tables), np.asarray(relevant)
+        p, indices = _check_array("p_relevant", tables), np.asarray(relevant)
         if (
             indices.ndim != 2
             or len(indices) != len(p)
@@ -105,10 +105,10 @@ class LabelTable:
         if not ((indices >= NONE) & (indices < MAX_MESSAGES)).all():
             wanted = f"messages 0 … {MAX_MESSAGES - 1}, or −1"
             raise InputError("relevant", indices.tolist(), wanted)
-        return cls._checked("p_relevant", indices.astype(np.int64), p, answers)
+        return cls._make_checked("p_relevant", indices.astype(np.int64), p, answers)
 
     @classmethod
-    def _checked(
+    def _make_checked(
         cls,
         key: str,
         relevant: NDArray[np.int64],
@@ -126,13 +126,13 @@ class LabelTable:
         if p.shape[2] != 1 << width:
             allowed = f"a power of two, 2**{width} = {1 << width} entries for {width} messages"
             raise InputError(key, p.shape, allowed)
-        answered = [] if answers is None else [_table_array("p_answered", answers)]
+        answered = [] if answers is None else [_check_array("p_answered", answers)]
         if answered and answered[0].shape != p.shape:
             raise InputError("p_answered", answered[0].shape, f"a table {p.shape}, as labels have")
         given = cls(relevant, *(each.transpose(1, 2, 0) for each in (p, *answered)))
         for row in given.rows:
             if len(set(row)) < len(row):
-                raise InputError("relevant", row, "each message once a type")
+                raise InputError("relevant", row, "no message twice for one type")
         table = given.select_messages(
             [sorted(row) for row in given.rows]
         )  # relevant messages may be in any order, with pads anywhere
@@ -152,7 +152,7 @@ class LabelTable:
         width = max(map(len, rows))
         sets = np.arange(1 << width)
         own = [p[:, sets & (1 << len(row)) - 1] for row, p in zip(rows, tables, strict=True)]
-        return cls(_padded(rows, width), np.stack(own, axis=-1))
+        return cls(_pad_rows(rows, width), np.stack(own, axis=-1))
 
     @property
     def n_types(self) -> int:
@@ -165,60 +165,62 @@ class LabelTable:
         return [[j for j in row if j != NONE] for row in self.relevant.tolist()]
 
     def effective(self) -> list[tuple[int, ...]]:
-        """The messages of each type that change some label, ascending."""
+        """Lists the messages of each type that change some label or answer, ascending."""
         return self._effective
 
     @cached_property
     def _effective(self) -> list[tuple[int, ...]]:
         both = self._both
         return [
-            tuple(row[i] for i in _effective_bits(both[..., t : t + 1]) if i < len(row))
+            tuple(row[i] for i in _find_effective_bits(both[..., t : t + 1]) if i < len(row))
             for t, row in enumerate(self.rows)
         ]
 
     def effective_of_any(self) -> tuple[int, ...]:
-        """The messages that change some label of some type, ascending."""
+        """Lists the messages that change some label or answer of some type, ascending."""
         return tuple(sorted(set().union(*self._effective)))
 
     @property
     def _both(self) -> NDArray[np.float64]:
-        """[m or 2 m, 2^r, N] labels and, if they differ, answers."""
+        """[m or 2 m, 2^r, N] P(label is 1), followed by P(answer is 1) if answers differ from
+        labels."""
         return np.concatenate([self.p, self.answers]) if self.answers.size else self.p
 
     def subset(self, given: int) -> NDArray[np.int64]:
-        """[N] index of each type's entry for H."""
+        """Returns [N] the index of each type's entry for message set H (``given``)."""
         messages, bits = self._bits
         where: NDArray[np.int64] = ((given >> messages & 1) * bits).sum(axis=-1)
         return where
 
     @cached_property
     def _bits(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """[N, r] the relevant messages, and the number that each adds to an entry's index; 0 and 0
-        for pads. Cached, because every step of every explanation looks up an entry."""
+        """[N, r] the relevant messages, and the number that each message adds to an entry's index;
+        both are 0 for pads. Cached, because every step of every explanation looks up an entry."""
         bits = (self.relevant != NONE) << np.arange(self.relevant.shape[1])
         return np.maximum(self.relevant, 0), bits
 
     def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
-        """[N, count] P(label 1) of the first ``count`` transitions, given message set H."""
-        return self._of_set(self.p, count, given)
+        """Returns [N, count] P(label 1) of the first ``count`` transitions, given message set H."""
+        return self._select_set(self.p, count, given)
 
     def answer_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
-        """[N, count] P(answer 1) of the first ``count`` transitions, given message set H."""
-        return self._of_set(self.answered, count, given)
+        """Returns [N, count] P(answer 1) of the first ``count`` transitions, given message set
+        H."""
+        return self._select_set(self.answered, count, given)
 
-    def _of_set(self, p: NDArray[np.float64], count: int, given: int) -> NDArray[np.float64]:
+    def _select_set(self, p: NDArray[np.float64], count: int, given: int) -> NDArray[np.float64]:
         own = p[:count, self.subset(given), np.arange(self.n_types)]
         return np.ascontiguousarray(own.T)
 
     def select_messages(self, rows: Rows) -> LabelTable:
-        """Restricts the table to these messages of each type, ascending; all others are never
-        given.
+        """Converts the table to these messages of each type, ascending. Its entries assume that no
+        other message is given.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages of a type.
         """
         width = max(map(len, rows))
-        relevant = _padded(rows, width)
+        relevant = _pad_rows(rows, width)
         if np.array_equal(relevant, self.relevant):
             return self
         if width > MAX_RELEVANT:
@@ -232,7 +234,7 @@ class LabelTable:
         for row, old in zip(rows, self.relevant.tolist(), strict=True):
             key = tuple(row), tuple(old)
             if key not in places:
-                places[key] = _places(row, old, width)
+                places[key] = _locate_subsets(row, old, width)
             where.append(places[key])
 
         def read(p: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -240,10 +242,11 @@ class LabelTable:
                 return p[:, where[0]]
             return np.stack([p[:, at, t] for t, at in enumerate(where)], axis=-1)
 
-        return self._changed(relevant, read)
+        return self._change_arrays(relevant, read)
 
     def array(self, n: int) -> NDArray[np.float64]:
-        """[N, m, 2^n] P(label is 1 | type, transition, message set) of n messages, all sets.
+        """Returns [N, m, 2^n] P(label is 1 | type, transition, message set) for all sets of n
+        messages.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages.
@@ -251,28 +254,28 @@ class LabelTable:
         return self.select_messages([range(n)] * self.n_types).p.transpose(2, 0, 1)
 
     def compact(self, n: int) -> LabelTable:
-        """Converts the table to the form in which tables are kept: dense if messages are few,
-        otherwise with only the messages that change some label."""
+        """Converts the table to the form in which tables are stored: dense if messages are few,
+        otherwise with only the messages that change some label or answer."""
         return self.select_messages([range(n)] * self.n_types if n <= DENSE else self.effective())
 
     def of_types(self, types: Sequence[int]) -> LabelTable:
         """Selects types."""
-        return self._changed(self.relevant[list(types)], lambda p: p[:, :, list(types)])
+        return self._change_arrays(self.relevant[list(types)], lambda p: p[:, :, list(types)])
 
     def of_steps(self, steps: Sequence[int]) -> LabelTable:
         """Selects transitions, in this order."""
-        return self._changed(self.relevant, lambda p: p[list(steps)])
+        return self._change_arrays(self.relevant, lambda p: p[list(steps)])
 
     def repeat_types(self, times: int) -> LabelTable:
         """Repeats each type ``times`` times; the copies are neighbours."""
-        return self._changed(
+        return self._change_arrays(
             self.relevant.repeat(times, axis=0), lambda p: p.repeat(times, axis=-1)
         )
 
     def mix_types(self, weights: NDArray[np.float64]) -> LabelTable:
-        """Replaces all types by one that behaves like a type drawn by ``weights`` [N], drawn again
-        for every label. It answers what it thinks, because answers of a single type give no
-        information.
+        """Replaces all types by one type. Each of its labels has the probability for a type that is
+        drawn again by ``weights`` [N]. Its answers equal its labels, because answers of a single
+        type give no information.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
@@ -284,7 +287,7 @@ class LabelTable:
 
 
 def join_steps(parts: Sequence[LabelTable]) -> LabelTable:
-    """Concatenates tables of one trace's parts.
+    """Concatenates the transitions of several tables for the same types.
 
     Raises:
         TooLargeError: more than MAX_RELEVANT messages matter to one type.
@@ -305,15 +308,15 @@ def stack_types(parts: Sequence[LabelTable]) -> LabelTable:
     return LabelTable.join_types(rows, tables)
 
 
-def _padded(rows: Rows, width: int) -> NDArray[np.int64]:
+def _pad_rows(rows: Rows, width: int) -> NDArray[np.int64]:
     relevant = np.full((len(rows), width), NONE, dtype=np.int64)
     for own, row in zip(relevant, rows, strict=True):
         own[: len(row)] = row
     return relevant
 
 
-def _places(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.int64]:
-    """[2^width] indices of the subsets of ``row`` in a table over ``old``."""
+def _locate_subsets(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.int64]:
+    """Computes [2^width] the indices of the subsets of ``row`` in a table over ``old``."""
     sets = np.arange(1 << width)
     where = np.zeros_like(sets)
     for i, j in enumerate(row):
@@ -322,11 +325,11 @@ def _places(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.in
     return where
 
 
-def _table_array(key: str, value: ArrayLike) -> NDArray[np.float64]:
+def _check_array(key: str, value: ArrayLike) -> NDArray[np.float64]:
     """Checks a table [types, steps, entries].
 
     Raises:
-        InputError: it has another shape.
+        InputError: another shape, or values that are no numbers.
     """
     try:
         p = np.asarray(value, dtype=np.float64)
@@ -337,8 +340,8 @@ def _table_array(key: str, value: ArrayLike) -> NDArray[np.float64]:
     return p
 
 
-def _effective_bits(p: NDArray[np.float64]) -> tuple[int, ...]:
-    """The bits of the middle axis [m, 2^n, N] that change some entry, ascending."""
+def _find_effective_bits(p: NDArray[np.float64]) -> tuple[int, ...]:
+    """Finds the bits of the middle axis [m, 2^n, N] that change some entry, ascending."""
     n = p.shape[1].bit_length() - 1
     alone = (p[:, [1 << j for j in range(n)]] != p[:, :1]).any(axis=(0, 2))
     effective = []
@@ -347,5 +350,5 @@ def _effective_bits(p: NDArray[np.float64]) -> tuple[int, ...]:
         if alone[j] or (pairs[:, :, 0] != pairs[:, :, 1]).any():
             effective.append(j)
         else:
-            p = pairs[:, :, 0].reshape(len(p), p.shape[1] >> 1, p.shape[2])  # half remains
+            p = pairs[:, :, 0].reshape(len(p), p.shape[1] >> 1, p.shape[2])  # without bit j
     return tuple(reversed(effective))

@@ -32,15 +32,15 @@ class Listener(Protocol):
     """A person who received messages and answered."""
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
-        """[F] posterior of the person's habit."""
+        """Computes [F] the posterior of the person's habit."""
 
 
 @dataclass(frozen=True)
 class Explained:
-    """One explanation so far.
+    """The messages and answers of one explanation so far.
 
     Attributes:
-        problem: problem of its trace and the user types; its own habits are not used.
+        problem: the problem of the explained trace and the user types; its habits are not used.
         said: for each step, a bitmask of the messages given before it, new or repeated.
         answers: for each step, the labels of the first k + 1 transitions.
     """
@@ -50,9 +50,9 @@ class Explained:
     answers: Sequence[NDArray[np.uint8]]
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
-        """[F] posterior of the person's habit, given their answers. If people may forget, every
-        label is evidence (:func:`xplain.interaction.dialogue.advance`)."""
-        problem = _of_the_paper(self.problem).with_habits(habits)
+        """Computes [F] the posterior of the person's habit, given the answers. If people may
+        forget, every label is evidence (:func:`xplain.interaction.dialogue.advance`)."""
+        problem = _remove_habits(self.problem).with_habits(habits)
         belief, given = problem.start, 0
         for new, labels in zip(self.said, self.answers, strict=False):
             given |= new
@@ -63,19 +63,20 @@ class Explained:
 
 
 def learn_habits(people: Sequence[Listener], grid: Habits | None = None) -> Habits:
-    """The habits of the next person.
+    """Learns the distribution of the habits of the next person.
 
     Args:
         people: people with known answers.
         grid: possible habits with their documented shares; None takes those of
-            ``xplain.explanation.habits.UNKNOWN``. A rate between two of them counts partly for
-            both; a rate beyond the last counts for the last.
+            ``xplain.explanation.habits.UNKNOWN``. A person whose rate is between two rates of the
+            grid counts partly for both; a person whose rate is beyond the last rate counts for the
+            last.
 
     Raises:
         InputError: no people.
     """
     if not people:
-        raise InputError("people", 0, "at least one who was told something and answered")
+        raise InputError("people", 0, "at least one person who received a message and answered")
     habits = grid or habits_of("learned", "learned", "learned")
     likely = np.array([one.posterior(habits) for one in people]) / habits.prior
     counted, shares = PRIOR_PEOPLE * habits.prior, habits.prior
@@ -88,8 +89,8 @@ def learn_habits(people: Sequence[Listener], grid: Habits | None = None) -> Habi
         shares = found
 
 
-def _of_the_paper(problem: Problem) -> Problem:
-    """The found types, without errors, misses and forgetting."""
+def _remove_habits(problem: Problem) -> Problem:
+    """Reduces a problem to the found user types, without errors, missed messages and forgetting."""
     found = np.flatnonzero(problem.as_found)
     types, first = np.unique(problem.whose[found], return_index=True)
     table = problem.table.of_types(found[first].tolist())

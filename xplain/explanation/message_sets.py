@@ -19,7 +19,7 @@ def names_of(mask: int, messages: Sequence[str]) -> tuple[str, ...]:
 
 
 def mask_of(names: Iterable[str], messages: Sequence[str], key: str = "messages") -> int:
-    """The mask of some names.
+    """Returns the mask of these names.
 
     Raises:
         InputError: a name is not among ``messages``.
@@ -31,17 +31,18 @@ def mask_of(names: Iterable[str], messages: Sequence[str], key: str = "messages"
 
 
 def bits_of(masks: NDArray[np.int64], count: int) -> NDArray[np.uint8]:
-    """[P, count] bits of masks [P]."""
+    """Returns [P, count] the bits of masks [P]."""
     return ((masks[:, None] >> np.arange(count)) & 1).astype(np.uint8)
 
 
 def indices(mask: int) -> list[int]:
-    """The positions of a mask's bits that are 1, ascending."""
+    """Lists the positions of a mask's bits that are 1, ascending."""
     return [j for j in range(mask.bit_length()) if mask >> j & 1]
 
 
 def subsets(messages: Iterable[int]) -> NDArray[np.int64]:
-    """The masks of all subsets of some messages; ascending if the messages are."""
+    """Lists the masks of all subsets of some messages, in ascending order if the messages are
+    ascending."""
     masks = np.zeros(1, dtype=np.int64)
     for j in messages:
         masks = np.concatenate([masks, masks | 1 << j])

@@ -48,11 +48,12 @@ class Problem:
         habits: the F habits; those of one user type are neighbours. The table's answers already
             include their errors.
         questions: possible questions, for the same hidden types; none in the paper.
-        whose: [N] user type of each hidden type; by default F neighbours have one.
+        whose: [N] user type of each hidden type; by default F neighbours have the same user type.
         as_found: [N] True if a hidden type is a found user type with the assumed habits; by default
-            all are.
-        copies: [m] index of the first transition equal to each: people who repeat themselves give
-            equal labels and errors to copies. By default no two are equal.
+            True for all.
+        copies: [m] for each transition, the index of the first equal transition. People who repeat
+            themselves give equal labels and errors to copies. By default no two transitions are
+            equal.
     """
 
     table: LabelTable
@@ -93,7 +94,11 @@ class Problem:
                 raise InputError(key, int(own.max()), f"a message 0 … {n - 1}, or −1")
         copies = np.asarray(self.copies) if len(self.copies) else np.arange(steps)
         if copies.shape != (steps,) or not ((copies >= 0) & (copies <= np.arange(steps))).all():
-            raise InputError("copies", copies.tolist(), f"for each of {steps} steps an earlier one")
+            raise InputError(
+                "copies",
+                copies.tolist(),
+                f"for each of {steps} steps, the index of that step or of an earlier step",
+            )
         known, left = divmod(types, len(self.habits))
         if left:
             wanted = f"a divisor of {types}, the columns of the table"
@@ -167,7 +172,7 @@ class Problem:
         return table
 
     def type_belief(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[M] belief over user types, from a belief [N] over hidden types."""
+        """Computes [M] the belief over user types from a belief over hidden states."""
         if not self.messages_land:
             belief = belief.reshape(-1, self.n_types).sum(axis=0)
         if self.n_user_types == self.n_types:
@@ -175,14 +180,14 @@ class Problem:
         return np.asarray(np.bincount(self.whose, belief, self.n_user_types), np.float64)
 
     def fit(self, belief: NDArray[np.float64]) -> float:
-        """The probability that the user has a found user type and the assumed habits, from a belief
-        over hidden states."""
+        """Computes the probability that the user has a found user type and the assumed habits, from
+        a belief over hidden states."""
         return float(belief.reshape(-1, self.n_types)[:, self.as_found].sum())
 
     @property
     def messages_land(self) -> bool:
-        """True if every given message is a known fact from then on, as in the paper. Otherwise
-        beliefs also cover users' knowledge."""
+        """True if messages always correct the fact, as in the paper. If messages may be missed or
+        forgotten, beliefs also cover users' knowledge."""
         return self.habits.take_all_in
 
     @property
@@ -198,11 +203,11 @@ class Problem:
         return self.trade_off * self.message_cost
 
     def may_give(self, given: int) -> int:
-        """Bitmask of the messages that may still be given."""
+        """Returns the bitmask of the messages that may still be given."""
         return (1 << self.n_messages) - 1 & ~(given if self.messages_land else 0)
 
     def communication(self, said: Iterable[int]) -> float:
-        """Σ C_e of all given messages, from a list of bitmasks."""
+        """Computes Σ C_e over all given messages, from a list of bitmasks."""
         return float(sum(self.message_cost[indices(new)].sum() for new in said))
 
     @property
@@ -225,14 +230,14 @@ class Problem:
         return belief.ravel()
 
     def sure(self, hidden_type: int, known: int) -> NDArray[np.float64]:
-        """The belief of an agent who knows a user's hidden type and, as a bitmask, the user's known
-        facts."""
+        """Returns the belief of an agent who knows the user's hidden type and known facts (a
+        bitmask)."""
         belief = np.zeros((self.table.p.shape[1], self.n_types))
         belief[self.table.subset(known)[hidden_type], hidden_type] = 1
         return belief.ravel() if not self.messages_land else belief.sum(axis=0)
 
     def with_habits(self, habits: Habits) -> Problem:
-        """The problem of users with one of these habits, independent of their types.
+        """Returns the problem of users who have one of these habits, independent of their types.
 
         Raises:
             TooLargeError: users' knowledge needs too many rows.
@@ -241,24 +246,25 @@ class Problem:
             return self
         table, asked = self.table, self.questions.table
         if not habits.take_all_in:
-            # A row is what somebody knows, for labels and for answers to questions. It leaves out
-            # facts that change neither.
+            # A row is a set of known facts. Facts that change neither labels nor answers to
+            # questions are left out.
             whole = join_steps([table, asked])
             whole = whole.select_messages(whole.effective())
             table = whole.of_steps(range(self.n_steps))
             asked = whole.of_steps(range(self.n_steps, len(whole.p)))
         return replace(
             self,
-            table=_erring(table, habits),
+            table=_add_errors(table, habits),
             prior=np.outer(self.prior, habits.prior).ravel(),
             habits=habits,
-            questions=replace(self.questions, table=_erring(asked, habits)),
+            questions=replace(self.questions, table=_add_errors(asked, habits)),
             whose=self.whose.repeat(len(habits)),
             as_found=self.as_found.repeat(len(habits)),
         )
 
     def with_types(self, table: LabelTable, type_names: tuple[str, ...]) -> Problem:
-        """The same trace and costs with other user types, with equal prior probabilities."""
+        """Returns the problem of the same trace and costs for other user types, with equal prior
+        probabilities."""
         count = len(type_names)
         prior = np.full(count, 1 / count)
         return replace(
@@ -273,8 +279,8 @@ class Problem:
         )
 
     def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:
-        """The same trace and costs with one type. Each of its labels has the probability for a user
-        drawn from the types by ``weights`` [N]; labels are independent.
+        """Returns the problem of the same trace and costs for one type. Each of its labels has the
+        probability for a user drawn from the types by ``weights`` [N]; labels are independent.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
@@ -282,8 +288,8 @@ class Problem:
         return self.with_types(self.table.mix_types(weights), (name,))
 
 
-def _erring(table: LabelTable, habits: Habits) -> LabelTable:
-    """A table of users with these habits; those of one type are neighbours."""
+def _add_errors(table: LabelTable, habits: Habits) -> LabelTable:
+    """Makes the table of users with these habits; the habits of one type are neighbours."""
     erring = table.repeat_types(len(habits))
     if habits.never_err:
         return erring
@@ -291,7 +297,7 @@ def _erring(table: LabelTable, habits: Habits) -> LabelTable:
 
 
 def check_numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
-    """A float64 copy without NaN or infinities."""
+    """Converts numbers to a float64 copy, and refuses NaN and infinities."""
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -313,8 +319,8 @@ def check_distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
 
 
 def expand_costs(given: ArrayLike, count: int | None) -> NDArray[np.float64]:
-    """[n] read-only costs of messages, from one cost for all messages or a cost for each. If
-    ``count`` is unknown, n is the number of given costs."""
+    """Returns [n] read-only costs of messages, from one cost for all messages or a cost for each.
+    If ``count`` is unknown, n is the number of given costs."""
     cost = check_numbers("message_cost", given)
     if cost.ndim == 0 and count is not None:
         cost = np.full(count, float(cost))
