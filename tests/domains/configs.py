@@ -1,7 +1,5 @@
 """Domains and type sources from the configuration."""
 
-from __future__ import annotations
-
 import tempfile
 from copy import deepcopy
 from functools import cache

@@ -1,7 +1,5 @@
 """The Fast Downward planner, for comparisons."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

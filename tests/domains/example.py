@@ -1,7 +1,5 @@
 """The domain of examples/domain, with any number of facts."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -5,8 +5,6 @@ share of transitions that depend on a fact, and the differences between explanat
 They are computed from the domain, its types and their true labels, without a learner or a solver.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """A random generator of maps for the rescue task. Its default map is one of them
 (docs/choices.md)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 SIZE = 6

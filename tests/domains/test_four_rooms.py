@@ -1,7 +1,5 @@
 """The four-rooms task: the published map, its five parameters, bad input."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Compares cheapest plans with those of repeated relaxation, and with all paths."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

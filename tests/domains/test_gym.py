@@ -1,7 +1,5 @@
 """Compares Gymnasium domains with the environments, which are played."""
 
-from __future__ import annotations
-
 import sys
 from itertools import product
 from types import SimpleNamespace

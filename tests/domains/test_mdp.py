@@ -1,8 +1,6 @@
 """Compares solutions and labels with brute force: every policy of small random MDPs, by linear
 algebra."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -1,8 +1,6 @@
 """Compares PDDL tasks with unified-planning's simulator and with Fast Downward, and tests their
 words."""
 
-from __future__ import annotations
-
 import warnings
 from itertools import product
 from pathlib import Path

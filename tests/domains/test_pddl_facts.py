@@ -1,8 +1,6 @@
 """Tests differences of two tasks, the sentences of facts, changes in YAML, and facts without
 effect."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Bad input gives one line that says what to correct."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Compares random tasks in PDDL, in all styles that people use, with Fast Downward."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

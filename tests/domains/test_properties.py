@@ -1,7 +1,5 @@
 """The shipped domains are real tasks: many different traces and problems (docs/choices.md)."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

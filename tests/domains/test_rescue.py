@@ -1,7 +1,5 @@
 """Compares the rescue task with its rules, written by hand, and its map with docs/choices.md."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """Problems kept by type, and the same problems with dense tables written out entry by entry."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, fields
 from typing import Any
 

@@ -1,8 +1,6 @@
 """A reader of the ``.pomdp`` text that :mod:`xplain.explanation.files` writes. It reads like any
 other program, without knowledge about explanations."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import dataclass, field
 

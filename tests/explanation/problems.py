@@ -1,7 +1,5 @@
 """Random problems for hypothesis, which reports the seed of a failure."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import composite

@@ -1,7 +1,5 @@
 """People nobody assumed are only further hidden types: all of them are enumerated."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations

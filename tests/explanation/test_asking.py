@@ -1,8 +1,6 @@
 """Questions: which ones may be asked, the information of their answers, and the correctness of the
 model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Beliefs after labels: Bayes' rule, what counts as evidence, and labels that cannot be."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The possible assumptions about how people listen and answer."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Compares the belief about users' knowledge with all ways to miss and forget messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

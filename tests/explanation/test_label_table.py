@@ -1,7 +1,5 @@
 """A table over the messages relevant to each type says what the dense one does."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Compares habits learned from explanations with enumeration, and with the habits of simulated
 people."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from itertools import product
 

@@ -1,7 +1,5 @@
 """The literal POMDP, its reduction, and bounds of its optimum."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The exported file, read back and solved as any POMDP, is the same problem."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

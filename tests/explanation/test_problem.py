@@ -1,7 +1,5 @@
 """Problems keep their values, in memory and in files."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Questions in files, and the rule that selects them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

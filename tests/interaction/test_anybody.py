@@ -1,8 +1,6 @@
 """An embedded explainer expects people nobody assumed if facts are known, and reports that no type
 fits."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 from pathlib import Path

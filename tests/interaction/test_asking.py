@@ -1,7 +1,5 @@
 """Compares sessions that ask with the experiments' loop, also across restarts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Simulated users: costs count their thoughts, beliefs use their answers, and they have their own
 random stream."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

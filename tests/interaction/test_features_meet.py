@@ -2,8 +2,6 @@
 the literal POMDP's, the bounds hold, and a session restored from text continues like one that never
 stopped."""
 
-from __future__ import annotations
-
 from collections import Counter
 from functools import cache
 from itertools import combinations

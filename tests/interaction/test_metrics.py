@@ -1,7 +1,5 @@
 """Computes every figure of a summary again, by loops over the records."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small data sets with a known rule behind the labels."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

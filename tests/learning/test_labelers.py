@@ -1,7 +1,5 @@
 """Labelers: their predictions, their confidence, and the accuracy on held-out questions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

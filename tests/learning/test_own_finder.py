@@ -1,7 +1,5 @@
 """A user's own type finder with its own labelers works without other changes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

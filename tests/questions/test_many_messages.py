@@ -1,7 +1,5 @@
 """On a trace, the answers of a labeler with hypotheses depend only on the messages of its table."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

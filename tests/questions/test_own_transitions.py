@@ -1,7 +1,5 @@
 """A designer's table of transitions: facts, features, pictures, and errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Optimal values of known types by direct recursion, the reference for tables and bounds."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from xplain.explanation.problem import Problem

@@ -1,7 +1,5 @@
 """Compares solvers whose actions include questions with brute force and with each other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

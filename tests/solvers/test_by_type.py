@@ -1,7 +1,5 @@
 """Solvers decide alike for a problem by type and for the dense one."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 

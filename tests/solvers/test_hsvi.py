@@ -1,7 +1,5 @@
 """Compares certified bounds with brute force, and the policy with its certificate."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

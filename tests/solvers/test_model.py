@@ -1,7 +1,5 @@
 """Compares tables with direct recursion, and tests properties of the simple solvers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bounds, plans and values of policies against brute force, on random problems of every kind."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache

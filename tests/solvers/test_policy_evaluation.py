@@ -1,7 +1,5 @@
 """Exact and simulated worths of policies, and those of policies that no answer moves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Compares POMCP with brute force, the literal POMDP and its own limits."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

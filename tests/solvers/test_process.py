@@ -1,7 +1,5 @@
 """The process is the problem: its tables, beliefs and outcomes, for messages that land and not."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

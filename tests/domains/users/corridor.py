@@ -1,7 +1,5 @@
 """A small domain whose types can be computed by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Compares label tables with models that are solved one by one, and tests which types count as
 one."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

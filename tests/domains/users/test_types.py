@@ -1,7 +1,5 @@
 """Type sources: the paper's types, all completions, random covers, types of one's own."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from typing import Any

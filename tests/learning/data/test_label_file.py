@@ -1,7 +1,5 @@
 """People's own tables are read as written, or one line says what to do."""
 
-from __future__ import annotations
-
 import gzip
 import shlex
 from pathlib import Path

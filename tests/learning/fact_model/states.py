@@ -1,7 +1,5 @@
 """States of the sampler, and their counts, computed from the labels."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The Gibbs step of the observers against the posterior, all of whose states are enumerated."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Gibbs step of the transitions against the posterior of (S, ε), all of which is enumerated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
