@@ -1,8 +1,8 @@
 """Personalized explanations of sequential decisions (Soni, Sreedharan & Kambhampati, 2021).
 
 These names, and those of ``xplain.testing``, are public: they do not change without notice.
-Everything else may change. Explanations in a program: docs/explainer.md. Experiments:
-docs/python.md. Components of your own: docs/your-own-domain.md.
+Everything else may change. docs/explainer.md describes explanations in a program, docs/python.md
+describes experiments, and docs/your-own-domain.md describes new components.
 """
 
 from __future__ import annotations

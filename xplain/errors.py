@@ -1,5 +1,5 @@
-"""Errors that a user can correct: one line with the key, the value, and what is allowed. The checks
-below raise them."""
+"""Errors that a user can correct, and the checks that raise them. The text of an error is one line
+with the key, the value, and the allowed values."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class InputError(XplainError):
 
 
 class DomainError(XplainError):
-    """A domain without meaningful labels: ambiguous ties, or no way to the goal."""
+    """The labels of a domain have no meaning: ties are ambiguous, or the goal is not reachable."""
 
 
 class TooLargeError(XplainError):
@@ -56,7 +56,7 @@ class TooLargeError(XplainError):
 
 
 class Refused(Exception):
-    """A participant's answer that is not accepted; the text is for the participant."""
+    """A participant's answer is not accepted. The participant reads the text of this error."""
 
 
 def quote(text: str, mark: str = "'") -> str:
@@ -68,14 +68,14 @@ def quote(text: str, mark: str = "'") -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of an error's text; the name of its class if the text is empty."""
+    """Returns the first line of an error's text; the name of its class if the text is empty."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 @contextmanager
 def leave_at_once() -> Iterator[None]:
-    """A context for imports, in which Ctrl-C ends the process with one line. Without it a library
-    may replace the interruption by another error, or Python prints a traceback."""
+    """Makes Ctrl-C during imports end the process with one line. Otherwise a library may replace
+    the interruption by another error, or Python prints a traceback."""
 
     def leave(*_: object) -> None:
         print("xplain: interrupted", file=sys.stderr, flush=True)
@@ -83,7 +83,7 @@ def leave_at_once() -> Iterator[None]:
 
     before = signal.getsignal(signal.SIGINT)
     ours = threading.current_thread() is threading.main_thread()
-    if not ours or before is not signal.default_int_handler:  # another handler receives it
+    if not ours or before is not signal.default_int_handler:  # another handler receives Ctrl-C
         yield
         return
     signal.signal(signal.SIGINT, leave)
@@ -98,8 +98,8 @@ class Range:
     """The finite numbers that a parameter may have.
 
     Attributes:
-        low, high: its ends, possibly infinite.
-        ends: brackets as in [low, high); a round one excludes its end.
+        low, high: ends of the range, possibly infinite.
+        ends: brackets as in [low, high); a round bracket excludes its end.
     """
 
     low: float = -math.inf
@@ -113,15 +113,15 @@ class Range:
             InputError: it is not.
         """
         fits = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
-        if not fits or not math.isfinite(value) or not self._holds(value):  # type: ignore[arg-type]
+        if not fits or not math.isfinite(value) or not self._contains(value):  # type: ignore[arg-type]
             raise InputError(key, value, self.describe(whole))
 
-    def _holds(self, value: float) -> bool:
+    def _contains(self, value: float) -> bool:
         above = value > self.low or (value == self.low and self.ends[0] == "[")
         return above and (value < self.high or (value == self.high and self.ends[1] == "]"))
 
     def describe(self, whole: bool = False) -> str:
-        """The range in words."""
+        """Describes the range in words."""
         if self == Range():
             return "a finite number"
         kind = "a whole number" if whole else "a number"
@@ -141,20 +141,21 @@ Discount = Annotated[float, Range(0, 1, "()")]
 
 
 def checks(prefix: str = "") -> Callable[[type[T]], type[T]]:
-    """Decorates a class so that its constructor refuses values that its annotations do not allow,
-    before its body runs.
+    """Decorates a class. The constructor then checks each argument against its annotation before
+    its body runs.
 
     ``Annotated[int, Range(1)]`` allows whole numbers ≥ 1, ``Annotated[float, Range(0, 1)]`` numbers
     in [0, 1], ``Literal["a", "b"]`` one of two words; ``| None`` also allows None. Other
     annotations are not checked, but their names must exist at run time. The error's key is
-    ``prefix.parameter``, or ``parameter`` without a prefix. Put it above ``@dataclass``; fields of
-    base classes are then checked too. A subclass with its own constructor needs it again.
+    ``prefix.parameter``, or ``parameter`` without a prefix. Put this decorator above
+    ``@dataclass``; fields of base classes are then checked too. A subclass with its own constructor
+    needs the decorator again.
     """
 
-    def of(kind: type[T]) -> type[T]:
+    def decorate(kind: type[T]) -> type[T]:
         made = kind.__init__
         takes = signature(made)
-        # For a dataclass, each class's own annotations, with the names of its module.
+        # The annotations of a dataclass are read with the names of each base class's module.
         annotated: Any = kind if "__dataclass_params__" in vars(kind) else made
 
         @wraps(made)
@@ -168,7 +169,7 @@ def checks(prefix: str = "") -> Callable[[type[T]], type[T]]:
         kind.__init__ = init  # type: ignore[method-assign, assignment]
         return kind
 
-    return of
+    return decorate
 
 
 @cache
@@ -194,10 +195,10 @@ def check(key: str, value: object, hint: Any) -> None:
 
 
 def one_of(key: str, value: T, allowed: Iterable[T], what: str = "") -> T:
-    """Checks that a value is one of the allowed ones; ``what`` names their kind in the error.
+    """Checks that a value is allowed; ``what`` names the kind of the values in the error.
 
     Raises:
-        InputError: it is not.
+        InputError: the check fails.
     """
     known = [*allowed]
     if value not in known:
@@ -212,7 +213,7 @@ def mapping(key: str, value: object, allowed: str) -> Mapping[str, Any]:
     """Checks that a value is a mapping.
 
     Raises:
-        InputError: it is not.
+        InputError: the check fails.
     """
     if not isinstance(value, Mapping):
         raise InputError(key, value, allowed)
@@ -223,7 +224,7 @@ def require_list(key: str, value: object, allowed: str = "a list") -> Sequence[A
     """Checks that a value is a list and not a text.
 
     Raises:
-        InputError: it is not.
+        InputError: the check fails.
     """
     if isinstance(value, str) or not isinstance(value, Sequence):
         raise InputError(key, value, allowed)
@@ -234,7 +235,7 @@ def sentence(key: str, value: object, allowed: str = "a sentence") -> str:
     """Checks that a value is a text that is not blank.
 
     Raises:
-        InputError: it is not.
+        InputError: the check fails.
     """
     if not isinstance(value, str) or not value.strip():
         raise InputError(key, value, allowed)
@@ -245,7 +246,7 @@ def number(key: str, value: object, within: Range = Range()) -> float:
     """Checks that a value is a finite number in a range.
 
     Raises:
-        InputError: it is not.
+        InputError: the check fails.
     """
     within.check(key, value)
     return float(value)  # type: ignore[arg-type]
@@ -255,7 +256,7 @@ def whole_number(key: str, value: object, least: int, most: float = math.inf) ->
     """Checks that a value is a whole number from ``least`` to ``most``.
 
     Raises:
-        InputError: it is not.
+        InputError: the check fails.
     """
     Range(least, most).check(key, value, whole=True)
     return value  # type: ignore[return-value]

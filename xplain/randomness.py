@@ -17,35 +17,35 @@ MOST = (1 << 32) - 1
 
 
 def sequence(seed: int, *names: str | int) -> np.random.SeedSequence:
-    """The seed sequence of a component, by its path of names such as ``"observers", 3``."""
+    """Returns the seed sequence of a component, which has a path of names: ``"observers", 3``."""
     key = [name if isinstance(name, int) else zlib.crc32(name.encode()) for name in names]
     return np.random.SeedSequence(seed, spawn_key=tuple(key))
 
 
 def stream(seed: int, *names: str | int) -> np.random.Generator:
-    """A generator at the start of the named stream."""
+    """Returns a generator at the start of the named stream."""
     return np.random.default_rng(sequence(seed, *names))
 
 
 def below(rng: np.random.Generator, *names: str | int) -> np.random.Generator:
-    """A generator at the start of a named stream. The stream is derived from that of ``rng``, and
-    does not depend on earlier draws from ``rng``."""
+    """Returns a generator at the start of a named stream. This stream is derived from the seed of
+    ``rng``, and does not depend on earlier draws from ``rng``."""
     parent = rng.bit_generator.seed_seq
-    assert isinstance(parent, np.random.SeedSequence), "every stream here has one"
+    assert isinstance(parent, np.random.SeedSequence), "every stream here has a seed sequence"
     key = (*parent.spawn_key, *sequence(0, *names).spawn_key)
     return np.random.default_rng(np.random.SeedSequence(parent.entropy, spawn_key=key))
 
 
 def run_seed(value: object) -> int:
-    """Checks the seed of a run, from which all streams come; scikit-learn's ``random_state``
-    accepts it.
+    """Checks the seed of a run. All streams are derived from this seed; scikit-learn's
+    ``random_state`` accepts it.
 
     Raises:
-        InputError: no whole number from 0 to 2^32 − 1.
+        InputError: not a whole number from 0 to 2^32 − 1.
     """
     return whole_number("seed", value, 0, MOST)
 
 
 def derive_seed(seed: int, *names: str | int) -> int:
-    """A 63-bit seed for code that needs an integer (scikit-learn takes its low 32 bits)."""
+    """Returns a 63-bit seed for code that needs an integer (scikit-learn takes its low 32 bits)."""
     return int(sequence(seed, *names).generate_state(1, np.uint64)[0] >> np.uint64(1))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 @contextmanager
 def open_atomic(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """A context with a file for writing; the file replaces ``path`` after all of it is on the disk.
+    """Opens a file for writing, which replaces ``path`` after all its content is on the disk.
 
     If the process is killed, the disk is full or the block raises, ``path`` stays unchanged.
 
@@ -31,7 +31,7 @@ def open_atomic(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
         mode: ``w`` for UTF-8 text, ``wb`` for bytes.
 
     Raises:
-        OSError: with the path.
+        OSError: the file cannot be written; the error names ``path``.
     """
     temporary = ""
     try:
@@ -68,8 +68,8 @@ def encode(value: Any, arrays: dict[str, NDArray[Any]] | None = None) -> Any:
 
     Args:
         value: the value.
-        arrays: receives the arrays of the value, and the JSON contains their names; without it
-            arrays become lists.
+        arrays: receives the arrays of the value, and the JSON contains their names; without this
+            argument arrays become lists.
     """
     if isinstance(value, np.ndarray):
         if arrays is None:
@@ -99,7 +99,7 @@ def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = No
         if value is None:
             return None
         inner = [option for option in options if option is not type(None)]
-        # Between an array and a dataclass, a mapping is the dataclass.
+        # If an array or a dataclass is allowed, a mapping is a dataclass.
         of_mapping = [one for one in inner if is_dataclass(one) == isinstance(value, Mapping)]
         return decode((of_mapping or inner)[0], value, arrays)
     if origin is np.ndarray:
@@ -130,7 +130,7 @@ def _hints(kind: type) -> dict[str, Any]:
 
 @cache
 def _plain_fields(kind: type) -> frozenset[str]:
-    """The fields of a dataclass whose values JSON can hold directly."""
+    """Returns the fields of a dataclass whose values JSON can hold directly."""
     return frozenset(name for name, hint in _hints(kind).items() if _is_plain(hint))
 
 

@@ -54,7 +54,7 @@ BAD = [
         ["domain=blocks", "domain.facts={jam: {change: {action: stack, cost: 2}}}"],
         [
             "domain.facts.jam: no such key; domain.facts has one_hand, tower",
-            "+domain.facts.jam=… adds this one",
+            "+domain.facts.jam=… adds this key",
         ],
     ),
     (["domain=blocks", "domain.facts.towr.message=Yes"], ["did you mean domain.facts.tower?"]),

@@ -22,11 +22,11 @@ from xplain.learning.types import TablesOf
 from xplain.randomness import stream
 
 TOLD = 0.01
-"""Facts below this probability of an incorrect belief count as already corrected by their
-message."""
+"""Messages about facts below this probability of an incorrect belief are not modelled as
+corrections."""
 MOST_TOLD = 12
-"""Maximum number of facts of a type whose messages are modelled as corrections: the most likely
-ones."""
+"""Maximum number of facts of a type whose messages are modelled as corrections: the facts with the
+most likely incorrect beliefs."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class CaseQuestions:
         learned: P(label is 1) for each of the N learned types.
         labels: true labels of each of M true types.
         shows: [Q, m] True if a clip shows this transition of the trace.
-        texts, right: see :class:`~xplain.explanation.asking.Questions`.
+        texts, right: sentences of each question, and the index of its true sentence
+            (:class:`~xplain.explanation.asking.Questions`).
         everything: P(label is 1) for a type that believes every fact incorrectly, if known.
     """
 
@@ -66,16 +67,20 @@ class CaseQuestions:
         )
 
     def of_users(self, setting: Setting, types: Sequence[int]) -> CaseQuestions:
-        """The same questions, answered by users of these types of a setting."""
+        """Returns the same questions with the true labels of these types of a setting."""
         clips, beliefs = np.flatnonzero(self.facts < 0), np.flatnonzero(self.facts >= 0)
         parts = [setting.true_labels(self.transitions[clips])] if len(clips) else []
-        parts += [_right(setting.wrong, self.facts[beliefs].tolist())] if len(beliefs) else []
+        parts += (
+            [_make_belief_table(setting.wrong, self.facts[beliefs].tolist())]
+            if len(beliefs)
+            else []
+        )
         whole = join_steps(parts) if parts else self.labels
         back = np.argsort(np.concatenate([clips, beliefs]), kind="stable")
         return replace(self, labels=whole.of_steps(back.tolist()).of_types(types))
 
     def to_questions(self, table: LabelTable, limits: Limits) -> Questions:
-        """The questions of an explanation problem, with one of the tables."""
+        """Makes the questions of an explanation problem, with P(label is 1) from ``table``."""
         return Questions(table, limits, self.shows, self.texts, self.right)
 
 
@@ -112,7 +117,7 @@ class Clips:
         return cls(pool.clips, every, features)
 
     def near(self, features: NDArray[np.float64], transitions: NDArray[np.int64]) -> CaseQuestions:
-        """The clips for a trace [m, 3] with features [m, F]."""
+        """Selects the clips nearest to a trace [m, 3] with features [m, F]."""
         order = nearest_first(self.features, features)
         alike = alike_first(self.every.learned.of_steps(order.tolist()), self.most)
         chosen = self.every.take(order[alike])
@@ -150,17 +155,18 @@ def belief_questions(
     return CaseQuestions(
         transitions=np.full((len(facts), 3), -1),
         facts=np.array(facts),
-        learned=_right(wrong, facts),
-        labels=_right(setting.wrong, facts),
+        learned=_make_belief_table(wrong, facts),
+        labels=_make_belief_table(setting.wrong, facts),
         shows=np.zeros((len(facts), 0), np.bool_),
         texts=tuple(texts),
         right=right,
-        everything=_right(np.ones((1, setting.n_messages)), facts),
+        everything=_make_belief_table(np.ones((1, setting.n_messages)), facts),
     )
 
 
-def _right(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:
-    """P(believes fact j correctly | type, H) of these facts; 1 if j is in H."""
+def _make_belief_table(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:
+    """Makes the table P(a user believes fact j correctly | type, message set H) of these facts; 1
+    if j is in H."""
     rows, tables = [], []
     for own in wrong:
         likely = [j for j in np.argsort(-own, kind="stable").tolist() if own[j] >= TOLD]
@@ -176,8 +182,8 @@ def _right(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:
 
 
 def merge_questions(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:
-    """Merges questions: at most ``most``, the nearest of each kind first; None without
-    questions."""
+    """Merges questions and keeps at most ``most``, the nearest of each kind first. Returns None
+    without questions."""
     if not parts:
         return None
     whole = parts[0]

@@ -3,7 +3,7 @@ episodes.
 
 Data, types, labelers and traces are the same for every λ and solver. The references' episodes are
 the same for every solver, and a solver's episodes with true labels are the same for every learner.
-The key covers their configuration and all code that made them
+The key of an entry covers its configuration and all code that made it
 (:mod:`xplain.experiment.fingerprint`), so an entry cannot be out of date. A damaged entry is
 computed again. Entries are arrays and JSON; nothing is unpickled.
 """
@@ -35,8 +35,8 @@ SOURCE = (*SOURCE_GROUPS, "traces", "max_steps", "seed")
 
 
 def source_fingerprint(config: Mapping[str, Any]) -> str:
-    """The cache key of a resolved configuration. Configurations with the same data and types share
-    it."""
+    """Computes the cache key of a resolved configuration. Configurations with the same data and
+    types share this key."""
     pool = {key: config["ask"][key] for key in ("kinds", "clips")}
     return fingerprint({key: config[key] for key in SOURCE} | {"ask": pool})
 
@@ -55,7 +55,7 @@ def load_or_prepare(folder: Path, key: str, make: Callable[[], Prepared]) -> Pre
     from filelock import FileLock
 
     path = folder / f"{key}.npz"
-    if (kept := _kept(path)) is not None:
+    if (kept := _try_read(path)) is not None:
         return kept
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -63,22 +63,22 @@ def load_or_prepare(folder: Path, key: str, make: Callable[[], Prepared]) -> Pre
     except OSError:
         return make()
     with lock:
-        if (kept := _kept(path)) is None:
+        if (kept := _try_read(path)) is None:
             kept = make()
-            _write(path, kept)
+            _write_entry(path, kept)
         return kept
 
 
-def _kept(path: Path) -> Prepared | None:
+def _try_read(path: Path) -> Prepared | None:
     try:
-        return _read(path, path.stat().st_mtime_ns)
+        return _read_entry(path, path.stat().st_mtime_ns)
     except (OSError, EOFError, ValueError, LookupError, TypeError, zipfile.BadZipFile, zlib.error):
         return None
 
 
 @lru_cache(maxsize=1)
-def _read(path: Path, written: int) -> Prepared:
-    """Reads an entry. A batch has jobs of one data set, so the last one is kept."""
+def _read_entry(path: Path, written: int) -> Prepared:
+    """Reads an entry. A batch has jobs of one data set, so the last entry stays in memory."""
     with path.open("rb") as stored, np.load(stored, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     content = json.loads(str(arrays["content"]))
@@ -86,7 +86,7 @@ def _read(path: Path, written: int) -> Prepared:
     return prepared
 
 
-def _write(path: Path, prepared: Prepared) -> None:
+def _write_entry(path: Path, prepared: Prepared) -> None:
     arrays: dict[str, NDArray[Any]] = {}
     content = np.array(json.dumps(encode(prepared, arrays)))
     # If the cache cannot be written, the result is kept but not shared.

@@ -57,22 +57,23 @@ class Certify:
         progress: Progress = SILENT,
     ) -> dict[str, float]:
         """Computes means over the traces of expected discounted returns, under the learned model.
-        Its users listen and answer as the belief update assumes.
+        Users of this model listen and answer as the belief update assumes.
 
         ``optimal_lower`` and ``optimal_upper`` enclose the optimum. ``policy_value`` is the
         policy's value, ``policy_value_se`` its standard error, and ``policy_value_exact`` the share
-        of traces with an exact value. ``policy_cost`` is its expected undiscounted cost.
-        ``value_of_perfect_information`` is the value of knowing the type (and what users know, if
-        they may miss or forget messages). ``price_of_approximation`` is the policy's suboptimality.
-        The last two and ``policy_value`` have ends ``_low`` and ``_high``: 95 % limits if the value
-        is simulated. A solver that is given the user's type has no such value. docs/method.md,
-        section 7.
+        of traces with an exact value. ``policy_cost`` is the policy's expected undiscounted cost.
+        ``value_of_perfect_information`` is the value of knowing the type (and the users' knowledge,
+        if users may miss or forget messages). ``price_of_approximation`` is the policy's
+        suboptimality. These two figures and ``policy_value`` have ends ``_low`` and ``_high``: 95 %
+        limits if the value is simulated. A solver that knows the user's type has no policy value
+        (docs/method.md, section 7).
 
         If the belief update does not assume independent labels, the bounds still do. The policy
         then decides by another belief, so its value is not reported, and ``fresh_labels`` is 0.
 
-        Traces with the same problem are simulated once: their errors are one error. A trace whose
-        certificate would need more memory than allowed has none, and does not count in ``traces``.
+        Traces with the same problem are simulated once, so their sampling errors are equal. A trace
+        whose certificate would need more memory than allowed has no certificate, and does not count
+        in ``traces``.
         """
         times: Counter[tuple[bytes, bytes]] = Counter()
         found: dict[tuple[bytes, bytes], dict[str, float] | None] = {}
@@ -81,14 +82,16 @@ class Certify:
         for index, case in tracked:
             problem = problem_of_types(prepared, case, costs, belief_update)
             own = problem_for(prepared, case, costs, solver, belief_update, 0)
-            key = _table_key(problem), _table_key(own)
+            key = _make_key(problem), _make_key(own)
             if key not in found:
                 found[key] = None
                 try:
-                    enclosing, row = self._bounds(problem, progress)
+                    enclosing, row = self._compute_bounds(problem, progress)
                     if belief_update.fresh_labels and solver.knows not in ("type", "labels"):
                         own_seed = trace_seed(seed, index)
-                        row |= self._worth(enclosing, problem, own, solver, own_seed, progress)
+                        row |= self._evaluate_policy(
+                            enclosing, problem, own, solver, own_seed, progress
+                        )
                     found[key] = row
                 except TooLargeError as error:
                     log.warning("no certificate of trace %d: %s", index, error)
@@ -110,7 +113,9 @@ class Certify:
             means["fresh_labels"] = 0.0
         return means | {"traces": float(traces)}
 
-    def _bounds(self, problem: Problem, progress: Progress) -> tuple[Bounds, dict[str, float]]:
+    def _compute_bounds(
+        self, problem: Problem, progress: Progress
+    ) -> tuple[Bounds, dict[str, float]]:
         with progress.stage("bounds of the optimum"):
             effort = Effort(gap=self.gap, nodes=self.nodes, memory_gib=self.memory_gib)
             found = bounds(problem, effort, lambda gap: progress.note(f"gap {gap:.4f} so far"))
@@ -123,7 +128,7 @@ class Certify:
             "value_of_perfect_information_high": high,
         }
 
-    def _worth(
+    def _evaluate_policy(
         self,
         found: Bounds,
         problem: Problem,
@@ -132,11 +137,11 @@ class Certify:
         seed: int,
         progress: Progress,
     ) -> dict[str, float]:
-        # A policy for a one-type problem uses no belief. With several types its value is its value
-        # against their mixture, if all of them accept all messages.
+        # A policy for a one-type problem uses no belief. Its value for several types is its value
+        # for the mixture of these types, if all types accept all messages.
         world = problem
         if own.n_types == 1 and problem.messages_land:
-            with suppress(TooLargeError):  # the value is the same but takes longer
+            with suppress(TooLargeError):  # without the mixture, the same value takes longer
                 world = problem.mixture(problem.prior, own.type_names[0])
         with progress.stage("value of this policy"):
             worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
@@ -153,5 +158,5 @@ class Certify:
         }
 
 
-def _table_key(problem: Problem) -> bytes:
+def _make_key(problem: Problem) -> bytes:
     return problem.table.relevant.tobytes() + problem.table.p.tobytes()

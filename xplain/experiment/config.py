@@ -1,5 +1,5 @@
-"""Configuration that all commands share: the place of the configs, the types of the top-level keys,
-one-line errors."""
+"""Configuration that all commands share: the folder of the YAML files, the types of the top-level
+keys, and one-line errors."""
 
 from __future__ import annotations
 
@@ -41,14 +41,15 @@ from xplain.errors import InputError, XplainError, first_line, one_of
 
 _INSIDE = Path(__file__).parents[1] / "conf"
 CONF = _INSIDE if _INSIDE.is_dir() else _INSIDE.parents[1] / "conf"
-"""Folder of the YAML files: inside the package in a wheel, beside it in a checkout."""
+"""Folder of the YAML files: inside the package in a wheel, beside the package in a checkout."""
 
 SOURCE_GROUPS = ("domain", "users", "observers", "queries", "labeler", "clusterer")
 """Groups of components that decide data and types."""
 GROUPS = (*SOURCE_GROUPS, "solver", "belief", "explainee", "ask")
-"""Groups of components that affect a number; choices in them are listed without their key."""
+"""Groups of components that affect a number. Names of jobs contain the choices without the
+group."""
 RESUME = ("missing", "failed", "none")
-"""Which jobs of a sweep run: unfinished ones, failed ones, or all of them again."""
+"""The jobs of a sweep that run: unfinished jobs, failed jobs, or all jobs again."""
 
 OF_PEOPLE = ("fastapi", "itsdangerous", "jwt", "lxml", "pydantic", "requests", "uvicorn")
 """Modules of the extra ``people``."""
@@ -60,8 +61,8 @@ NO_PACKAGE = (
 
 
 def schema() -> DictConfig:
-    """Types of the top-level keys: 1 and 1.0 are the same λ, and a text is an error at once. Values
-    are only in conf/config.yaml."""
+    """Makes the types of the top-level keys: 1 and 1.0 are the same λ, and a text is an error at
+    once. Only conf/config.yaml has their values."""
     kinds = {
         IntegerNode: ("seed", "points", "traces", "max_steps"),
         FloatNode: ("lambda", "discount", "inexplicability_cost"),
@@ -70,13 +71,13 @@ def schema() -> DictConfig:
         AnyNode: ("message_cost",),  # a number, or numbers by name; checked with the messages
     }
     typed = {key: kind("???") for kind, keys in kinds.items() for key in keys}
-    # Absolute, so it is the same folder in every worker; a path may contain "${".
+    # An absolute path is the same folder in every worker. A path may contain "${".
     outputs = str(Path.cwd() / "outputs").replace("${", r"\${")
     return OmegaConf.create({**typed, "outputs": StringNode(outputs)})
 
 
 def register() -> None:
-    """Registers the resolvers of the configs. It may be called twice (workers import this
+    """Registers the resolvers of the configs. A second call changes nothing (workers import this
     module)."""
     ConfigStore.instance().store("base", schema())
     # Drawn once for each configuration: no two runs share a folder.
@@ -94,7 +95,7 @@ def compose_config(name: str, overrides: Sequence[str], with_hydra: bool = False
         with_hydra: True adds the ``hydra`` node, which contains the choices.
 
     Raises:
-        InputError: an override that is no ``key=value``.
+        InputError: an override is not ``key=value``.
         HydraException, OmegaConfBaseException: an unknown key, choice or value.
     """
     from hydra import compose, initialize_config_dir
@@ -108,7 +109,7 @@ def compose_config(name: str, overrides: Sequence[str], with_hydra: bool = False
 
 
 def require_names(overrides: Sequence[str]) -> None:
-    """Refuses overrides that Hydra reads as a boolean or null where a choice needs a name.
+    """Refuses overrides that give a choice as null, a boolean or a list instead of a name.
 
     Raises:
         InputError: there is such an override.
@@ -121,7 +122,7 @@ def require_names(overrides: Sequence[str]) -> None:
 
 
 def require_usable(cfg: DictConfig) -> None:
-    """Refuses an experiment's configuration with valid types and invalid contents.
+    """Refuses an experiment's configuration whose values have valid types but are not allowed.
 
     Raises:
         XplainError: a choice that is null, an unknown ``resume``, or a domain's file in the wrong
@@ -146,7 +147,7 @@ def report_errors() -> Iterator[None]:
     except BrokenPipeError:  # the reader of the output has ended
         sys.exit(1)
     except KeyboardInterrupt as error:
-        _say_interrupted(error)
+        _exit_interrupted(error)
     except (
         *(XplainError, HydraException, OmegaConfBaseException),
         *(YAMLError, OSError, ModuleNotFoundError),
@@ -157,33 +158,33 @@ def report_errors() -> Iterator[None]:
         print(f"xplain: {text}", file=sys.stderr)
         sys.exit(2)
     except Exception as error:
-        for cause in _causes(error):
-            if isinstance(cause, KeyboardInterrupt):  # a library replaced it by another error
-                _say_interrupted(cause)
+        for cause in _list_causes(error):
+            if isinstance(cause, KeyboardInterrupt):  # replaced by another error in a library
+                _exit_interrupted(cause)
         raise
 
 
-def _say_interrupted(error: BaseException) -> NoReturn:
+def _exit_interrupted(error: BaseException) -> NoReturn:
     print(": ".join(["xplain: interrupted", *map(str, error.args)]), file=sys.stderr)
     sys.exit(130)
 
 
 def one_line(error: BaseException) -> str | None:
-    """The line about an error that the user can correct; None for our own errors."""
-    for cause in _causes(error):
+    """Describes an error that the user can correct, in one line. None for other errors."""
+    for cause in _list_causes(error):
         if isinstance(cause, XplainError):
             return str(cause)
         if isinstance(cause, MissingConfigException):
-            return _unknown_choice(cause)
+            return _describe_unknown_choice(cause)
         if isinstance(cause, OverrideParseException):
             return (
                 f"{cause.override}: cannot be read; several values have commas between them "
                 "(lambda=0.5,1), and text with special letters has quotes"
             )
         if isinstance(cause, ConfigCompositionException):
-            return _composition(cause)
+            return _describe_composition(cause)
         if isinstance(cause, ConfigAttributeError | ConfigKeyError):
-            return _unknown_key(cause)
+            return _describe_unknown_key(cause)
         if isinstance(cause, OmegaConfBaseException):
             key = getattr(cause, "full_key", None) or "config"
             if isinstance(cause, MissingMandatoryValue):
@@ -210,8 +211,8 @@ _OTHER_KIND = re.compile(
 ).match
 
 
-def _causes(error: BaseException) -> list[BaseException]:
-    """The chain of an error's causes. Errors of this package come first."""
+def _list_causes(error: BaseException) -> list[BaseException]:
+    """Lists an error and its causes. Errors of this package come first."""
     chain: list[BaseException] = []
     current: BaseException | None = error
     while current is not None and current not in chain:
@@ -220,7 +221,7 @@ def _causes(error: BaseException) -> list[BaseException]:
     return sorted(chain, key=lambda item: not isinstance(item, XplainError))
 
 
-def _unknown_choice(error: MissingConfigException) -> str:
+def _describe_unknown_choice(error: MissingConfigException) -> str:
     missing = str(error.missing_cfg_file or "?")
     group, _, choice = missing.rpartition("/")
     options = list(error.options or ())
@@ -231,19 +232,19 @@ def _unknown_choice(error: MissingConfigException) -> str:
 
 
 def missing_key(error: BaseException) -> str | None:
-    """The key that an override sets and the configuration lacks; None for other errors."""
+    """Returns the key that an override sets and the configuration lacks; None for other errors."""
     cause: Any = error.__cause__
     lacks = isinstance(cause, ConfigAttributeError | ConfigKeyError)
     return str(cause.full_key) if lacks else None
 
 
-def _composition(error: ConfigCompositionException) -> str:
+def _describe_composition(error: ConfigCompositionException) -> str:
     cause: Any = error.__cause__
     several = re.match(
         r"(?:Ambiguous value for argument|Sweep parameters) '(.*?)=(.*)'", first_line(error)
     )
     if several:
-        allowed = "one value; to run one job for each of several, add -m (xplain.sweep)"
+        allowed = "one value; to run a job for each of several values, add -m (xplain.sweep)"
         return str(InputError(several[1], several[2], allowed))
     if isinstance(cause, OmegaConfBaseException):
         return one_line(cause) or ""
@@ -253,20 +254,20 @@ def _composition(error: ConfigCompositionException) -> str:
 
 
 PYTHON = {"trade_off": "lambda"}
-"""Names in Python of the keys whose own names are reserved there."""
+"""Python names of the keys whose own names are reserved words in Python."""
 
-_UNTOLD = ("hydra", "_target_", "_convert_", "_partial_")
+_NEVER_SUGGESTED = ("hydra", "_target_", "_convert_", "_partial_")
 """Keys that are never suggested in place of an unknown key."""
 
 
-def _unknown_key(error: Any) -> str:
-    """Suggests a similar key for an unknown one: a key of the same level, or of another choice in
-    the same group."""
+def _describe_unknown_key(error: Any) -> str:
+    """Suggests a key that is similar to an unknown key: a key of the same level, or of another
+    choice in the same group."""
     above, _, name = str(error.full_key).rpartition(".")
-    known = [str(key) for key in error.parent_node or () if key not in _UNTOLD]
+    known = [str(key) for key in error.parent_node or () if key not in _NEVER_SUGGESTED]
     said, there = f"{error.full_key}: no such key;", ", ".join(known) or "no keys"
     if above == "message_cost":
-        return f"{said} one a message: {above}={{{name}: 2, …}}, all of them by name"
+        return f"{said} give a number for each message by name: {above}={{{name}: 2, …}}"
     if not above:
         known += ["sweeps"] if "certify" in known else []  # the experiment's group without a key
         return f"{said}{did_you_mean(PYTHON.get(name, name), known)} allowed: {', '.join(known)}"
@@ -274,11 +275,11 @@ def _unknown_key(error: Any) -> str:
     paths = sorted((CONF / above).glob("*.yaml"))
     if needs := [f"{above}={path.stem}" for path in paths if sets(path.read_text("utf-8"))]:
         return f"{said} it needs {' or '.join(needs)}"
-    more = f"; +{error.full_key}=… adds this one" if "." in above else " (--cfg job shows them)"
+    more = f"; +{error.full_key}=… adds this key" if "." in above else " (--cfg job shows them)"
     return f"{said}{did_you_mean(name, known, f'{above}.')} {above} has {there}{more}"
 
 
 def did_you_mean(word: str, known: Sequence[str], before: str = "") -> str:
-    """`` did you mean lambda?`` if a known word is similar; otherwise ""."""
+    """Returns `` did you mean lambda?`` if a known word is similar; otherwise ""."""
     near = difflib.get_close_matches(word, known, 1)
     return f" did you mean {before}{near[0]}?" if near else ""

@@ -1,4 +1,4 @@
-"""One whole run as values: the two halves of the method, and the certificates of the second.
+"""One whole run: the two halves of the method, and the certificates of the second half.
 
 Components ── Prepared ── Records ── certificates
 """
@@ -50,9 +50,9 @@ class Experiment:
     seed: int
 
     def prepare(self, cache: Path | None, key: str, progress: Progress) -> Prepared:
-        """The first half: observers label, types and labelers are learned, traces are drawn. The
-        result is cached in the folder ``cache`` under this key; without a folder it is always
-        computed."""
+        """Runs the first half: observers label transitions, types and labelers are learned, traces
+        are drawn. The result is cached in the folder ``cache`` under this key; without a folder it
+        is always computed."""
         with progress.stage("data, user types and labelers"):
             if cache is None:
                 return prepare(self.components(), progress)
@@ -61,8 +61,8 @@ class Experiment:
     def explain_cases(
         self, prepared: Prepared, cache: EpisodeCache, progress: Progress
     ) -> tuple[Prepared, list[Record]]:
-        """The second half: the solver and its references explain each trace to a user of each type.
-        Returns the records, and the traces with their users.
+        """Runs the second half: the solver and its references explain each trace to a user of each
+        type. Returns the traces with their users, and the records.
 
         Args:
             prepared: result of the first half.
@@ -113,7 +113,7 @@ class Experiment:
         return prepared, [*own, *records]
 
     def certificates(self, prepared: Prepared, progress: Progress) -> dict[str, float]:
-        """The certificates of the solver's problems; see :meth:`Certify.certificates`."""
+        """Computes the certificates of the solver's problems (:meth:`Certify.certificates`)."""
         return self.certify.certificates(
             prepared, self.costs, self.solver, self.belief, self.seed, progress
         )

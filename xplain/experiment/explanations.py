@@ -36,8 +36,9 @@ class Costs:
     Attributes:
         trade_off: λ.
         message_cost: C_e, one number for all messages, or a number for each message by its name.
-        inexplicability_cost, discount, discount_per: see :class:`Problem`.
-        prior: ``uniform``, or ``observers``: their shares.
+        inexplicability_cost: cost of each label 0.
+        discount, discount_per: discount of each action, or of each step (:class:`Problem`).
+        prior: ``uniform``, or ``observers`` for each type's share of the observers.
         asking: cost and maximum number of questions.
     """
 
@@ -50,14 +51,14 @@ class Costs:
     asking: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:
-        """Checks what :class:`Problem` requires, before any work is done."""
+        """Makes the checks of :class:`Problem` before any work is done."""
         names = tuple(self.message_cost) if isinstance(self.message_cost, Mapping) else ()
         table = LabelTable.by_type(np.empty((1, 0), np.int64), np.full((1, 1, 1), 0.5))
         self.problem(table, names, ("type",), np.ones(1))
         one_of("prior", self.prior, ("uniform", "observers"))
 
     def message_costs(self, names: tuple[str, ...]) -> NDArray[np.float64]:
-        """[n] the cost C_e of each message.
+        """Returns [n], the cost C_e of each message.
 
         Raises:
             InputError: a number is negative; or, by name, a message has no number or does not
@@ -65,7 +66,7 @@ class Costs:
         """
         costs = self.message_cost
         if not isinstance(costs, Mapping):
-            return np.full(len(names), _cost("message_cost", costs))
+            return np.full(len(names), _check_cost("message_cost", costs))
         unknown = [name for name in costs if name not in names]
         if unknown:
             raise InputError("message_cost", unknown[0], f"messages: {', '.join(names)}")
@@ -73,7 +74,7 @@ class Costs:
         if missing:
             wanted = f"a cost of each message; {', '.join(missing)} missing"
             raise InputError("message_cost", dict(costs), wanted)
-        return np.array([_cost(f"message_cost.{name}", costs[name]) for name in names])
+        return np.array([_check_cost(f"message_cost.{name}", costs[name]) for name in names])
 
     def problem(
         self,
@@ -97,7 +98,7 @@ class Costs:
         )
 
 
-def _cost(key: str, value: object) -> float:
+def _check_cost(key: str, value: object) -> float:
     cost = number(key, value)
     if cost < 0:
         raise InputError(key, value, "a number ≥ 0")
@@ -107,8 +108,8 @@ def _cost(key: str, value: object) -> float:
 def problem_of_types(
     prepared: Prepared, case: Case, costs: Costs, belief_update: BeliefUpdate
 ) -> Problem:
-    """The problem of a trace under the learned types, for a solver that must infer the type of a
-    user who listens and answers as the belief update assumes."""
+    """Makes the problem of a trace under the learned types, for a solver that must infer the type.
+    Users listen and answer as the belief update assumes."""
     names, shares = prepared.learned_types, prepared.type_shares
     problem = costs.problem(case.learned, prepared.messages, names, shares)
     problem = replace(problem, copies=copies(case.transitions))
@@ -131,8 +132,8 @@ def problem_for(
     user: int,
     thoughts: LabelTable | None = None,
 ) -> Problem:
-    """The problem that a solver plans for when the user has the true type ``user`` and listens and
-    answers as the belief update assumes. The clairvoyant knows ``thoughts``, the labels of this
+    """Makes the problem that a solver plans for. The user has the true type ``user``, and listens
+    and answers as the belief update assumes. The clairvoyant knows ``thoughts``, the labels of this
     user, or by default the labels of the type.
 
     Raises:
@@ -147,7 +148,7 @@ def problem_for(
             raise InputError(
                 "solver",
                 "baseline",
-                "another solver: everybody's labeler looks at too many messages on one trace",
+                "another solver: the labeler for all users tests too many messages on one trace",
             )
         return costs.problem(case.everyone, prepared.messages, ("everyone",), alone)
     if solver.knows == "labels":
@@ -170,7 +171,7 @@ def evaluate(
     progress: Progress = SILENT,
     what: str = "explaining",
 ) -> list[Record]:
-    """Each solver explains each trace to a user of each true type.
+    """Lets each solver explain each trace to a user of each true type.
 
     Args:
         prepared: result of :func:`prepare`.
@@ -178,8 +179,8 @@ def evaluate(
         solvers: by the name in the records.
         belief_update: the labels that change the belief.
         explainee: how the users listen, think and answer.
-        seed: the policies' streams depend on it and on the trace, not on the solver's name; the
-            users' streams depend on it, the trace and their type.
+        seed: the policies' streams depend on the seed and the trace, not on the solver's name; the
+            users' streams depend on the seed, the trace and the user's type.
         progress: receives the progress.
         what: the activity in progress lines.
     """
@@ -206,14 +207,14 @@ def evaluate(
                     if not habits.take_all_in:
                         problem = problem.with_habits(habits)
                     planned = solver.plan(problem, trace_seed(seed, index))
-                    if index == 0:  # kernels load at the first decision, which is not counted
+                    if index == 0:  # kernels load at the first decision, whose time is not counted
                         planned.decide(VisibleState(), problem.start)
                     policy = CachedPolicy(planned)
                 person = explainee.meet(labels, same, own)
                 episode = explain(problem, policy, person, belief_update, solver.knows == "labels")
                 right = np.ones(problem.n_user_types, dtype=bool)
                 if solver.knows == "types":
-                    right[:] = False  # no user is outside of all types for certain
+                    right[:] = False  # no true type is "none of the learned types"
                     right[: len(prepared.learned_types)] = (
                         prepared.matched_true_type == prepared.distinct[user]
                     )
@@ -235,11 +236,11 @@ def with_true_labels(prepared: Prepared) -> Prepared:
         learned_types=prepared.types,
         matched_true_type=prepared.distinct,
         type_shares=np.full(count, 1 / count),
-        cases=tuple(_known(case) for case in prepared.cases),
+        cases=tuple(_use_true_labels(case) for case in prepared.cases),
     )
 
 
-def _known(case: Case) -> Case:
+def _use_true_labels(case: Case) -> Case:
     asked = case.questions and replace(case.questions, learned=case.questions.labels)
     return replace(case, learned=case.labels, questions=asked)
 
@@ -250,7 +251,7 @@ def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepar
 
     Args:
         prepared: result of :func:`with_true_labels`.
-        oracle: has the oracle's labels, which are kept; None if the explainer needs none.
+        oracle: has the oracle's labels, which are kept; None if no explainer needs these labels.
     """
     perfect = [None if oracle is None else case.perfect for case in (oracle or prepared).cases]
     pairs = zip(prepared.cases, perfect, strict=True)
@@ -280,8 +281,9 @@ def same_problems(one: Prepared, other: Prepared) -> bool:
 
 
 def true_thoughts(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
-    """Returns the true labels of a trace's transitions and questions, and for each of these the
-    index of the first equal one: people make the same errors about equal ones."""
+    """Returns the true labels of a trace's transitions and questions. Also returns, for each of
+    these items, the index of the first equal item: people make the same errors about equal items.
+    """
     if case.questions is None:
         return case.labels, copies(case.transitions)
     asked = case.questions
@@ -291,12 +293,13 @@ def true_thoughts(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
 
 
 def copies(transitions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """[m] for each transition [m, 3] of a trace, the index of the first equal one."""
+    """Returns [m], the index of the first equal transition for each transition [m, 3] of a
+    trace."""
     _, first, which = np.unique(transitions, axis=0, return_index=True, return_inverse=True)
     same: NDArray[np.int64] = first[which]
     return same
 
 
 def trace_seed(seed: int, index: int) -> int:
-    """The seed of every policy for the trace with this index."""
+    """Derives the seed of every policy for the trace with this index."""
     return derive_seed(seed, "solver", index)

@@ -3,8 +3,8 @@
 A fingerprint covers the resolved configuration, the sources of this package, the versions of the
 computing libraries, the sources of every external component with everything that they import, the
 declarations of such components (:class:`Dependent`), and the content of every file that the
-configuration names. A fingerprint alone decides whether results are finished and cached stages are
-valid, so in doubt it changes.
+configuration names. Stored results and cached stages with an equal fingerprint are used again, so a
+fingerprint must change in every doubtful case.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LIBRARIES = {
 
 NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume", "dry_run")
 """Configuration keys that cannot change a number. Hydra removes its own node from a job's
-configuration, but not from the one that plans a sweep."""
+configuration, but not from the configuration of a whole sweep."""
 
 _KNOWN = {"xplain", *LIBRARIES.values()}
 """Packages that every fingerprint covers in another way."""
@@ -55,11 +55,12 @@ class Dependent(Protocol):
     files that its configuration names."""
 
     def depends_on(self) -> Mapping[str, object]:
-        """The further dependencies by name: numbers, texts, or files, whose content counts."""
+        """Returns the further dependencies by name: numbers, texts, or files. The fingerprint
+        covers the content of these files."""
 
 
 def configuration(cfg: DictConfig) -> dict[str, Any]:
-    """The resolved configuration without keys that cannot change a number."""
+    """Resolves a configuration and removes the keys that cannot change a number."""
     return {
         str(key): OmegaConf.to_container(cfg[key], resolve=True)
         if OmegaConf.is_config(cfg[key])
@@ -70,8 +71,9 @@ def configuration(cfg: DictConfig) -> dict[str, Any]:
 
 
 def fingerprint(config: Mapping[str, Any]) -> str:
-    """The digest of a resolved configuration and of all code that it runs: 32 hex digits."""
-    named = {text: _file(text) for _, text in _texts(config)}
+    """Computes the digest of a resolved configuration and of all code that it runs: 32 hex
+    digits."""
+    named = {text: _find_file(text) for _, text in _list_texts(config)}
     content = {
         "config": config,
         "code": code_version(),
@@ -85,13 +87,14 @@ def fingerprint(config: Mapping[str, Any]) -> str:
 
 @cache
 def code_version() -> str:
-    """A digest of the package's own sources, so that other code has other results."""
-    return _digest_of(_sources(Path(__file__).parents[1]))[:16]
+    """Computes a digest of the package's own sources, so that other code has other results."""
+    return _digest_of(_read_sources(Path(__file__).parents[1]))[:16]
 
 
 @cache
 def git_state() -> dict[str, str]:
-    """The commit, and if the checkout has changes; empty if the package is not a checkout."""
+    """Returns the commit, and ``dirty`` if the checkout has changes. Returns an empty mapping if
+    the package is not a checkout."""
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return {}
@@ -122,28 +125,29 @@ def library_versions() -> dict[str, str]:
 
 
 def component_code(config: Any) -> dict[str, str]:
-    """``{top-level package: digest}`` of everything that ``_target_`` (or a text such as
-    ``module:Name``) names outside this package, and of its imports. No code is executed.
+    """Computes ``{top-level package: digest}`` of all code outside this package that ``_target_``
+    (or a text such as ``module:Name``) names, and of its imports. No code is executed.
 
     The digest of an installed distribution covers its list of files with their hashes. The digest
     of any other package (a checkout) covers all of its files, including data. The digest of a
     module covers its source.
     """
     found: dict[str, str] = {}
-    names = (text for key, text in _texts(config) if key == "_target_" or _NAMES_CODE(text))
+    names = (text for key, text in _list_texts(config) if key == "_target_" or _NAMES_CODE(text))
     pending = sorted({re.split("[.:]", name)[0] for name in names})
     while pending:
         name = pending.pop()
         if name in found or name in _KNOWN or name in sys.stdlib_module_names:
             continue
-        found[name], imported = _package(name)
+        found[name], imported = _digest_package(name)
         pending += imported
     return found
 
 
 def collect_declarations(config: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """The declarations of components from outside the package, as ``{group: {name: value}}``. A
-    component that cannot be created declares nothing; the experiment reports the reason."""
+    """Collects the declarations of components from outside the package, as ``{group: {name:
+    value}}``. A component that cannot be created declares nothing; the experiment reports the
+    reason."""
     found = {}
     for group, node in config.items():
         target = str(node.get("_target_", "xplain")) if isinstance(node, Mapping) else "xplain"
@@ -151,32 +155,32 @@ def collect_declarations(config: Mapping[str, Any]) -> dict[str, dict[str, str]]
             with suppress(HydraException):
                 made = instantiate(dict(node))
                 if isinstance(made, Dependent):
-                    found[group] = {name: _known_by(own) for name, own in made.depends_on().items()}
+                    found[group] = {name: _identify(own) for name, own in made.depends_on().items()}
     return found
 
 
-def _known_by(value: object) -> str:
+def _identify(value: object) -> str:
     return _digest(value.read_bytes()) if isinstance(value, Path) else repr(value)
 
 
 _NAMES_CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.-]*").fullmatch
 
 
-def _texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """(key, text) of every text in a configuration; texts in lists have no key."""
+def _list_texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Yields (key, text) of every text in a configuration; texts in lists have no key."""
     if isinstance(node, str):
         yield key, node
     elif isinstance(node, dict):
         for name, value in node.items():
-            yield from _texts(value, name)
+            yield from _list_texts(value, name)
     elif isinstance(node, list):
         for value in node:
-            yield from _texts(value)
+            yield from _list_texts(value)
 
 
-def _file(text: str) -> Path | None:
-    """The file that a text of the configuration names, if any: a path, or ``pkg://package/path``
-    inside an installed package."""
+def _find_file(text: str) -> Path | None:
+    """Returns the file that a text of the configuration names, if any. The text is a path, or
+    ``pkg://package/path`` inside an installed package."""
     if "\n" in text or not 0 < len(text) < 1000:
         return None
     path = Path(text)
@@ -188,15 +192,16 @@ def _file(text: str) -> Path | None:
 
 
 @cache
-def _package(name: str) -> tuple[str, tuple[str, ...]]:
-    """Digest of a top-level package, and the top-level names that its sources import."""
-    for distribution in _distributions().get(name, ()):
+def _digest_package(name: str) -> tuple[str, tuple[str, ...]]:
+    """Computes the digest of a top-level package, and lists the top-level names that its sources
+    import."""
+    for distribution in _list_distributions().get(name, ()):
         record = metadata.distribution(distribution).read_text("RECORD") or ""
-        # An editable install does not list its sources: continue with them.
+        # The record of an editable install does not list the sources: continue with the sources.
         if f"{name}/" in record or f"{name}.py" in record:
             return _digest(record.encode()), ()
     if name == "__main__":
-        return _digest_of(_own_program()), ()
+        return _digest_of(_read_program()), ()
     try:
         spec = importlib.util.find_spec(name)
     except (ImportError, ValueError):
@@ -206,19 +211,19 @@ def _package(name: str) -> tuple[str, tuple[str, ...]]:
     origin = Path(spec.origin or "")
     if spec.submodule_search_locations:
         roots = map(Path, spec.submodule_search_locations)
-        sources = [source for root in roots for source in _sources(root, "*")]
+        sources = [source for root in roots for source in _read_sources(root, "*")]
     else:
         sources = [(origin.name, origin.read_bytes())] if origin.is_file() else []
     code = (text for name, text in sources if name.endswith(".py"))
-    imported = set[str]().union(*map(_imports, code))
+    imported = set[str]().union(*map(_list_imports, code))
     return _digest_of(sources), tuple(sorted(imported))
 
 
-def _own_program() -> list[tuple[str, bytes]]:
-    """(name, source) of the running script, or of the classes and functions of a notebook.
+def _read_program() -> list[tuple[str, bytes]]:
+    """Reads (name, source) of the running script, or of the classes and functions of a notebook.
 
     Raises:
-        InputError: their source cannot be found.
+        InputError: the source cannot be found.
     """
     program = sys.modules["__main__"]
     if file := getattr(program, "__file__", None):
@@ -235,8 +240,8 @@ _IGNORED = re.compile(r"__pycache__$|\.").match
 """Matches folders in a package without code or data."""
 
 
-def _sources(root: Path, kind: str = "*.py") -> list[tuple[str, bytes]]:
-    """The Python files in a folder, or those of another kind: (path below the folder, content)."""
+def _read_sources(root: Path, kind: str = "*.py") -> list[tuple[str, bytes]]:
+    """Reads the Python files in a folder, or files of another kind, as (path in it, content)."""
     files = [
         path
         for path in sorted(root.rglob(kind))
@@ -249,8 +254,8 @@ def _digest_of(sources: list[tuple[str, bytes]]) -> str:
     return _digest(b"\0".join(name.encode() + b"\0" + text for name, text in sources))
 
 
-def _imports(source: bytes) -> set[str]:
-    """Top-level names that a source file imports absolutely."""
+def _list_imports(source: bytes) -> set[str]:
+    """Lists top-level names that a source file imports absolutely."""
     try:
         tree = ast.parse(source)
     except (SyntaxError, ValueError):
@@ -265,14 +270,14 @@ def _imports(source: bytes) -> set[str]:
 
 
 @cache
-def _distributions() -> dict[str, list[str]]:
-    """Installed distributions by the top-level names that they provide (takes 0.1 s)."""
+def _list_distributions() -> dict[str, list[str]]:
+    """Lists the installed distributions by the top-level names that they provide (takes 0.1 s)."""
     return dict(metadata.packages_distributions())
 
 
 def clear_caches() -> None:
-    """Clears the caches, because a long-running program may have edited code."""
-    for known in (_package, _distributions, code_version):
+    """Clears the caches, because code may change while a program runs."""
+    for known in (_digest_package, _list_distributions, code_version):
         known.cache_clear()
 
 

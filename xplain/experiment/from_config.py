@@ -38,13 +38,13 @@ def component(cfg: Config, group: str, **given: Any) -> Any:
     """Makes the component that a configuration chooses in a group, with its keys and ``given``.
 
     Raises:
-        XplainError, HydraException: its class is missing or incomplete, or it refuses a value.
+        XplainError, HydraException: the class is missing or incomplete, or refuses a value.
     """
     try:
         made = instantiate(cfg[group], _partial_=bool(given))
         made = made(**given) if given else made
     except TypeError as error:  # from a user's class with another constructor
-        raise InputError(group, cfg[group].get("_target_"), f"a class to make ({error})") from None
+        raise InputError(group, cfg[group].get("_target_"), f"a usable class ({error})") from None
     except InstantiationException as error:
         if isinstance(error.__cause__, ImportError):
             _require_class(f"{group}._target_", str(cfg[group].get("_target_")))
@@ -81,7 +81,7 @@ def _require_class(key: str, target: str) -> None:
 
 
 def _require_parameters(group: str, node: Config) -> None:
-    """Checks that a file gives only parameters that the class has; the error lists these.
+    """Checks that a file gives only parameters that the class has; the error lists the parameters.
 
     Raises:
         InputError: an unknown parameter.
@@ -93,11 +93,11 @@ def _require_parameters(group: str, node: Config) -> None:
             raise InputError(f"{group}.{key}", node[key], allowed)
 
 
-def _section(cfg: Config, key: str, kind: type[T]) -> T:
+def _make_section(cfg: Config, key: str, kind: type[T]) -> T:
     """Makes the value that a group of keys describes.
 
     Raises:
-        InputError: it is no mapping, or has an unknown key.
+        InputError: the group is not a mapping, or has an unknown key.
     """
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     for name in mapping(key, cfg[key], f"keys: {', '.join(names)}"):
@@ -123,17 +123,17 @@ def experiment_of(cfg: Config) -> Experiment:
 
 
 def certify_of(cfg: Config) -> Certify:
-    """The work limits of the certificates; their memory limit is the solver's.
+    """Makes the work limits of the certificates; their memory limit is the solver's.
 
     Raises:
         InputError: a number is out of its range, or a key is unknown.
     """
-    certify = _section(cfg, "certify", Certify)
+    certify = _make_section(cfg, "certify", Certify)
     return replace(certify, memory_gib=cfg["solver"].get("memory_gib", 8.0))
 
 
 def components_of(cfg: Config) -> Components:
-    """The components that decide data, types and traces.
+    """Makes the components that decide data, types and traces.
 
     Raises:
         XplainError, HydraException: a component refuses a value.
@@ -154,7 +154,7 @@ def components_of(cfg: Config) -> Components:
 
 
 def costs_of(cfg: Config) -> Costs:
-    """λ and the other costs.
+    """Makes λ and the other costs.
 
     Raises:
         InputError: an invalid cost, or a cost of an unknown message.
@@ -170,7 +170,7 @@ def costs_of(cfg: Config) -> Costs:
         prior=cfg["prior"],
         asking=Limits(ask["cost"], ask["most"], ask["when"]),
     )
-    if by_name:  # before learning
+    if by_name:  # so that an unknown name is an error before learning
         costs.message_costs(tuple(p.name for p in component(cfg, "domain").parameters))
     return costs
 
@@ -203,7 +203,7 @@ def check(configurations: Iterable[Mapping[str, Any]]) -> None:
             (("explainee",), lambda cfg: component(cfg, "explainee")),
             (("certify", "solver"), certify_of),
             (("domain", *COSTS), costs_of),
-            (("domain", "users"), _solve),
+            (("domain", "users"), _solve_task),
         ):
             key = json.dumps([part, [config[name] for name in part]], sort_keys=True)
             if key not in seen:
@@ -211,6 +211,6 @@ def check(configurations: Iterable[Mapping[str, Any]]) -> None:
                 seen.add(key)
 
 
-def _solve(cfg: Config) -> None:
+def _solve_task(cfg: Config) -> None:
     domain: Domain = component(cfg, "domain")
     Setting.build(domain, component(cfg, "users").types(domain, stream(cfg["seed"], "users")))

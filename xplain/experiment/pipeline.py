@@ -100,7 +100,7 @@ class Prepared:
         learned_types: N names; ``matched_true_type`` [N] is the ``distinct`` number of most of
             their observers (−1 unknown), ``type_shares`` [N] their shares of the observers.
         learning: figures of the learning stage, by name.
-        curve: disagreements for k = 1 … (empty if the method has none).
+        curve: disagreements with k = 1 … types (empty if the method has none).
         rule: the rule that chose the number of types.
         scene: the map, if there is one.
         cases: one for each trace.
@@ -189,7 +189,8 @@ def observe(
 
 
 def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArray[np.int64]:
-    """[m, 3] the trace with this index: it starts at random and follows the robot's policy."""
+    """Draws [m, 3], the trace with this index: it starts at random and follows the robot's
+    policy."""
     rng = stream(seed, "traces", index)
     return sample_trace(setting.models[0], setting.domain.starts, rng, max_steps)
 
@@ -208,7 +209,7 @@ def build_case(
     features = transition_features(domain, transitions)
     changes, labels = changes_of(domain, transitions), setting.true_labels(transitions)
     asked = []
-    if beliefs is not None:  # they show no step
+    if beliefs is not None:  # these questions show no step
         shows = np.zeros((len(beliefs.facts), len(transitions)), np.bool_)
         asked.append(replace(beliefs, shows=shows))
     if clips is not None:

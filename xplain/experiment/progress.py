@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 class Progress:
-    """Receives the progress and ignores it; subclasses display it. It changes no result."""
+    """Receives the progress and ignores it; subclasses display it. No result depends on it."""
 
     def track(self, items: Iterable[T], what: str, count: int) -> Iterator[T]:
         """Yields the ``count`` items; ``what`` is the activity for each."""
@@ -20,7 +20,7 @@ class Progress:
                 self.note(f"{done} of {count}", done)
 
     def stage(self, what: str, count: int | None = None) -> AbstractContextManager[Any]:
-        """A context during which ``what`` is the current activity, for ``count`` items if known."""
+        """Opens a context with ``what`` as the current activity, for ``count`` items if known."""
         return nullcontext()
 
     def note(self, text: str, done: int | None = None) -> None:

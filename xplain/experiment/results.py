@@ -40,7 +40,7 @@ class Figure:
     @classmethod
     def of(cls, estimate: Estimate) -> Figure:
         """Converts an estimate; values that JSON does not have become None."""
-        return cls(estimate.mean, _finite(estimate.low), _finite(estimate.high))
+        return cls(estimate.mean, _keep_finite(estimate.low), _keep_finite(estimate.high))
 
 
 @dataclass(frozen=True)
@@ -91,11 +91,11 @@ class Provenance:
 
     Attributes:
         name: readable name.
-        fingerprint: fingerprint of everything that its numbers depend on, and the name of its
-            folder below ``outputs/results``.
+        fingerprint: digest of everything that the numbers depend on; the run's folder below
+            ``outputs/results`` has this name.
         xplain, code: version of the package, and digest of its sources.
         git: the commit, and if the checkout has changes; empty without a checkout.
-        worker: host and process id of the process that computed it.
+        worker: host and process id of the process that computed the run.
         started: seconds since 1970.
         seconds: duration of each stage, by name.
         choices: the components by group.
@@ -124,10 +124,10 @@ class Results(Provenance):
         bounds: certified figures of the explanation problems, by name.
         certificates: ``not asked for``, ``made`` or ``failed``.
         learning: figures of the learning stage, by name.
-        elbow: how the number of types was chosen.
+        elbow: the choice of the number of types.
         messages: sentences by name.
         scene: the map, if there is one.
-        types: true and learned ones.
+        types: true and learned types.
         steps: means by step (:func:`xplain.interaction.metrics.by_step`).
         episodes: episodes of the solver and of its references.
         schema: version of the file.
@@ -172,13 +172,13 @@ class Results(Provenance):
 
 
 def domain_name(choices: Mapping[str, str], config: Mapping[str, Any]) -> str:
-    """The domain's name in the configuration (``domain.name``), or otherwise the name of the chosen
-    file in conf/domain/."""
+    """Returns the domain's name in the configuration (``domain.name``), or otherwise the name of
+    the chosen file in conf/domain/."""
     return str(config.get("domain", {}).get("name") or choices["domain"])
 
 
 def results_of(prepared: Prepared, records: list[Record], provenance: Provenance) -> Results:
-    """The results of a run, without certificates.
+    """Makes the results of a run, without certificates.
 
     Args:
         prepared, records: from the run.
@@ -221,14 +221,15 @@ def results_of(prepared: Prepared, records: list[Record], provenance: Provenance
 
 
 def episode_lines(prepared: Prepared, records: list[Record]) -> str:
-    """The content of ``episodes.jsonl``: questions, messages, answers and beliefs at each step."""
+    """Makes the content of ``episodes.jsonl``: questions, messages, answers and beliefs at each
+    step."""
     lines = []
     for record in records:
         episode, case = record.episode, prepared.cases[record.trace]
         beliefs, labels = episode.beliefs.round(12).tolist(), episode.labels.tolist()
         steps = [
             {
-                **_asked(episode, case, k),
+                **_list_questions(episode, case, k),
                 "messages": names_of(given, prepared.messages),
                 "labels": labels[k][: k + 1],
                 "belief": beliefs[k + 1],
@@ -250,8 +251,8 @@ def episode_lines(prepared: Prepared, records: list[Record]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _asked(episode: Episode, case: Case, step: int) -> dict[str, Any]:
-    """The ``questions`` before a step's messages; nothing if no questions are possible."""
+def _list_questions(episode: Episode, case: Case, step: int) -> dict[str, Any]:
+    """Lists the ``questions`` before a step's messages; nothing if no questions are possible."""
     if case.questions is None:
         return {}
     own = episode.questions[episode.questions[:, 0] == step, 1:].tolist()
@@ -272,7 +273,7 @@ def encode_question(question: Question, answer: int) -> dict[str, Any]:
 def save_results(folder: Path, results: Results) -> None:
     """Writes ``results.json``, the last of all files of a run: its presence means that the run is
     complete."""
-    # On one line, because Python's indentation is slow.
+    # On one line, because Python writes indented JSON slowly.
     write_text(folder / RESULTS, json.dumps(encode(results), allow_nan=False) + "\n")
 
 
@@ -280,21 +281,21 @@ def load_results(folder: Path) -> Results:
     """Reads ``results.json``.
 
     Raises:
-        OSError, ValueError: there is no such file, or it is not of this version.
+        OSError, ValueError: the file is missing, or has another version.
     """
     content = json.loads((folder / RESULTS).read_text(encoding="utf-8"))
     try:
         if content["schema"] != SCHEMA:
-            raise ValueError(f"{folder / RESULTS} is of schema {content['schema']}, not {SCHEMA}")
+            raise ValueError(f"{folder / RESULTS} has schema {content['schema']}, not {SCHEMA}")
         results: Results = decode(Results, content)
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{folder / RESULTS} holds no results ({error!r})") from error
+        raise ValueError(f"{folder / RESULTS} contains no results ({error!r})") from error
     return results
 
 
 def find_finished(address: Path) -> Results | None:
-    """The results at an address, if they are complete and have the requested certificates;
-    otherwise None."""
+    """Reads the results at an address, if they are complete and have the requested certificates;
+    otherwise returns None."""
     try:
         results = load_results(address)
     except (OSError, ValueError):
@@ -303,5 +304,5 @@ def find_finished(address: Path) -> Results | None:
     return results if whole else None
 
 
-def _finite(value: float) -> float | None:
+def _keep_finite(value: float) -> float | None:
     return value if math.isfinite(value) else None

@@ -34,7 +34,9 @@ def with_others(prepared: Prepared, components: Components, explainee: Explainee
     new = new[: len(observed)]
     if not new:
         name = type(explainee).__name__
-        raise InputError("explainee", name, "a domain in which such users behave unlike the types")
+        raise InputError(
+            "explainee", name, "a domain in which such users differ from the true types"
+        )
     return replace(
         prepared,
         types=tuple(setting.types[t].name for t in new),
@@ -52,7 +54,7 @@ def with_others(prepared: Prepared, components: Components, explainee: Explainee
 
 
 def _solvable(domain: Domain, user_type: UserType) -> bool:
-    """True if the task has a way to its goal as the type sees it."""
+    """True if the task can be solved under the type's beliefs."""
     with suppress(DomainError):
         Setting.build(domain, (user_type,))
         return True
