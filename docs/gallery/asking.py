@@ -1,4 +1,4 @@
-"""Asking: the more expensive a question, the fewer are asked, and the more an explanation costs."""
+"""Asking: if questions cost more, fewer questions are asked, and an explanation costs more."""
 
 import xplain
 

@@ -1,4 +1,4 @@
-"""A belief over time: a novice labels what they see, and the explainer learns who they are."""
+"""A belief over time: a novice labels what they see, and the explainer learns the novice's type."""
 
 import matplotlib.pyplot as plt
 import numpy as np

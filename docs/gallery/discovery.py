@@ -1,4 +1,4 @@
-"""Discovery: the user types in a table of labels. Two kinds of people, twelve in all."""
+"""Discovery: finds user types in a table of labels. Its twelve people have two types."""
 
 import numpy as np
 import pandas as pd

@@ -1,4 +1,4 @@
-"""Your own solver: it plans as if the user were of the likeliest type. How much does that cost?"""
+"""Your own solver: it plans as if the user had the likeliest type. What does this cost?"""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
