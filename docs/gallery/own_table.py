@@ -1,4 +1,4 @@
-"""Your own table: P(a step makes sense | type, message given). When does a puzzled person get it?"""
+"""Your own table: P(a step makes sense | type, message given). When is the message given?"""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -1,4 +1,4 @@
-"""The price of a wrong hypothesis: the cost with people nobody assumed, beside people as assumed."""
+"""The price of a wrong hypothesis: costs with people nobody assumed and people as assumed."""
 
 import matplotlib.pyplot as plt
 import numpy as np
