@@ -64,7 +64,7 @@ def test_where_facts_are_many_people_are_taken_as_found(caplog: pytest.LogCaptur
     types = GivenTypes(p, tuple(map(str, range(13))), ("x",), wrong=(1,), about_everything=p)
     with caplog.at_level(logging.WARNING):
         assert not isinstance(Explainer(types).beliefs, Open)
-    assert "nobody is assumed to differ from the types" in caplog.text
+    assert "all users are assumed to have one of the types" in caplog.text
 
 
 def test_learned_types_keep_their_facts_in_a_file(tmp_path: Path) -> None:

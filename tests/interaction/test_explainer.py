@@ -164,12 +164,12 @@ HALF = np.full((2, 3, 4), 0.5)
     ("make", "said"),
     [
         (lambda: types_of(np.full((2, 3, 8), 0.5)), "2**2 = 4 sets of 2 messages"),
-        (lambda: types_of(np.full((3, 3, 4), 0.5)), "table=3: 2 types, as there are names"),
+        (lambda: types_of(np.full((3, 3, 4), 0.5)), "table=3: 2 types, one for each name"),
         (lambda: types_of([[1], [2, 3]]), "numbers"),
         (lambda: types_of(np.zeros((2, 3, 4))), "all of these are 0"),
         (
             lambda: types_of(LabelTable.dense(np.full((3, 3, 4), 0.5))),
-            "2 types, as there are names",
+            "2 types, one for each name",
         ),
         (lambda: asked(lambda trace: np.full((2, len(trace), 8), 0.5)), "sets of 2 messages"),
         (lambda: Explainer(types_of(), solver="qmdp"), "solver='qmdp': an object, such as QMDP()"),
@@ -179,7 +179,7 @@ HALF = np.full((2, 3, 4), 0.5)
         (lambda: Explainer(types_of(), trade_off=None), "trade_off=None: a number ≥ 0"),
         (lambda: Explainer(types_of(), message_cost="x"), "message_cost="),
         (lambda: Explainer(types_of(), seed="1"), "seed='1': a whole number"),
-        (lambda: Explainer(types_of(names=("x", "x"))), "each once"),
+        (lambda: Explainer(types_of(names=("x", "x"))), "without repetition"),
         (lambda: Explainer(None), "types.messages"),
         (lambda: answered([1, 0]), "1 labels, 0 or 1 for each transition shown so far"),
     ],

@@ -1,8 +1,8 @@
 """A dialogue: the events of one explanation, and the state that follows from them.
 
-The belief and the visible state are a fold of the events (:func:`advance`), so a dialogue can be
-continued from its events alone. The experiments, the study and the sessions in people's own
-programs all run this.
+The belief and the visible state are computed from the events alone (:func:`advance`), so a stored
+dialogue can be continued. Experiments, studies, and sessions in people's own programs all run this
+code.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Asked(NamedTuple):
 
 
 class Answered(NamedTuple):
-    """The user answered it: 0 or 1."""
+    """The user answered the open question with 0 or 1."""
 
     answer: int
 
@@ -73,7 +73,7 @@ class DialogueState(NamedTuple):
 def advance(
     problem: Problem, belief_update: BeliefUpdate, state: DialogueState, event: Event
 ) -> DialogueState:
-    """The state after an event.
+    """Computes the state after an event.
 
     Raises:
         ValueError: messages that do not exist, or may not be given any more.
@@ -103,12 +103,14 @@ def advance(
                 open=None,
                 new=messages,
             )
-            # After a message, the same question is a new one.
+            # After a message, the answer to the same question may differ.
             return given._replace(repeats=False, clips=0) if messages else given
         case Labelled(labels):
             heard = np.array(labels, np.uint8)
-            evidence = slice(None) if belief_update.fresh_labels else _news(problem, state, heard)
-            # It is also a new one after something may have been forgotten.
+            evidence = (
+                slice(None) if belief_update.fresh_labels else _find_evidence(problem, state, heard)
+            )
+            # The answer may also differ after facts were forgotten.
             forgets = bool(problem.habits.forget.any())
             return DialogueState(
                 visible._replace(step=len(labels)),
@@ -118,9 +120,11 @@ def advance(
             )
 
 
-def _news(problem: Problem, state: DialogueState, labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """[k + 1] True for labels that are evidence if people repeat themselves: those that were not
-    given since the last message; only the first transition of several equal ones counts."""
+def _find_evidence(
+    problem: Problem, state: DialogueState, labels: NDArray[np.uint8]
+) -> NDArray[np.bool_]:
+    """Returns [k + 1] True for the labels that are evidence if people repeat themselves: the label
+    was not given since the last message, and its transition is the first of equal transitions."""
     count = len(labels)
     news: NDArray[np.bool_] = problem.copies[:count] == np.arange(count)
     if state.repeats:
@@ -138,8 +142,8 @@ class Dialogue:
         problem: the agent's model of users.
         policy: planned for that problem.
         belief_update: says which labels change the belief.
-        events: in order.
-        state: after these events.
+        events: the events so far, in order.
+        state: the state after these events.
     """
 
     problem: Problem
@@ -164,7 +168,7 @@ class Dialogue:
             self.events.append(event)
 
     def at(self, count: int) -> Dialogue:
-        """The dialogue after its first ``count`` events."""
+        """Returns the dialogue after its first ``count`` events."""
         return Dialogue(self.problem, self.policy, self.belief_update, self.events[:count])
 
     @property
@@ -199,8 +203,8 @@ class Dialogue:
         return tuple(event.labels for event in self.events if isinstance(event, Labelled))
 
     def cost(self, zeros: int) -> float:
-        """The undiscounted cost of Definition 2 with this number of labels 0, and κ for each
-        question answered."""
+        """Computes the undiscounted cost of Definition 2 for this number of labels 0, plus κ for
+        each answered question."""
         problem = self.problem
         answers = sum(isinstance(event, Answered) for event in self.events)
         return (

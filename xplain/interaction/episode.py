@@ -28,12 +28,12 @@ class Episode:
         thoughts: [m, m] int8; row k has the labels that the user truly thinks. Costs count these.
         beliefs: [m + 1, M] beliefs over user types, before the first step and after each step.
         seconds: [m] the time that the policy took for each step's decisions. A cached decision
-            counts with its first time.
+            counts with the time of its first computation.
         communication: Σ C_e of all messages given (not multiplied by λ).
         inexplicability: Σ C_inexp over all steps and all transitions that are inexplicable at the
             step.
         cost: Definition 2, λ · communication + inexplicability, undiscounted; plus ``asking``.
-        asking: κ for each question.
+        asking: the cost of all questions, κ for each.
         fit: P(the user has a found type and the assumed habits) at the end.
         questions: [J, 3] the step, the number and the answer of each question.
     """
@@ -82,7 +82,7 @@ def explain(
 
     Args:
         problem: the agent's model of users; its costs are counted.
-        policy: planned for that problem; it shares its decisions between users.
+        policy: the policy for that problem; users share its cached decisions.
         user: a new user, who reacts to the trace.
         belief_update: decides which labels change the belief.
         sees_knowledge: True if the agent sees which facts a user of known type believes correctly

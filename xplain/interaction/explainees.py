@@ -2,8 +2,8 @@
 
 An *explainee* is one kind of user. It makes a *person* for each trace and true type. The person
 receives messages, judges whether each shown transition makes sense, and answers. Costs count what
-they think. Their random choices come from a separate stream, by transition, message and step, so
-that every solver meets the same person.
+the person thinks. A person's random choices come from a separate stream for each transition,
+message and step, so that every solver meets the same person.
 """
 
 from __future__ import annotations
@@ -43,15 +43,16 @@ class Person(Protocol):
 
     @property
     def knows(self) -> int | None:
-        """Bitmask of the corrected facts that they currently know; None for all given messages."""
+        """Bitmask of the corrected facts that the person currently knows; None if all given
+        messages are known."""
         return None
 
     def hear(self, new: int) -> None:
         """Receives messages (a bitmask), new or repeated."""
 
     def react(self, given: int, count: int) -> Reaction:
-        """Reacts to the first ``count`` transitions, given the messages ``given`` so far. It is
-        called once for each step, in order."""
+        """Reacts to the first ``count`` transitions, given the messages ``given`` so far. The
+        method is called once for each step, in order."""
 
     def answer(self, row: int, given: int) -> int:
         """Answers a question with 0 or 1, given the messages ``given`` so far.
@@ -61,16 +62,19 @@ class Person(Protocol):
             given: bitmask of the messages.
 
         Raises:
-            InputError: such people answer no questions.
+            InputError: this person answers no questions.
         """
-        raise InputError("explainee", type(self).__name__, "one who answers questions; ask=never")
+        raise InputError(
+            "explainee", type(self).__name__, "users who answer questions; or ask=never"
+        )
 
 
 class Explainee:
     """A kind of user. Subclasses inherit what they do not define.
 
     Attributes:
-        as_observed: True if they have the observers' types, False for those of :meth:`others`.
+        as_observed: True if these users have the observers' types, False if they have the types of
+            :meth:`others`.
     """
 
     as_observed: ClassVar[bool] = True
@@ -83,8 +87,8 @@ class Explainee:
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """Returns types of these users. The experiment uses those that behave unlike the observers'
-        types.
+        """Returns types of these users. The experiment uses the types that behave unlike the
+        observers' types.
 
         Args:
             domain: the task.
@@ -94,8 +98,8 @@ class Explainee:
         return ()
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """Returns the labels that a new person thinks, by default those of their type. The
-        clairvoyant knows them.
+        """Returns the labels that a new person thinks, by default the labels of the person's type.
+        The clairvoyant knows these labels.
 
         Args:
             labels, same, seed: see :meth:`meet`.
@@ -108,8 +112,8 @@ class Explainee:
         Args:
             labels: labels 0 and 1 of one type, for m transitions and then for the possible
                 questions.
-            same: for each of them, the index of the first one that equals it. A person gives equal
-                labels and errors to equal ones.
+            same: for each row of ``labels``, the index of the first equal row. A person gives equal
+                labels and errors to equal rows.
             seed: the person's seed.
         """
         return SimulatedUser(self.thoughts(labels, same, seed), self, same, seed)
@@ -118,7 +122,7 @@ class Explainee:
         """Changes what a user knows, or remembers, after messages (a bitmask)."""
 
     def find_known(self, user: SimulatedUser, given: int) -> int:
-        """Returns a bitmask of the facts that a user knows after the messages ``given``."""
+        """Returns the bitmask of the facts that a user knows after the messages ``given``."""
         return given
 
     def say(
@@ -129,14 +133,15 @@ class Explainee:
         given: int,
         *when: int | str,
     ) -> NDArray[np.uint8]:
-        """Returns a user's answers about some rows of the table, given their thoughts about these.
+        """Returns a user's answers about some rows of the table, given the user's thoughts about
+        them.
 
         Args:
             user: the user.
             thoughts: the labels that the user truly thinks.
             rows: rows of the table: transitions, or questions.
             given: bitmask of the messages.
-            when: the step, or the question.
+            when: the step or the question, for random streams.
         """
         return thoughts
 
@@ -145,27 +150,27 @@ class Explainee:
 
         Args:
             user: the user.
-            known: bitmask of the facts that they knew at this step.
-            thoughts: what they thought of the transitions.
+            known: bitmask of the facts that the user knew at this step.
+            thoughts: the labels that the user thought.
         """
 
 
 @dataclass(frozen=True)
 class Exact(Explainee):
-    """The paper's users."""
+    """The paper's users: they know all given messages, and answer what they think."""
 
 
 @dataclass
 class SimulatedUser(Person):
-    """A person of any kind. By default they accept each message at once and for ever, and answer by
-    the true labels of one user type.
+    """A person of any kind. By default the person accepts every message, never forgets, and answers
+    by the true labels of one user type.
 
     Attributes:
         table: label table of this type alone.
-        kind: decides what they know and what they say.
+        kind: decides what the person knows and answers.
         same, seed: see :meth:`Explainee.meet`.
         step: number of transitions shown so far.
-        memory: numbers that the kind remembers, by message.
+        memory: numbers that the kind stores for the person, by message.
     """
 
     table: LabelTable
@@ -178,20 +183,21 @@ class SimulatedUser(Person):
 
     @classmethod
     def of(cls, labels: ArrayLike) -> SimulatedUser:
-        """A user with labels from an array [m, 2^n]."""
+        """Makes a user with labels from an array [m, 2^n]."""
         return cls(LabelTable.dense(np.asarray(labels)[None]))
 
     def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
-        """[count] the type's true labels of the prefix if all of ``message_set`` is known."""
+        """Returns [count] the type's true labels of the prefix if all facts of ``message_set`` are
+        known."""
         labels = self.table.label_probabilities(count, message_set)[0]
         return labels.astype(np.uint8)
 
     def hear(self, new: int) -> None:
-        """See :class:`Person`."""
+        """Receives messages (a bitmask), new or repeated."""
         self.kind.hear(self, new)
 
     def react(self, given: int, count: int) -> Reaction:
-        """See :class:`Person`."""
+        """Reacts to the first ``count`` transitions, then ends the step."""
         self.step = count
         known = self.kind.find_known(self, given)
         thoughts = self.labels(count, known)
@@ -200,7 +206,7 @@ class SimulatedUser(Person):
         return Reaction(thoughts, answers)
 
     def answer(self, row: int, given: int) -> int:
-        """See :class:`Person`."""
+        """Answers a question with 0 or 1; its labels are in row ``row`` of the table."""
         thought = self.labels(row + 1, self.kind.find_known(self, given))[row:]
         return int(self.kind.say(self, thought, np.array([row]), given, "asked", row)[0])
 
@@ -214,8 +220,8 @@ class Slips(Explainee):
         rate: probability that an answer is flipped.
         repeats: True repeats an error whenever the transition and the messages are the same; False
             draws each answer independently.
-        polite: probability of answer 1 if the person thinks 0, if larger than ``rate``.
-        tires: added to ``rate`` at each step, up to one half.
+        polite: probability of answer 1 if the person thinks 0; used if it is larger than ``rate``.
+        tires: number that is added to ``rate`` at each step, up to a rate of one half.
     """
 
     rate: Probability = 0.1
@@ -231,7 +237,7 @@ class Slips(Explainee):
         given: int,
         *when: int | str,
     ) -> NDArray[np.uint8]:
-        """See :class:`Explainee`."""
+        """Returns the thoughts with random errors."""
         times = () if self.repeats else when
         rate = max(self.rate, min(self.rate + self.tires * user.step, 0.5))
         drawn = stream(user.seed, "slips", given, *times).random(len(user.same))[user.same[rows]]
@@ -257,7 +263,7 @@ class Sticky(Explainee):
         given: int,
         *when: int | str,
     ) -> NDArray[np.uint8]:
-        """See :class:`Explainee`."""
+        """Returns the thoughts. At random, an answer repeats the previous answer instead."""
         answers = thoughts.copy()
         repeated = stream(user.seed, "sticky", given, *when).random(len(rows)) < self.rate
         for i in np.flatnonzero(repeated[1:]) + 1:
@@ -269,15 +275,16 @@ class Expert(Explainee):
     """Users who believe nothing incorrectly."""
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """See :class:`Explainee`."""
+        """Returns label 1 for all transitions and questions."""
         return replace(labels, p=np.ones_like(labels.p))
 
 
 class Between(Explainee):
-    """Users who believe one fact of their type incorrectly, but only at half of the transitions."""
+    """Users who believe one fact of their type correctly at half of the transitions, and
+    incorrectly at the other half."""
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """See :class:`Explainee`."""
+        """Returns the type's labels; at half of the transitions one fact is believed correctly."""
         rng, p = stream(seed, "between"), labels.p.copy()
         effective = labels.effective()[0]
         if effective:
@@ -290,16 +297,17 @@ class Between(Explainee):
 @checks("explainee")
 @dataclass(frozen=True)
 class Misreads(Explainee):
-    """Users who always confuse some messages: each of these has the effect of another one.
+    """Users who always confuse some messages: each confused message has the effect of another.
 
     Args:
-        messages: number of confused messages. One of them matters to the user, if any does.
+        messages: number of confused messages. At least one of them matters to the user, if any
+            message does.
     """
 
     messages: Annotated[int, Range(2)] = 2
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """See :class:`Explainee`."""
+        """Returns the type's labels after the understood messages."""
         rng, rows = stream(seed, "misreads"), labels.rows[0]
         effective = labels.effective()[0]
         if not effective or len(rows) < 2:
@@ -317,22 +325,22 @@ class Misreads(Explainee):
 @checks("explainee")
 @dataclass(frozen=True)
 class LearnsUntold(Explainee):
-    """Users who discover a fact by themselves after it mattered.
+    """Users who discover a fact by themselves, some steps after the fact first mattered.
 
     Args:
-        after: number of steps.
+        after: number of steps until the discovery.
     """
 
     after: Count = 2
 
     def find_known(self, user: SimulatedUser, given: int) -> int:
-        """See :class:`Explainee`. The user remembers the first step at which each message would
-        have changed a label."""
+        """Returns the bitmask of the given and the discovered facts. For each message, the user
+        remembers the first step at which the message would have changed a label."""
         found = (j for j, step in user.memory.items() if user.step >= step + self.after)
         return given | sum(1 << j for j in found)
 
     def end_step(self, user: SimulatedUser, known: int, thoughts: NDArray[np.uint8]) -> None:
-        """See :class:`Explainee`."""
+        """Stores this step for each message that would have changed a label for the first time."""
         for j in indices(sum(1 << j for j in user.table.rows[0]) & ~known):
             if (user.labels(user.step, known | 1 << j) != thoughts).any():
                 user.memory.setdefault(j, user.step)
@@ -345,7 +353,7 @@ class Heedless(Explainee):
 
     Args:
         accept: probability > 0 that a given message is accepted.
-        forget: probability < 1 that a corrected fact is forgotten, at each step, after its labels.
+        forget: probability < 1 that a corrected fact is forgotten at a step, after its labels.
     """
 
     accept: Annotated[float, Range(0, 1, "(]")] = 0.8
@@ -353,28 +361,29 @@ class Heedless(Explainee):
 
     @property
     def habits(self) -> Habits:
-        """See :class:`Explainee`."""
+        """The rates of acceptance and forgetting."""
         return habits_of(0.0, self.accept, self.forget)
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """See :class:`Explainee`. The person knows none of the facts at first."""
+        """Makes a new person, who knows none of the facts at first."""
         user = SimulatedUser(labels, self, same, seed)
         user.knows = 0
         return user
 
     def hear(self, user: SimulatedUser, new: int) -> None:
-        """See :class:`Explainee`. The user remembers how often each message was given."""
+        """Draws which messages the user accepts. The user remembers how often each message was
+        given."""
         for j in indices(new):
             user.memory[j] += 1
             if stream(user.seed, "accept", j, user.memory[j]).random() < self.accept:
                 user.knows = self.find_known(user, new) | 1 << j
 
     def find_known(self, user: SimulatedUser, given: int) -> int:
-        """See :class:`Explainee`."""
+        """Returns the bitmask of the accepted facts that were not forgotten."""
         return user.knows or 0
 
     def end_step(self, user: SimulatedUser, known: int, thoughts: NDArray[np.uint8]) -> None:
-        """See :class:`Explainee`."""
+        """Draws which known facts the user forgets."""
         forgotten = [
             j
             for j in indices(known)
@@ -393,17 +402,17 @@ class AllWrong(_Others):
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """See :class:`Explainee`."""
+        """Returns the type that believes every fact incorrectly."""
         return (user_type(domain, "all wrong", [one.name for one in domain.parameters]),)
 
 
 class Union(_Others):
-    """Users who believe incorrectly all facts of two types."""
+    """Users who have the incorrect beliefs of two types together."""
 
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """See :class:`Explainee`."""
+        """Returns a type for each pair of observed types, in random order."""
         pairs = list(combinations(observed, 2))
         drawn = [pairs[i] for i in rng.permutation(len(pairs))]
         return tuple(
@@ -412,7 +421,7 @@ class Union(_Others):
 
 
 TRIES = 40
-"""Number of random sets of facts."""
+"""Number of random sets of facts that are drawn."""
 
 
 class Unseen(_Others):
@@ -421,7 +430,8 @@ class Unseen(_Others):
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """See :class:`Explainee`: random sets with at most one fact more than a type's."""
+        """Returns types with random sets of facts, of at most one fact more than an observed type
+        has."""
         names = [parameter.name for parameter in domain.parameters]
         most = min(max(len(one.inaccurate) for one in observed) + 1, len(names))
         found: dict[tuple[str, ...], UserType] = {}
@@ -439,5 +449,5 @@ class Backlash(_Others):
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """See :class:`Explainee`."""
+        """Returns the observed types with this reaction to messages."""
         return tuple(replace(one, name=f"{one.name}, backlash", backlash=True) for one in observed)

@@ -64,11 +64,11 @@ class Types(Protocol):
         """P(a user has none of the types)."""
 
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
-        """P(label is 1 | type, message set) of T ≥ 1 transitions."""
+        """Returns P(label is 1 | type, message set) of T ≥ 1 transitions."""
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
-        """P(label is 1 | message set) for a type that believes every fact incorrectly; None if
-        unknown."""
+        """Returns P(label is 1 | message set) of these transitions for a type that believes every
+        fact incorrectly; None if unknown."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class GivenTypes:
     """User types as a table or a function.
 
     Attributes:
-        table: [N, T, 2^n], where a transition is an index among T; or a function from a list of
-            transitions (of any kind) to such a table. For many messages a
+        table: [N, T, 2^n] P(label is 1), if transitions are indices 0 … T − 1; or a function from a
+            list of transitions (of any kind) to such a table. For many messages a
             ``LabelTable.by_type(relevant, tables)`` replaces the array.
         messages: n names.
         names: N names.
@@ -102,7 +102,7 @@ class GivenTypes:
         incomplete."""
         facts = self.wrong is None, self.about_everything is None
         if any(facts) != all(facts) or len(self.wrong or self.names) != len(self.names):
-            wanted = f"of {len(self.names)} types, with about_everything"
+            wanted = f"bitmasks of {len(self.names)} types, together with about_everything"
             raise InputError("wrong", self.wrong, wanted)
         if callable(self.table):
             return
@@ -111,20 +111,20 @@ class GivenTypes:
             raise InputError("table", 0, "probabilities that a label is 1; all of these are 0")
 
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
-        """See :class:`Types`.
+        """Returns P(label is 1 | type, message set) of these transitions.
 
         Raises:
             InputError: an index outside the table.
         """
-        return self._rows(self.table, transitions, len(self.names))
+        return self._select_rows(self.table, transitions, len(self.names))
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
-        """See :class:`Types`."""
+        """Returns P(label is 1 | message set) for the type that believes every fact incorrectly."""
         about = self.about_everything
-        return None if about is None else self._rows(about, transitions, 1)
+        return None if about is None else self._select_rows(about, transitions, 1)
 
-    def _rows(self, given: Any, transitions: Sequence[Any], types: int) -> LabelTable:
-        """The rows of these transitions in a table, or of a function.
+    def _select_rows(self, given: Any, transitions: Sequence[Any], types: int) -> LabelTable:
+        """Selects the rows of these transitions in a table, or calls a function for the rows.
 
         Raises:
             InputError: other numbers of types, messages or transitions.
@@ -133,16 +133,18 @@ class GivenTypes:
         table = rows if isinstance(rows, LabelTable) else LabelTable.dense(rows)
         n, width = len(self.messages), table.relevant.shape[1]
         if table.n_types != types:
-            raise InputError("table", table.n_types, f"{types} types, as there are names")
+            raise InputError("table", table.n_types, f"{types} types, one for each name")
         if table is not rows and width != n:
-            wanted = f"2**{n} = {1 << n} sets of {n} messages, as there are names"
+            wanted = f"2**{n} = {1 << n} sets of {n} messages, one for each name"
             raise InputError("table", 1 << width, wanted)
         if not callable(given):
             for index in transitions:
                 whole_number("trace", index, 0, len(table.p) - 1)
             return table.of_steps(transitions)
         if len(table.p) != len(transitions):
-            raise InputError("table", len(table.p), f"{len(transitions)} rows, one a transition")
+            raise InputError(
+                "table", len(table.p), f"{len(transitions)} rows, one for each transition"
+            )
         return table
 
 
@@ -159,12 +161,13 @@ class Explainer:
         inexplicability_cost: C_inexp of each label 0.
         discount: γ_E, for planning.
         discount_per: see :class:`~xplain.explanation.problem.Problem`.
-        belief_update: decides which labels are evidence, and how users err. None chooses the first
-            that applies: :class:`~xplain.explanation.anybody.Open` (people may have no type), if
-            the types' facts are known and at most DENSE; ``Persistent("learned")`` (people repeat
-            themselves and err as observers did), if the types include the observers' error rates,
-            with a learned rate of acceptance if some messages were missed; otherwise the paper's
-            :class:`~xplain.explanation.belief.Independent`.
+        belief_update: decides which labels are evidence, and how users err. The default None
+            depends on the types. If their facts are known and at most DENSE, it means
+            :class:`~xplain.explanation.anybody.Open` (people may have no type). Otherwise, if the
+            types include the observers' error rates, it means ``Persistent("learned")`` (people
+            repeat themselves and err as observers did). Otherwise it means the paper's
+            :class:`~xplain.explanation.belief.Independent`. ``Open`` and ``Persistent`` use the
+            observers' error rates, and the learned rate of acceptance if observers missed messages.
         seed: seed of randomised solvers.
         ask: cost and number of questions; None for none.
     """
@@ -185,7 +188,7 @@ class Explainer:
         for key in ("messages", "names"):
             names = getattr(self.types, key, "")
             if isinstance(names, str) or len(set(names)) < len(names):
-                raise InputError(f"types.{key}", names, "names, each once")
+                raise InputError(f"types.{key}", names, "names without repetition")
         for key, example in (
             ("solver", "QMDP()"),
             ("belief_update", "Independent()"),
@@ -200,8 +203,8 @@ class Explainer:
             wanted = "a solver that need not know the user's type"
             raise InputError("solver", type(self.solver).__name__, wanted)
         if self.belief_update is None and self.types.wrong is not None and not self.beliefs.open:
-            log.warning("nobody is assumed to differ from the types: more than %d messages", DENSE)
-        self._dialogue(0, (), (), ())
+            log.warning("all users are assumed to have one of the types: over %d messages", DENSE)
+        self._make_dialogue(0, (), (), ())
 
     @property
     def beliefs(self) -> BeliefUpdate:
@@ -227,8 +230,9 @@ class Explainer:
             trace: the transitions known so far, in the form of ``types`` (learned types: rows of
                 features). If the robot has a whole plan, give all of it.
             expected_steps: expected length of the whole trace. The solver assumes that the
-                remaining transitions are explicable to everybody; at each of them the user labels
-                the known ones once more. If it is 0, the trace ends with the last known transition.
+                remaining transitions are explicable to everybody; at each of these steps the user
+                labels the known transitions once more. If it is 0, the trace ends with the last
+                known transition.
             clips: transitions that the user may be asked about, on the trace or not, nearest to the
                 trace first: a list, or a mapping from readable names.
 
@@ -248,7 +252,7 @@ class Explainer:
             raise InputError(
                 "clips", len(may_ask), "none; Explainer(..., ask=Limits()) allows some"
             )
-        begin = partial(self._dialogue, expected_steps, may_ask)
+        begin = partial(self._make_dialogue, expected_steps, may_ask)
         return Session(begin, [plain(row) for row in trace], expected_steps, may_ask)
 
     def from_json(self, text: str) -> Session:
@@ -276,15 +280,15 @@ class Explainer:
         session.take_up(events)
         return session
 
-    def _dialogue(
+    def _make_dialogue(
         self,
         expected_steps: int,
         clips: Sequence[Candidate],
         trace: Sequence[Any],
         events: Sequence[Event],
     ) -> Dialogue:
-        """The dialogue about the known part of a trace, after these events. The policy is planned
-        at its first use."""
+        """Makes the dialogue about the known part of a trace, after these events. The policy is
+        planned at its first use."""
         known, types = len(trace), len(self.types.names)
         steps = max(expected_steps if known else 0, known, 1)
         # Unknown steps are assumed to be explicable to everybody.
@@ -307,15 +311,17 @@ class Explainer:
             discount_per=self.discount_per,
             message_names=tuple(self.types.messages),
             type_names=tuple(self.types.names),
-            questions=self._questions(clips, trace, steps),
+            questions=self._make_questions(clips, trace, steps),
             copies=np.array([*map(trace.index, trace), *range(known, steps)], np.int64),
         )
         problem = beliefs.people(problem, self.types.habits, facts)
         policy = LazyPolicy(partial(self.solver.plan, problem, self.seed))
         return Dialogue(problem, policy, beliefs, list(events))
 
-    def _questions(self, clips: Sequence[Candidate], trace: Sequence[Any], steps: int) -> Questions:
-        """Turns these candidates into questions about a trace that will have ``steps``
+    def _make_questions(
+        self, clips: Sequence[Candidate], trace: Sequence[Any], steps: int
+    ) -> Questions:
+        """Makes questions from these candidates, for a trace that will have ``steps``
         transitions."""
         if not clips or self.ask is None:
             return Questions()

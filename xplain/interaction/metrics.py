@@ -23,17 +23,17 @@ RATIOS = (
     ("oracle_over_clairvoyant", "oracle", "clairvoyant"),
     ("cost_over_true_labels", "solver", "true_labels"),
 )
-"""Figures that compare the costs of two solvers of the records."""
+"""Ratios of the costs of two solvers of the records: name, numerator, denominator."""
 
 
 RANGES: dict[str, Range] = {"regret": ANY, "final_belief": (0.0, 1.0), "fit": (0.0, 1.0)}
-"""Ranges of measures that are no costs. A regret may be negative: the oracle's labelers err, so a
-plan can have a lower cost by chance."""
+"""Ranges of measures that are no costs. A regret may be negative: the oracle's labelers err, so
+another plan can have a lower cost by chance."""
 
 
 def possible(measure: str) -> Range:
-    """The range of a measure of an episode. Costs below the clairvoyant's are exceptions: they
-    occur because plans are discounted and costs are not."""
+    """Returns the range of a measure of an episode. A cost below the clairvoyant's cost is an
+    exception: it can occur because plans are discounted and costs are not."""
     return RANGES.get(measure, (0.0, np.inf))
 
 
@@ -46,7 +46,7 @@ class Record:
             labels).
         trace: index of the trace.
         user_type: index of the user's true type.
-        right: [N] True for the problem's types that represent the true one.
+        right: [N] True for the problem's types that represent the user's true type.
         episode: the episode.
     """
 
@@ -73,11 +73,12 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
     """Computes the figures of the "solver" records: costs, both regrets, diagnostics.
 
     Regret is paired: each episode's cost minus the oracle's (or the clairvoyant's) on the same
-    trace and user. A regret is left out if its reference did not run.
+    trace and user. A regret is left out if the oracle (or the clairvoyant) did not run.
 
     Two ratios of mean costs measure the effect of learned labels: ``oracle_over_clairvoyant`` with
     a known type, ``cost_over_true_labels`` with an unknown type (the denominator is the same solver
-    with true types and labels). They are left out if a reference did not run, or has cost 0.
+    with true types and labels). A ratio is left out if one of its two solvers did not run, or if
+    its denominator is 0.
     """
     by_solver: dict[str, dict[tuple[int, int], Record]] = {}
     for record in records:
@@ -122,11 +123,12 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
 
 
 def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
-    """Means at each step over the "solver" episodes with this step: [steps + 1] or [steps].
+    """Computes means at each step over the "solver" episodes with this step: [steps + 1] or
+    [steps].
 
-    ``belief_in_true_type`` starts with the prior. ``messages_given`` and
-    ``inexplicable_labels_shown`` are those of one step, like ``questions_asked``, which exists only
-    with questions. ``episodes`` is the number of episodes with this number of steps.
+    ``belief_in_true_type`` starts with the prior. ``messages_given``, ``inexplicable_labels_shown``
+    and ``questions_asked`` are counts of one step. ``questions_asked`` is left out without
+    questions. ``episodes`` is the number of episodes with this number of steps.
     """
     own = [record for record in records if record.solver == "solver"]
     series = {
@@ -137,22 +139,22 @@ def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
         "inexplicable_labels_shown": [(record.episode.thoughts == 0).sum(axis=1) for record in own],
     }
     if any(record.episode.n_questions for record in own):
-        series["questions_asked"] = [_asked(record.episode) for record in own]
+        series["questions_asked"] = [_count_questions(record.episode) for record in own]
     lengths = np.array([len(record.episode.messages) for record in own])
     steps = np.arange(lengths.max() + 1)
     return {
-        **{name: _ragged_mean(rows) for name, rows in series.items()},
+        **{name: _average_by_step(rows) for name, rows in series.items()},
         "episodes": (lengths[:, None] >= steps).sum(axis=0).astype(float),
     }
 
 
-def _asked(episode: Episode) -> NDArray[np.float64]:
-    """[m] number of questions at each step."""
+def _count_questions(episode: Episode) -> NDArray[np.float64]:
+    """Counts [m] the questions at each step."""
     counts = np.bincount(episode.questions[:, 0], minlength=len(episode.messages))
     return counts.astype(np.float64)
 
 
-def _ragged_mean(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _average_by_step(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     padded = np.array(list(zip_longest(*rows, fillvalue=np.nan)), np.float64)
     mean: NDArray[np.float64] = np.nanmean(padded, axis=1)
     return mean

@@ -23,7 +23,7 @@ from xplain.solvers.base import messages_of
 FORMAT = 5
 """Version of a session's JSON."""
 KINDS = {Asked: "ask", Answered: "answer", Given: "tell", Labelled: "observe"}
-"""The names of events in this JSON: those of the methods that add them."""
+"""The names of events in this JSON. Each event has the name of the method that adds it."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Candidate:
 
     Attributes:
         transition: in the form of ``types``; the answer is its label.
-        text: readable text. For a belief: its two sentences on two lines, in the order of display.
+        text: readable text. For a belief, the two sentences on two lines, in the order of display.
         right: for a belief, index of the true line; −1 for a step.
     """
 
@@ -61,7 +61,7 @@ class Candidate:
         """Raises InputError if a belief does not have two sentences."""
         one_of("clips.right", self.right, (-1, 0, 1))
         if self.right >= 0 and self.text.count("\n") != 1:
-            raise InputError("clips.text", self.text, "two sentences of a belief, a line each")
+            raise InputError("clips.text", self.text, "two sentences of a belief, on two lines")
 
 
 @dataclass(frozen=True)
@@ -69,13 +69,13 @@ class Why:
     """The values behind a decision.
 
     Attributes:
-        step: number of transitions shown before it.
-        given: messages given before it.
+        step: number of transitions shown before the decision.
+        given: messages given before the decision.
         belief: belief in each type, by name.
         fit: probability of the found types with the assumed habits.
         chosen: the chosen messages; none means *explain* at once.
-        values: estimated discounted return by the messages given next, best first; ``()`` is
-            *explain* at once. Some solvers evaluate only single messages.
+        values: estimated discounted return for each set of messages given next, best first; ``()``
+            is *explain* at once. Some solvers evaluate only single messages.
         asked: the chosen question, if the decision was a question.
         questions: (question, estimated return if it is asked next), best first, for the questions
             that the solver evaluated.
@@ -110,7 +110,7 @@ def plain(transition: Any) -> Any:
 
 
 class Session:
-    """One trace, one user. Made by :meth:`xplain.Explainer.session`.
+    """The explanation of one trace to one user, made by :meth:`xplain.Explainer.session`.
 
     At each step say the :meth:`messages`, show the first ``shown`` transitions, then pass the
     user's labels to :meth:`observe`. :meth:`extend` may be called at any time. If questions are
@@ -139,8 +139,8 @@ class Session:
         self._talk = begin(self.trace, ())
 
     def restart(self) -> Session:
-        """Begins to explain the same trace to another person. Both share its plan, whose decisions
-        must not be computed in two threads at once."""
+        """Begins to explain the same trace to another person. Both sessions share one plan, so two
+        threads must not compute decisions at the same time."""
         other = copy(self)
         other._talk = self._talk.at(0)
         return other
@@ -158,14 +158,14 @@ class Session:
     @property
     def said(self) -> tuple[str, ...]:
         """Names of all messages given so far, sorted."""
-        return self._names(self._talk.state.visible.given)
+        return self._name_messages(self._talk.state.visible.given)
 
     @property
     def again(self) -> tuple[str, ...]:
         """Names of this step's messages that were also given at an earlier step, because users may
-        miss or forget some."""
+        miss or forget messages."""
         *earlier, now = self._talk.said or [0]
-        return self._names(now & int(np.bitwise_or.reduce([0, *earlier])))
+        return self._name_messages(now & int(np.bitwise_or.reduce([0, *earlier])))
 
     @property
     def explained(self) -> Explained:
@@ -176,25 +176,26 @@ class Session:
 
     @property
     def belief(self) -> dict[str, float]:
-        """``{type: probability}``, given all labels so far; they sum to 1."""
-        return self._by_name(self._talk.state.belief)
+        """``{type: probability}``, given all labels so far; the probabilities sum to 1."""
+        return self._name_types(self._talk.state.belief)
 
     @property
     def fit(self) -> float:
-        """The share of the belief in the types that were found. The rest is the belief in people
-        nobody assumed (:mod:`xplain.explanation.anybody`)."""
+        """The probability that the user has one of the found types, as assumed. The rest is the
+        probability of further hidden types (:mod:`xplain.explanation.anybody`)."""
         return self._talk.problem.fit(self._talk.state.belief)
 
     @property
     def cost(self) -> float:
-        """The undiscounted cost so far (Definition 2 of the paper), and κ for each question
-        answered."""
+        """The undiscounted cost so far (Definition 2 of the paper), plus κ for each answered
+        question."""
         return self._talk.cost(sum(labels.count(0) for labels in self._talk.labels))
 
     def extend(self, transitions: Sequence[Any] | NDArray[Any]) -> None:
         """Adds transitions at the end, because the robot did (or plans) more.
 
-        The next decision is planned with them. Earlier messages and answers are kept.
+        The next decision is planned with the new transitions. Earlier messages and answers are
+        kept.
 
         Raises:
             InputError: a transition that ``types`` does not accept.
@@ -205,7 +206,8 @@ class Session:
 
     def next(self) -> Move:
         """Returns the next action: ask a question, then call :meth:`answer`; or say messages and
-        show steps, then call :meth:`observe`. Repeated calls before that return the same action.
+        show steps, then call :meth:`observe`. Repeated calls before :meth:`answer` or
+        :meth:`observe` return the same action.
 
         Raises:
             InputError: all known transitions are labelled.
@@ -222,16 +224,17 @@ class Session:
         :meth:`answer` next.
 
         Raises:
-            InputError: it does not exist, was already asked, or this step's messages were given.
+            InputError: the question does not exist or was already asked, or this step's messages
+                were given.
         """
         one_of("question", number, range(len(self._clips)), "number of a clip")
         self._check_step_is_open("question", number)
         if self._talk.state.visible.asked >> number & 1:
-            raise InputError("question", number, "one not asked yet")
+            raise InputError("question", number, "a question that was not asked yet")
         self._talk.hear(Asked(number))
 
     def answer(self, answer: int) -> None:
-        """Takes the user's answer to the question of :meth:`next`: 1 (or True) for yes, and for the
+        """Takes the user's answer to the question of :meth:`next`: 1 (or True) for yes, or for the
         true sentence about a fact.
 
         Raises:
@@ -242,9 +245,9 @@ class Session:
         self._talk.hear(Answered(int(one_of("answer", answer, (0, 1)))))
 
     def messages(self) -> tuple[str, ...]:
-        """The messages to say before the first ``shown`` transitions are shown; empty if silence is
-        best. A repeated call before :meth:`observe` returns the same. No question is asked before
-        them.
+        """Returns the messages to say before the first ``shown`` transitions are shown; empty if
+        silence is best. A repeated call before :meth:`observe` returns the same messages. The
+        policy asks no question before these messages.
 
         Raises:
             InputError: all known transitions are labelled.
@@ -253,7 +256,7 @@ class Session:
             if self.finished:
                 raise InputError("session", len(self.trace), "is finished; extend the trace first")
             self._decide(asking=False)
-        return self._names(self._talk.state.new or 0)
+        return self._name_messages(self._talk.state.new or 0)
 
     def tell(self, names: Sequence[str]) -> None:
         """Gives these messages at this step, independent of the plan.
@@ -284,7 +287,7 @@ class Session:
         self._talk.hear(Labelled(tuple(given.astype(int).tolist())))
 
     def why(self) -> Why:
-        """The values behind the last decision.
+        """Returns the values behind the last decision.
 
         Raises:
             InputError: there is no decision yet.
@@ -300,14 +303,14 @@ class Session:
                 case AskQuestion(question):
                     asked.append((questions.question(question), value))
                 case _:
-                    messages[self._names(messages_of(action))] = value
+                    messages[self._name_messages(messages_of(action))] = value
         visible = before.state.visible
         return Why(
             step=visible.step,
-            given=self._names(visible.given),
-            belief=self._by_name(before.state.belief),
+            given=self._name_messages(visible.given),
+            belief=self._name_types(before.state.belief),
             fit=before.problem.fit(before.state.belief),
-            chosen=self._names(event.messages) if isinstance(event, Given) else (),
+            chosen=self._name_messages(event.messages) if isinstance(event, Given) else (),
             values=messages,
             asked=questions.question(event.question) if isinstance(event, Asked) else None,
             questions=tuple(asked),
@@ -330,13 +333,15 @@ class Session:
             methods[one_of("session.events", kind, tuple(methods), "event")](content)
 
     def to_json(self) -> str:
-        """The whole session as text; :meth:`xplain.Explainer.from_json` restores it.
+        """Writes the whole session as text; :meth:`xplain.Explainer.from_json` restores it.
 
         Raises:
             InputError: JSON cannot represent a transition.
         """
         talk = self._talk
-        contents = [self._names(e.messages) if isinstance(e, Given) else e[0] for e in talk.events]
+        contents = [
+            self._name_messages(e.messages) if isinstance(e, Given) else e[0] for e in talk.events
+        ]
         kinds = [KINDS[type(event)] for event in talk.events]
         state = {
             "format": FORMAT,
@@ -351,10 +356,10 @@ class Session:
             return json.dumps(state)
         except TypeError as error:
             first = [*self.trace, *(clip.transition for clip in self._clips)][0]
-            raise InputError("trace", first, f"transitions for JSON ({error})") from None
+            raise InputError("trace", first, f"transitions that JSON allows ({error})") from None
 
     def _decide(self, asking: bool) -> None:
-        """Lets the policy decide; without ``asking``, it chooses no question."""
+        """Adds the policy's next action; without ``asking``, the action is not a question."""
         match self._talk.decide(asking):
             case AskQuestion(question):
                 self._talk.hear(Asked(question))
@@ -364,11 +369,11 @@ class Session:
     def _check_step_is_open(self, key: str, value: object) -> None:
         """Raises InputError if this step's messages were given, or the trace is at its end."""
         if self._talk.state.new is not None or self.finished:
-            raise InputError(key, value, "once a step, before messages()")
+            raise InputError(key, value, "only once at each step, before messages()")
 
-    def _by_name(self, belief: NDArray[np.float64]) -> dict[str, float]:
+    def _name_types(self, belief: NDArray[np.float64]) -> dict[str, float]:
         problem = self._talk.problem
         return dict(zip(problem.type_names, problem.type_belief(belief).tolist(), strict=True))
 
-    def _names(self, mask: int) -> tuple[str, ...]:
+    def _name_messages(self, mask: int) -> tuple[str, ...]:
         return names_of(mask, self._talk.problem.message_names)

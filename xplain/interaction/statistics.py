@@ -24,7 +24,7 @@ class Estimate:
 
 
 def half_width(error: float, freedom: int) -> float:
-    """The number after ±: half of Student's 95 % interval of a mean.
+    """Computes the number after ±: half the width of Student's 95 % interval of a mean.
 
     Args:
         error: standard error of the mean.
@@ -36,7 +36,7 @@ def half_width(error: float, freedom: int) -> float:
 
 
 def clustered_ratio(above: ArrayLike, below: ArrayLike, clusters: ArrayLike) -> Estimate:
-    """Ratio of two means of numbers ≥ 0, measured on the same episodes.
+    """Estimates the ratio of two means of numbers ≥ 0, measured on the same episodes.
 
     The interval is the linearised one: the quantity R + (a − R b) / mean(b) has the mean R and, in
     large samples, the variance of the ratio. The interval is cut at 0.
@@ -52,7 +52,7 @@ def clustered_ratio(above: ArrayLike, below: ArrayLike, clusters: ArrayLike) -> 
 
 
 def clustered_mean(values: ArrayLike, clusters: ArrayLike, possible: Range = ANY) -> Estimate:
-    """Mean of values with a 95 % t interval from the spread of cluster means.
+    """Estimates the mean of values, with a 95 % t interval from the spread of cluster means.
 
     Episodes on one trace share its difficulty, so the trace (in a sweep: seed and trace) is the
     sampled unit: the variance of the mean comes from clusters, not from episodes.
@@ -80,10 +80,10 @@ def clustered_mean(values: ArrayLike, clusters: ArrayLike, possible: Range = ANY
 
 
 def clustered_share(right: ArrayLike, clusters: ArrayLike) -> Estimate:
-    """A share of clustered cases, with Wilson's 95 % score interval (1927), which stays within [0,
-    1].
+    """Estimates a share of clustered cases, with Wilson's 95 % score interval (1927), which stays
+    within [0, 1].
 
-    Cases of one cluster may be alike. So the interval uses Kish's effective sample size (at most
+    Cases of one cluster may be similar. So the interval uses Kish's effective sample size (at most
     the number of cases): the number of independent cases with the same uncertainty. Student's
     quantile corrects for few clusters. If all cases of each cluster agree, each cluster counts as
     one case.
