@@ -176,7 +176,7 @@ def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: 
     paths = {key: str(tmp_path / f"{key}.pddl") for key in ("file", "problem")}
     own = given("search_and_rescue")
     facts: dict[str, Any] = {"lift_needs_treated": {"message": "First treat, then lift."}}
-    with pytest.raises(ValueError, match=r"start_medkit_store=.*unsolvable: whoever believes"):
+    with pytest.raises(ValueError, match=r"start_medkit_store=.*unsolvable: somebody who believes"):
         PDDL(**own | {"believed": paths, "facts": facts})
     facts["medkit"] = {"join": ["start_medkit_office", "start_medkit_store"]}
     made = PDDL(**own | {"believed": paths, "facts": facts})

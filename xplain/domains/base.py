@@ -15,7 +15,7 @@ from xplain.domains.mdp import TaskModel
 
 @dataclass(frozen=True)
 class Parameter:
-    """A fact about the task.
+    """A value of the task that people may believe incorrectly, with sentences about it.
 
     Attributes:
         name: name of the parameter and of its message.
@@ -37,7 +37,7 @@ class Item:
     """A thing on the map: cells (row, column) with a common symbol and name.
 
     Attributes:
-        labels: text for each cell in pictures, instead of the symbol; empty: the symbol.
+        labels: text for each cell in pictures; if empty, pictures show the symbol.
         shows: names of the parameters whose values the item shows. Pages for people leave such an
             item out, because a participant may believe a different value.
     """
@@ -86,8 +86,8 @@ class Domain(Protocol):
     starts: NDArray[np.int64]
 
     def model(self, values: Mapping[str, Any]) -> TaskModel:
-        """The task of a person who believes these values: ``{parameter name: value}`` for all
-        parameters."""
+        """Returns the task of a person who believes these values, ``{parameter name: value}`` for
+        all parameters."""
         ...
 
     def describe(self, transition: NDArray[np.int64]) -> str:
@@ -95,7 +95,7 @@ class Domain(Protocol):
         ...
 
     def position(self, state: int) -> tuple[int, int] | None:
-        """The cell (row, column) of the robot; None if the domain has no map."""
+        """Returns the robot's cell (row, column); None if the domain has no map."""
         ...
 
     @property
@@ -105,7 +105,7 @@ class Domain(Protocol):
 
 
 def transition_feature_names(domain: Domain) -> tuple[str, ...]:
-    """Names of the columns of :func:`transition_features`."""
+    """Returns the names of the columns of :func:`transition_features`."""
     return (
         *domain.feature_names,
         *(f"action={action}" for action in domain.actions),
@@ -114,15 +114,15 @@ def transition_feature_names(domain: Domain) -> tuple[str, ...]:
 
 
 def transition_features(domain: Domain, transitions: NDArray[np.int64]) -> NDArray[np.float64]:
-    """[T, 2F + A] features of transitions [T, 3]: those of the state (F), the action one-hot (A),
-    those of the next state (F) (docs/method.md, section 3)."""
+    """Returns the features [T, 2F + A] of transitions [T, 3]: the features of the state (F), the
+    action one-hot (A), and the features of the next state (F) (docs/method.md, section 3)."""
     s, a, after = transitions.T
     action = np.eye(len(domain.actions))[a]
     return np.hstack([domain.state_features[s], action, domain.state_features[after]])
 
 
 def cell_name(row: int, column: int) -> str:
-    """A cell's name: a letter for the column and the row from 1, such as "B3"."""
+    """Returns a cell's name: a letter for the column, and the row from 1, such as "B3"."""
     letters = ""
     column += 1
     while column:
@@ -134,5 +134,7 @@ def cell_name(row: int, column: int) -> str:
 def changes_of(domain: Domain, transitions: NDArray[np.int64]) -> tuple[tuple[str, ...], ...]:
     """Describes the effects of each transition (s, a, s') of [m, 3] by short phrases, for pictures
     without a map. Empty if the domain has no method ``changes(transition)``."""
-    told = getattr(domain, "changes", None)
-    return () if told is None else tuple(tuple(told(transition)) for transition in transitions)
+    describe = getattr(domain, "changes", None)
+    return (
+        () if describe is None else tuple(tuple(describe(transition)) for transition in transitions)
+    )

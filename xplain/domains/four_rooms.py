@@ -1,7 +1,7 @@
 """Four rooms (Sutton, Precup & Singh 1999): reach a goal through the doors of four rooms.
 
 People may believe five facts about the task incorrectly: the positions of the goals and of the
-penalty cells, the discount, the cost of a step, and the penalty. docs/choices.md explains their
+penalty cells, the discount, the cost of a step, and the penalty. docs/choices.md explains the
 values.
 """
 
@@ -29,10 +29,10 @@ class FourRooms:
 
     Args:
         map: ASCII map of walls (#), floor (.) and optional start cells (s).
-        parameters: ``{name: {accurate, inaccurate, message, belief}}``, all five: goals, a list of
-            ``{cell: [row, column], reward}``; discount, γ in (0, 1); step_cost, subtracted at every
-            move; penalty_cells, a list of [row, column]; penalty, subtracted on entering such a
-            cell.
+        parameters: ``{name: {accurate, inaccurate, message, belief}}``; all five are required:
+            goals, a list of ``{cell: [row, column], reward}``; discount, γ in (0, 1); step_cost,
+            subtracted at every move; penalty_cells, a list of [row, column]; penalty, subtracted on
+            entering such a cell.
         slip: probability that a move slides to a side.
         name: name of the domain.
 
@@ -61,7 +61,7 @@ class FourRooms:
         accurate = {parameter.name: parameter.accurate for parameter in self.parameters}
         for parameter in self.parameters:
             self.model(accurate | {parameter.name: parameter.inaccurate})
-        goals = self._goals(accurate["goals"])
+        goals = self._read_goals(accurate["goals"])
         starts = self.grid.starts()
         # Nothing happens after a goal, so no trace starts there.
         self.starts: NDArray[np.int64] = starts[~np.isin(starts, list(goals))]
@@ -71,12 +71,12 @@ class FourRooms:
         self.state_features = self.grid.cells.astype(np.float64)
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The task of a person who believes these values.
+        """Returns the task of a person who believes these values.
 
         Raises:
             InputError: a value is not allowed.
         """
-        goals = self._goals(values["goals"])
+        goals = self._read_goals(values["goals"])
         discount = number("domain.parameters.discount", values["discount"], Range(0, 1, "()"))
         reward = np.full(
             self._successor.shape, -number("domain.parameters.step_cost", values["step_cost"])
@@ -93,8 +93,8 @@ class FourRooms:
             reward[self._moves & (self._successor == cell)] += value
         return MDP(self._successor, self._probability, reward, discount, terminal)
 
-    def _goals(self, value: Any) -> dict[int, float]:
-        """Rewards by cell number."""
+    def _read_goals(self, value: Any) -> dict[int, float]:
+        """Reads the goals. Returns the reward of each goal by cell number."""
         key = "domain.parameters.goals"
         goals = {}
         for goal in require_list(key, value):
@@ -106,11 +106,11 @@ class FourRooms:
         return goals
 
     def position(self, state: int) -> Cell:
-        """The robot's cell (row, column), from 0."""
+        """Returns the robot's cell (row, column), from 0."""
         return self.grid.position(state)
 
     def describe(self, transition: NDArray[np.int64]) -> str:
-        """A phrase for the transition [3], such as "moves right to (3, 6)"."""
+        """Describes the transition [3] by a phrase, such as "moves right to (3, 6)"."""
         state, action, after = (int(x) for x in transition)
         move = self.actions[action]
         if after == state:
@@ -122,13 +122,18 @@ class FourRooms:
         """The map with the true goals and penalty cells."""
         accurate = {parameter.name: parameter.accurate for parameter in self.parameters}
         goals = [
-            Item(f"goal (reward {goal['reward']:g})", "G", (_cell(goal["cell"]),), shows=("goals",))
+            Item(
+                f"goal (reward {goal['reward']:g})",
+                "G",
+                (_to_cell(goal["cell"]),),
+                shows=("goals",),
+            )
             for goal in accurate["goals"]
         ]
-        cells = tuple(_cell(cell) for cell in accurate["penalty_cells"])
+        cells = tuple(_to_cell(cell) for cell in accurate["penalty_cells"])
         penalty = [Item("penalty", "x", cells, shows=("penalty_cells",))] if cells else []
         return self.grid.scene([*goals, *penalty])
 
 
-def _cell(value: Sequence[int]) -> Cell:
+def _to_cell(value: Sequence[int]) -> Cell:
     return int(value[0]), int(value[1])

@@ -1,14 +1,14 @@
 """Deterministic undiscounted tasks that end at a goal. The cheapest plan is best, and a state
 without a plan has a given cost (docs/method.md, section 1).
 
-Actions may cost nothing, and then cheapest plans may contain circles or useless actions. So an
-action that costs nothing is best only if it reduces the minimum number of such actions that a
-cheapest plan still needs. An action with a cost is best if it is on a cheapest plan. So each best
-action reduces the cost to go or that number.
+Actions without a cost, *free* actions, may form circles or be useless in a cheapest plan. So a free
+action is best only if it reduces the minimum number of free actions that a cheapest plan still
+needs. An action with a cost is best if it is on a cheapest plan. So each best action reduces the
+cost to go, or the number of free actions still needed.
 
-There is no discount, because it would prefer plans with late costs. All beliefs about one task
-share its states and edges (:class:`StateSpace`). A belief defines which edges exist, their costs,
-and the goal (:class:`GoalTask`). Shortest paths to the goal solve it exactly.
+There is no discount, because a discount would prefer plans with late costs. All beliefs about one
+task share its states and edges (:class:`StateSpace`). A belief defines which edges exist, their
+costs, and the goal (:class:`GoalTask`). Shortest paths to the goal solve it exactly.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from xplain.errors import DomainError
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """S states and the E edges between them that exist in any belief.
+    """S states, and the E edges between them that exist in at least one belief.
 
-    An action may have different effects in different beliefs: each is a variant of the action.
+    An action may have different effects in different beliefs. Each version of an action is a
+    *variant*.
 
     Attributes:
         n_states, n_actions: S and A.
@@ -56,12 +57,13 @@ class StateSpace:
     def shortest(
         self, length: NDArray[np.float64], ends: NDArray[np.int64], backwards: bool = False
     ) -> NDArray[np.float64]:
-        """[S] length of the shortest path from any of the states ``ends``, or to any of them.
+        """Computes [S] the length of the shortest path between each state and the nearest of
+        ``ends``.
 
         Args:
             length: [E] length of each edge; ∞ if it cannot be used.
             ends: some states.
-            backwards: True for paths to these states.
+            backwards: True for paths to ``ends``, False for paths from ``ends``.
         """
         order = self.backwards if backwards else slice(None)
         ways = (self.successor, self.source) if backwards else (self.source, self.successor)
@@ -81,8 +83,9 @@ class GoalTask(TaskModel):
         terminal: [S] bool, goal states; nothing happens after them.
         dead_end_cost: cost of a state without a plan. Plans with this cost or more do not count.
         start: start state; it must have a plan.
-        imagined: [S] for a user who believes in another start: the state that they see instead of
-            each state; −1 if it is not in ``space``. None if they see the true states.
+        imagined: [S] for a user who believes in another start: the state that this user imagines
+            instead of each true state; −1 if this state is not in ``space``. None for a user who
+            sees the true states.
     """
 
     space: StateSpace
@@ -101,7 +104,7 @@ class GoalTask(TaskModel):
 
     @property
     def _edge_cost(self) -> NDArray[np.float64]:
-        """[E] the cost of each edge; ∞ if this belief does not have it."""
+        """[E] the cost of each edge; ∞ if this belief does not have the edge."""
         there = ~self.terminal[self.space.source]
         return np.where(there, self.cost[self.space.variant], np.inf)
 
@@ -111,11 +114,11 @@ class GoalTask(TaskModel):
         found = self.space.shortest(self._edge_cost, np.flatnonzero(self.terminal), True)
         return np.where(found < self.dead_end_cost, found, np.inf)
 
-    def _gap(self) -> NDArray[np.float64]:
-        """[E] the additional cost of a plan that begins with this edge, compared with a best plan
-        from the same state, relative to the most expensive best plan. ∞ if this belief does not
-        have the edge, if the edge leads to a dead end, or if it costs nothing and does not bring
-        the goal nearer."""
+    def _compute_gaps(self) -> NDArray[np.float64]:
+        """Computes [E] the additional cost of a plan that begins with each edge, compared with a
+        best plan from the same state, and divided by the cost of the most expensive best plan. It
+        is ∞ if this belief does not have the edge, if the edge leads to a dead end, or if the edge
+        is free and does not reduce the number of free actions still needed."""
         cost, source, after = self._edge_cost, self.space.source, self.space.successor
         behind = cost + self.to_go[after]
         behind[~np.isfinite(self.to_go[source])] = np.inf
@@ -131,40 +134,41 @@ class GoalTask(TaskModel):
 
     @cached_property
     def _best(self) -> NDArray[np.int64]:
-        """The edges on cheapest plans."""
-        return np.flatnonzero(self._gap() <= TIE)
+        """Indices of the edges on cheapest plans, without useless free edges."""
+        return np.flatnonzero(self._compute_gaps() <= TIE)
 
     def on_policy(self, starts: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-        """[T, 3] every transition on a cheapest plan from one of these states, or from any state if
-        None."""
+        """Returns [T, 3] every transition on a cheapest plan from one of these states, or from any
+        state if ``starts`` is None."""
         space, best = self.space, self._best
         if starts is not None:
             length = np.full(len(space.source), np.inf)
             length[best] = 1
             best = best[np.isfinite(space.shortest(length, starts))[space.source[best]]]
         action = space.action[space.variant[best]]
-        keys = self._keys(space.source[best], action, space.successor[best])
+        keys = self._number_transitions(space.source[best], action, space.successor[best])
         shape = self.n_states, self.n_actions, self.n_states
         return np.stack(np.unravel_index(np.unique(keys), shape), axis=1)
 
-    def _keys(self, *transitions: NDArray[np.integer]) -> NDArray[np.int64]:
-        """[T] one integer for each (state [T], action [T], next state [T])."""
+    def _number_transitions(self, *transitions: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Computes [T] one integer for each (state [T], action [T], next state [T])."""
         shape = self.n_states, self.n_actions, self.n_states
         return np.asarray(np.ravel_multi_index(transitions, shape))
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[T] labels of transitions [T, 3]: 1 (explicable) if one is on a cheapest plan and
-        has the believed result, 0 otherwise."""
+        """Computes [T] the labels of transitions [T, 3]: 1 (explicable) if the transition is on a
+        cheapest plan and has the believed result, 0 otherwise."""
         s, a, after = transitions.T
         if self.imagined is not None:
             s, after = self.imagined[s], self.imagined[after]
         result = (s >= 0) & (after >= 0)
-        seen = self._keys(s[result], a[result], after[result])
-        result[result] = np.isin(seen, self._keys(*self.on_policy().T))
+        seen = self._number_transitions(s[result], a[result], after[result])
+        result[result] = np.isin(seen, self._number_transitions(*self.on_policy().T))
         return result.astype(np.uint8)
 
     def steps_from(self, state: int) -> NDArray[np.float64]:
-        """[S] the number of actions on the shortest path from a state; ∞ if there is none."""
+        """Computes [S] the number of actions on the shortest path from a state; ∞ if there is no
+        path."""
         length = np.where(np.isfinite(self._edge_cost), 1.0, np.inf)
         return self.space.shortest(length, np.array([state]))
 
@@ -178,21 +182,22 @@ class GoalTask(TaskModel):
 
     @cached_property
     def successor(self) -> NDArray[np.int32]:  # type: ignore[override]
-        """[S, A, 1] as in :class:`~xplain.domains.mdp.MDP`; made on demand."""
-        return self._table(self.space.successor, np.int32)
+        """[S, A, 1] next state of each action, as in :class:`~xplain.domains.mdp.MDP`; computed at
+        first use."""
+        return self._make_table(self.space.successor, np.int32)
 
     @cached_property
     def probability(self) -> NDArray[np.float32]:  # type: ignore[override]
         """[S, A, 1] of 0 and 1, as in :class:`~xplain.domains.mdp.MDP`."""
-        return self._table(np.ones(len(self.space.variant)), np.float32)
+        return self._make_table(np.ones(len(self.space.variant)), np.float32)
 
     @property
     def reward(self) -> NDArray[np.float64]:
         """[S, A, 1] the costs, negative; as in :class:`~xplain.domains.mdp.MDP`."""
-        return -self._table(self._edge_cost, np.float64)
+        return -self._make_table(self._edge_cost, np.float64)
 
-    def _table(self, of_edges: NDArray[Any], kind: type) -> NDArray[Any]:
-        """[S, A, 1] values of this belief's edges; 0 elsewhere."""
+    def _make_table(self, of_edges: NDArray[Any], kind: type) -> NDArray[Any]:
+        """Returns [S, A, 1] the values of this belief's edges; 0 elsewhere."""
         result: NDArray[Any] = np.zeros((self.n_states, self.n_actions, 1), dtype=kind)
         own = np.isfinite(self._edge_cost)
         action = self.space.action[self.space.variant[own]]
@@ -203,10 +208,11 @@ class GoalTask(TaskModel):
         """Checks that the task has a plan and unambiguous ties.
 
         Args:
-            who: name of the believer, for errors.
+            who: the person or model with this belief, for errors.
 
         Raises:
-            DomainError: it has no plan, or a gap is too small to tell whether two actions tie.
+            DomainError: there is no plan, or two actions differ so little that it is unclear
+                whether they tie.
         """
         start = self.start if self.imagined is None else int(self.imagined[self.start])
         if start < 0 or not np.isfinite(self.to_go[start]):
@@ -214,19 +220,21 @@ class GoalTask(TaskModel):
                 f"domain: unsolvable: {who} has no plan that reaches the goal for less than "
                 f"domain.dead_end_cost={self.dead_end_cost:g}"
             )
-        gap = self._gap()
+        gap = self._compute_gaps()
         unclear = np.flatnonzero((gap > TIE) & (gap < CLEAR))
         if len(unclear):
             edge = unclear[0]
             raise DomainError(
                 f"domain: ambiguous tie in {who}, state {self.space.source[edge]}, action "
-                f"{self.space.action[self.space.variant[edge]]}: it costs {gap[edge]:.1e} of the "
-                f"most expensive plan more; change a cost so that gaps are 0 or above {CLEAR:g}"
+                f"{self.space.action[self.space.variant[edge]]}: its plan costs more than the best "
+                f"one by {gap[edge]:.1e} of the most expensive best plan; change a cost so that "
+                f"gaps are 0 or above {CLEAR:g}"
             )
 
     @staticmethod
     def solve(models: Sequence[GoalTask], names: Sequence[str]) -> tuple[GoalTask, ...]:
-        """Checks all models (:meth:`require_solution`); each solves itself on demand."""
+        """Checks all models (:meth:`require_solution`). Each model computes its solution at first
+        use."""
         for model, name in zip(models, names, strict=True):
             model.require_solution(name)
         return tuple(models)

@@ -1,4 +1,4 @@
-"""Grids from ASCII maps, for the grid domains: cells, walls, and moves with slip."""
+"""Grids from ASCII maps, for the grid domains: cells, walls, and moves that may slide to a side."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Cell = tuple[int, int]
 MOVES: dict[str, Cell] = {"up": (-1, 0), "down": (1, 0), "left": (0, -1), "right": (0, 1)}
 """The moves as (rows, columns), in the order of the actions."""
 SIDEWAYS = np.array([[2, 3], [2, 3], [0, 1], [0, 1]])
-"""The two moves at right angles to each move: the directions of a slip."""
+"""The two moves at right angles to each move: the directions to which a move may slide."""
 WALL, FLOOR, START = "#", ".", "s"
 MAP = "domain.map"
 """The map's configuration key, for errors."""
@@ -76,10 +76,10 @@ class Grid:
         return cls(wall.shape, np.argwhere(~wall), number, {s: tuple(c) for s, c in where.items()})
 
     def at(self, cell: Sequence[int], key: str) -> int:
-        """The index of a cell.
+        """Returns the index of a cell.
 
         Raises:
-            InputError: it is outside the map, a wall, or not a pair of whole numbers.
+            InputError: the cell is outside the map, a wall, or not a pair of whole numbers.
         """
         allowed = f"(row, column) of a cell that is not a wall, from 0, in a map of {self.shape}"
         try:
@@ -91,10 +91,10 @@ class Grid:
         return int(self.number[r, c])
 
     def only(self, symbol: str, name: str) -> int:
-        """The index of the one cell with this symbol.
+        """Returns the index of the only cell with this symbol.
 
         Raises:
-            InputError: there is none, or more than one.
+            InputError: no cell or more than one cell has this symbol.
         """
         found = self.where.get(symbol, ())
         if len(found) != 1:
@@ -110,10 +110,10 @@ class Grid:
         return np.where(to < 0, np.arange(len(self.cells))[:, None], to)
 
     def outcomes(self, slip: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The possible results of moves: cells [C, 4, K] and probabilities [C, 4, K].
+        """Returns the possible results of moves: cells [C, 4, K] and probabilities [C, 4, K].
 
         Args:
-            slip: probability that the robot slides to one of the two sides (half each) instead.
+            slip: probability that the robot slides to a side instead, half of it for each side.
         """
         intended = self.neighbour[:, :, None]
         if slip == 0:
@@ -125,7 +125,7 @@ class Grid:
         """Checks that a cell has a path to the goal.
 
         Raises:
-            InputError: it has none.
+            InputError: there is no such path.
         """
         # Moves are reversible: cells that can be reached from the goal have a path to it.
         if not find_reached(np.array([goal]), len(self.cells), self.neighbour.__getitem__)[cell]:
@@ -134,10 +134,10 @@ class Grid:
             )
 
     def starts(self) -> NDArray[np.int64]:
-        """Cells marked ``s``, or every floor cell if none is marked.
+        """Returns the cells marked ``s``, or every floor cell if no cell is marked.
 
         Raises:
-            InputError: the map has neither.
+            InputError: the map has neither kind of cell.
         """
         marked = self.where.get(START) or self.where.get(FLOOR, ())
         if not marked:
@@ -145,12 +145,12 @@ class Grid:
         return np.array([self.number[cell] for cell in marked], dtype=np.int64)
 
     def position(self, cell: int) -> Cell:
-        """The (row, column) of a cell."""
+        """Returns the (row, column) of a cell."""
         r, c = self.cells[cell]
         return int(r), int(c)
 
     def scene(self, items: Sequence[Item]) -> Scene:
-        """The map with these items, for drawing."""
+        """Makes the map with these items, for pictures."""
         walls = self.where.get(WALL, ())
         return Scene(rows=self.shape[0], columns=self.shape[1], walls=walls, items=tuple(items))
 

@@ -1,8 +1,8 @@
 """Gymnasium environments with a tabular model (``env.unwrapped.P``) as domains.
 
-FrozenLake, CliffWalking, Taxi and other environments with a public model become tasks by
-configuration alone. The robot's values are those of the environment. Each parameter that people may
-believe incorrectly is a list of changes of its rewards or transitions.
+FrozenLake, CliffWalking, Taxi and other environments with a public model need only a configuration
+to become tasks. The robot's values are those of the environment. Each parameter that people may
+believe incorrectly is a list of changes of the environment's rewards or transitions.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ CHANGES = ("when", "actions", "next", *EFFECTS)
 
 
 class Features:
-    """The features in a state's number: one value of each feature; the last feature changes
+    """The features that a state's number encodes. If the number counts up, the last feature changes
     fastest.
 
     Args:
@@ -48,7 +48,7 @@ class Features:
 
     def __init__(self, given: Mapping[str, int | Sequence[str]], n_states: int) -> None:
         """Numbers the values of each feature."""
-        self.values = {feature: _values(feature, values) for feature, values in given.items()}
+        self.values = {feature: _read_values(feature, values) for feature, values in given.items()}
         self.names = tuple(self.values)
         self.sizes = tuple(len(values) for values in self.values.values())
         if not self.sizes or int(np.prod(self.sizes)) != n_states:
@@ -56,26 +56,27 @@ class Features:
         self.codes = np.stack(np.unravel_index(np.arange(n_states), self.sizes), axis=1)
 
     def where(self, key: str, condition: Any) -> NDArray[np.bool_]:
-        """[S] the states that meet ``{feature: value, or a list of values}``."""
+        """Returns [S] True for the states that meet ``{feature: value, or a list of values}``."""
         asked = mapping(key, condition, "{feature: value, or a list of values}")
         result = np.ones(len(self.codes), dtype=bool)
         for feature, wanted in asked.items():
             one = isinstance(wanted, str) or not isinstance(wanted, Sequence)
-            codes = [self._code(key, feature, value) for value in ([wanted] if one else wanted)]
+            values = [wanted] if one else wanted
+            codes = [self._encode_value(key, feature, value) for value in values]
             result &= np.isin(self.codes[:, self.names.index(feature)], codes)
         return result
 
     def set_features(self, key: str, target: Any) -> NDArray[np.int64]:
-        """[S] the number of each state after the features of ``target`` (``{feature: value}``) are
-        set."""
+        """Returns [S] the number that each state gets if its features in ``target`` (``{feature:
+        value}``) are set."""
         codes = self.codes.copy()
         for feature, value in mapping(key, target, "{feature: value}").items():
-            code = self._code(key, feature, value)
+            code = self._encode_value(key, feature, value)
             codes[:, self.names.index(feature)] = code
         return np.asarray(np.ravel_multi_index(tuple(codes.T), self.sizes), dtype=np.int64)
 
     def differences(self, before: int, after: int) -> list[str]:
-        """The features that the transition changes, such as "row 2 → 3"."""
+        """Describes the features that differ between two states, such as "row 2 → 3"."""
         return [
             f"{feature} {values[a]} → {values[b]}"
             for (feature, values), a, b in zip(
@@ -84,7 +85,7 @@ class Features:
             if a != b
         ]
 
-    def _code(self, key: str, feature: str, value: Any) -> int:
+    def _encode_value(self, key: str, feature: str, value: Any) -> int:
         known = self.values[one_of(key, feature, self.names, "feature")]
         return known.index(one_of(f"{key}.{feature}", value, known))
 
@@ -95,22 +96,22 @@ class Gymnasium:
 
     Args:
         id: name of the environment, as in ``gymnasium.make(id, **arguments)``.
-        states: the features in a state's number, ``{feature: number of values, or their names}``;
-            the last one changes fastest. These are the labeler's features. The features ``row`` and
-            ``column``, if present, give the robot's place on a map.
+        states: the features that a state's number encodes, ``{feature: number of values, or their
+            names}``; the last feature changes fastest. These are the labeler's features. The
+            features ``row`` and ``column``, if present, give the robot's place on a map.
         actions: names of the actions, by number.
         discount: γ of the task, in (0, 1).
         parameters: ``{name: {inaccurate, message, belief}}``. ``inaccurate`` is a list of changes
-            from the environment to the incorrect belief. Three optional fields restrict a change:
-            ``when``, a condition on the state; ``actions``, names; ``next``, a condition on the
-            next state (with ``add`` only). One further field is the change: ``add``, a number added
-            to the reward; ``like``, the action whose outcomes it has instead; ``to``, new features
-            of the next state, while the others keep their values (``{}``: nothing happens). A
-            change may also consist of ``arguments`` alone: rewards and transitions then come from
-            the environment made with these arguments. It applies before all other changes. A
-            condition is ``{feature: value, or a list of values}``.
+            from the environment to the incorrect belief. A change has one of four fields: ``add``,
+            a number added to the reward; ``like``, an action whose outcomes replace those of the
+            changed actions; ``to``, new values of features of the next state, while all other
+            features keep their values (``{}``: nothing happens); ``arguments``, with which the
+            environment is made again before all other changes. The first three kinds of change may
+            be restricted by ``when``, a condition on the state, and ``actions``, names; ``add``
+            also by ``next``, a condition on the next state. A condition is ``{feature: value, or a
+            list of values}``.
         starts: condition on start states of traces, which are equally likely; terminal states are
-            excluded. None: those of the environment's initial distribution.
+            excluded. None: the start states of the environment.
         arguments: arguments of the environment.
         items: for pictures, ``{name: {symbol, cells: [[row, column], ...]}}``. ``shows`` may name
             parameters whose values the item shows: pages for people leave such an item out.
@@ -173,7 +174,7 @@ class Gymnasium:
         ]
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The environment as a person with these values believes it.
+        """Returns the environment as a person with these values believes it to be.
 
         Raises:
             InputError: a change is not allowed.
@@ -181,7 +182,9 @@ class Gymnasium:
         changes = [
             (f"domain.parameters.{parameter.name}", change)
             for parameter in self.parameters
-            for change in _changes(f"domain.parameters.{parameter.name}", values[parameter.name])
+            for change in _check_changes(
+                f"domain.parameters.{parameter.name}", values[parameter.name]
+            )
         ]
         start = self._own
         arguments = [change["arguments"] for _, change in changes if "arguments" in change]
@@ -194,7 +197,7 @@ class Gymnasium:
         reward = start.reward.copy()
         for key, change in changes:
             at = np.zeros(successor.shape[:2], dtype=bool)
-            at[:, self._numbers(key, change.get("actions", self.actions))] = True
+            at[:, self._number_actions(key, change.get("actions", self.actions))] = True
             at &= self._features.where(key, change.get("when", {}))[:, None]
             if "add" in change:
                 reached = self._features.where(key, change.get("next", {}))[successor]
@@ -203,19 +206,19 @@ class Gymnasium:
                 led = self._features.set_features(key, change["to"])[:, None, None]
                 successor = np.where(at[:, :, None], led, successor)
             elif "like" in change:
-                (other,) = self._numbers(key, [change["like"]])
+                (other,) = self._number_actions(key, [change["like"]])
                 s = np.nonzero(at)[0]
                 successor[at] = start.successor[s, other]
                 probability[at] = start.probability[s, other]
                 reward[at] = start.reward[s, other]
         return replace(start, successor=successor, probability=probability, reward=reward)
 
-    def _numbers(self, key: str, names: Any) -> list[int]:
-        """The numbers of actions."""
+    def _number_actions(self, key: str, names: Any) -> list[int]:
+        """Returns the numbers of the actions with these names."""
         return [self.actions.index(one_of(key, name, self.actions, "action")) for name in names]
 
     def position(self, state: int) -> Cell | None:
-        """The robot's cell, if states have a row and a column."""
+        """Returns the robot's cell; None if states have no row or no column."""
         if not {"row", "column"} <= set(self.feature_names):
             return None
         code = dict(zip(self.feature_names, self._features.codes[state], strict=True))
@@ -230,15 +233,15 @@ class Gymnasium:
 
     @property
     def scene(self) -> Scene | None:
-        """The map, if states have a row and a column."""
+        """The map; None if states have no row or no column."""
         if not {"row", "column"} <= set(self.feature_names):
             return None
         rows, columns = (len(self._features.values[name]) for name in ("row", "column"))
         return Scene(rows, columns, (), tuple(self._items))
 
 
-def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
-    """Checks the form of a parameter's value."""
+def _check_changes(key: str, value: Any) -> list[Mapping[str, Any]]:
+    """Checks the form of a parameter's value. Returns its list of changes."""
     for change in require_list(key, value, "a list of changes"):
         for field in mapping(key, change, f"a change with {', '.join(CHANGES)}"):
             one_of(key, field, CHANGES, "field")
@@ -292,13 +295,13 @@ def read_model(
         raise InputError("domain.id", id, "an environment with a tabular model (env.unwrapped.P)")
     try:
         rows = [
-            ((_whole(s), _whole(a), k, _whole(after)), (float(p), float(r), bool(end)))
-            for s, row in _pairs(table)
-            for a, outcomes in _pairs(row)
+            ((_to_int(s), _to_int(a), k, _to_int(after)), (float(p), float(r), bool(end)))
+            for s, row in _list_pairs(table)
+            for a, outcomes in _list_pairs(row)
             for k, (p, after, r, end) in enumerate(x for x in outcomes if float(x[0]))
         ]
         s, a, k, after = np.array([numbers for numbers, _ in rows]).T
-        listed = [_whole(state) for state, _ in _pairs(table)]
+        listed = [_to_int(state) for state, _ in _list_pairs(table)]
         inner = environment.unwrapped  # wrappers may have other spaces
         spaces = (getattr(inner, f"{x}_space", None) for x in ("observation", "action"))
         most = max(after.max(), *listed), a.max()
@@ -306,7 +309,7 @@ def read_model(
         initial = getattr(environment.unwrapped, "initial_state_distrib", None)
         start = np.ones(states) if initial is None else np.asarray(initial, np.float64).ravel()
         successor = np.zeros((states, actions, k.max() + 1), dtype=np.int64)
-        outcome = np.zeros((3, *successor.shape))  # probability, reward, whether it ends
+        outcome = np.zeros((3, *successor.shape))  # probability, reward, 1 if the episode ends
         successor[s, a, k], outcome[:, s, a, k] = after, np.array([x for _, x in rows]).T
         probability, reward, ended = outcome[0], outcome[1], outcome[2] > 0
         total = probability.sum(axis=2)
@@ -333,24 +336,24 @@ def read_model(
     return MDP(successor, probability, reward, discount, terminal), starts[~terminal[starts]]
 
 
-def _pairs(table: Any) -> Any:
-    """The (key, value) pairs of a mapping, or the (index, value) pairs of a list."""
+def _list_pairs(table: Any) -> Any:
+    """Returns the (key, value) pairs of a mapping, or the (index, value) pairs of a list."""
     return table.items() if isinstance(table, Mapping) else enumerate(table)
 
 
-def _whole(value: Any) -> int:
-    """A state or an action as an integer; also accepts whole floats.
+def _to_int(value: Any) -> int:
+    """Converts the number of a state or an action to an integer; whole floats are accepted, too.
 
     Raises:
-        ValueError: it is no whole number.
+        ValueError: the value is no whole number.
     """
     if isinstance(value, str) or int(value) != value:
         raise ValueError("not a whole number")
     return int(value)
 
 
-def _values(feature: str, given: Any) -> list[Any]:
-    """A feature's values, by number."""
+def _read_values(feature: str, given: Any) -> list[Any]:
+    """Reads a feature's values, in the order of their numbers."""
     if isinstance(given, (int, np.integer)) and not isinstance(given, bool) and given >= 1:
         return list(range(int(given)))
     if isinstance(given, Sequence) and not isinstance(given, str) and given:

@@ -1,7 +1,7 @@
 """Tabular Markov decision processes, solved in batches (docs/method.md, section 1).
 
 A robot's task and each user's belief about it are models over the same states and actions. They are
-solved in one batch, with an accuracy that decides safely whether an action is optimal.
+solved in one batch, so accurately that it is certain whether an action is optimal.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from xplain.errors import DomainError
 
 TIE = 1e-10
-"""Two actions tie if their values differ by less than this, relative to the model's scale."""
+"""Two actions tie if their values differ by less than this number, relative to the model's
+scale."""
 CLEAR = 2e-10
-"""Two actions differ if their gap is at least this, which is ten times the error that
-:data:`SOLVED` allows in a gap. A gap between TIE and CLEAR is ambiguous."""
+"""Two actions differ if the gap between their values is at least this number. It is ten times the
+error that :data:`SOLVED` allows in a gap. A gap between TIE and CLEAR is ambiguous."""
 SOLVED = 1e-11
 """Maximum error of values, relative to the model's scale."""
 MOST_SWEEPS = 20_000
@@ -52,8 +53,8 @@ class TaskModel:
         return int(self.successor.shape[1])
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[T] labels of transitions [T, 3] once the model is solved: 1 (explicable) for an optimal
-        action with a possible outcome, 0 otherwise."""
+        """Computes [T] the labels of transitions [T, 3] once the model is solved: 1 (explicable)
+        for an optimal action with a possible outcome, 0 otherwise."""
         raise NotImplementedError
 
     @staticmethod
@@ -69,7 +70,7 @@ class TaskModel:
 def find_reached(
     starts: NDArray[np.int64], states: int, after: Callable[[NDArray[np.int64]], NDArray[Any]]
 ) -> NDArray[np.bool_]:
-    """[S] True for states that can be reached from the starts, including the starts.
+    """Returns [S] True for the states that can be reached from the starts, and for the starts.
 
     Args:
         starts: some states.
@@ -110,11 +111,11 @@ class MDP(TaskModel):
         """Checks shapes and probabilities.
 
         Raises:
-            DomainError: they contradict the attributes' description.
+            DomainError: a shape or a value contradicts the attributes' description.
         """
         shape = self.successor.shape
         if len(shape) != 3 or self.probability.shape != shape or self.reward.shape != shape:
-            raise DomainError(f"MDP: successor, probability, reward must share [S, A, K]: {shape}")
+            raise DomainError(f"MDP: successor {shape}, probability, reward must all be [S, A, K]")
         if self.terminal.shape != shape[:1]:
             raise DomainError(f"MDP: terminal must be [S] = [{shape[0]}]")
         total = self.probability.sum(axis=2)
@@ -138,7 +139,7 @@ class MDP(TaskModel):
                 raise DomainError(f"MDP: {reason}")
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """See :meth:`TaskModel.labels`."""
+        """Computes labels as :meth:`TaskModel.labels` describes."""
         s, a, after = transitions.T
         possible = (self.successor[s, a] == after[:, None]) & (self.probability[s, a] > 0)
         return np.asarray(self.optimal[s, a] & possible.any(axis=1), dtype=np.uint8)
@@ -153,13 +154,13 @@ class MDP(TaskModel):
         """
         q = q_values(models)
         best = q.max(axis=2, keepdims=True)
-        scale = np.array([_scale(model) for model in models])[:, None, None]
+        scale = np.array([_compute_scale(model) for model in models])[:, None, None]
         gap = np.where(np.isfinite(q), best - q, np.inf) / scale
         for b, s, a in np.argwhere((gap > TIE) & (gap < CLEAR)):
             raise DomainError(
-                f"domain: ambiguous tie in {names[b]}, state {s}, action {a}: its value is "
-                f"{gap[b, s, a]:.1e} of the largest possible value below the best; change a reward "
-                f"or the discount so that gaps are 0 or above {CLEAR:g}"
+                f"domain: ambiguous tie in {names[b]}, state {s}, action {a}: its value is below "
+                f"the best by {gap[b, s, a]:.1e} of the largest possible value; change a reward or "
+                f"the discount so that gaps are 0 or above {CLEAR:g}"
             )
         return tuple(
             replace(model, optimal=(own <= TIE) & ~model.terminal[:, None])
@@ -170,7 +171,7 @@ class MDP(TaskModel):
 def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
     """Computes the optimal action values of many models over the same states and actions.
 
-    For each, |Q − Q*| ≤ SOLVED × scale, where scale is the largest |reward| over 1 − γ.
+    For each model |Q − Q*| ≤ SOLVED × scale; the scale is the largest |reward| / (1 − γ).
 
     Returns:
         [B, S, A]; −inf for unavailable actions, 0 in terminal states.
@@ -180,32 +181,33 @@ def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
     """
     together = max(1, LARGEST_BATCH // models[0].successor.size)
     batches = range(0, len(models), together)
-    return np.concatenate([_solved(models[first : first + together]) for first in batches])
+    return np.concatenate([_solve_batch(models[first : first + together]) for first in batches])
 
 
-def _solved(models: Sequence[MDP]) -> NDArray[np.float64]:
-    """Modified policy iteration (Puterman & Shin 1978) for all models together.
+def _solve_batch(models: Sequence[MDP]) -> NDArray[np.float64]:
+    """Solves all models together by modified policy iteration (Puterman & Shin 1978).
 
     A Bellman sweep is a γ-contraction in the max norm with fixed point V*. If it changes no value
     by more than δ, the swept values lie within δ γ / (1 − γ) of V*, and the action values backed up
-    from them within δ γ² / (1 − γ) of Q*. This ends the loop. Between two such sweeps the values
-    move towards those of the greedy policy, at 1 / A of the cost; this changes the speed, not the
-    stopping rule.
+    from them within δ γ² / (1 − γ) of Q*. The loop ends when this last bound is small enough.
+    Between two such sweeps, cheaper sweeps (1 / A of the cost) move the values towards those of the
+    greedy policy. They change the speed, not the rule that ends the loop.
     """
     slots = max(model.successor.shape[2] for model in models)
 
-    def stacked(name: str) -> NDArray[Any]:
-        """Stacks arrays [S, A, K] into one [B, S, A, K], although some have fewer slots."""
+    def stack(name: str) -> NDArray[Any]:
+        """Stacks the arrays [S, A, K] of all models into one array [B, S, A, K]; missing slots are
+        0."""
         arrays = [getattr(model, name) for model in models]
         return np.stack([np.pad(a, [(0, 0), (0, 0), (0, slots - a.shape[2])]) for a in arrays])
 
-    successor, probability = stacked("successor"), stacked("probability")
-    gain = (probability * stacked("reward")).sum(axis=3)
+    successor, probability = stack("successor"), stack("probability")
+    gain = (probability * stack("reward")).sum(axis=3)
     gain[probability.sum(axis=3) == 0] = -np.inf
     terminal = np.stack([model.terminal for model in models])
     gain[terminal], probability[terminal] = 0.0, 0.0
     discount = np.array([model.discount for model in models])
-    allowed = SOLVED * np.array([_scale(model) for model in models])
+    allowed = SOLVED * np.array([_compute_scale(model) for model in models])
     allowed *= (1 - discount) / np.maximum(discount**2, 1e-300)
     probability *= discount[:, None, None, None]
     b, s = np.ogrid[: len(models), : models[0].n_states]
@@ -227,11 +229,11 @@ def _solved(models: Sequence[MDP]) -> NDArray[np.float64]:
             if (np.abs(value - before).max(axis=1) <= 0.1 * allowed).all():
                 break
     raise DomainError(
-        f"domain: a model with discount {discount.max():g} cannot be solved to the accuracy "
-        "that safe ties need; use a smaller discount"
+        f"domain: a model with discount {discount.max():g} cannot be solved accurately "
+        "enough to decide whether actions tie; use a smaller discount"
     )
 
 
-def _scale(model: MDP) -> float:
+def _compute_scale(model: MDP) -> float:
     largest = float(np.abs(model.reward[model.probability > 0]).max(initial=0.0))
     return max(largest, 1e-12) / (1 - model.discount)

@@ -1,8 +1,8 @@
 """Disaster rescue (paper, "Illustrative example"): a robot brings a victim to a shelter.
 
-On its way it may pick up first aid, extinguish a fire and refuel; each gives a reward once. Rubble,
-puddles and fences cost it nothing, but people may believe otherwise. docs/choices.md explains what
-the paper does not specify.
+On its way it may pick up first aid, extinguish a fire and refuel; each of these actions gives a
+reward once. Rubble, puddles and fences cost it nothing, but people may believe otherwise.
+docs/choices.md explains what the paper does not specify.
 """
 
 from __future__ import annotations
@@ -53,9 +53,10 @@ class Rescue:
         map: ASCII map with one S (shelter), one V (victim); A first aid, F fire, U fuel station
             (one each, if ``parameters`` name them); r rubble, p puddle, f fence; # wall, . floor, s
             start cells of traces (every floor cell if there is no s).
-        parameters: ``{name: {accurate, inaccurate, message, belief}}``; the values are rewards: of
-            the action for first_aid, fire, refuel; of entering a cell for rubble, puddle, fence.
-        rescue_reward: for bringing the victim into the shelter, which ends the task.
+        parameters: ``{name: {accurate, inaccurate, message, belief}}``; the values are rewards. For
+            first_aid, fire and refuel it is the reward of the action; for rubble, puddle and fence
+            it is the reward of entering a cell.
+        rescue_reward: reward for bringing the victim into the shelter, which ends the task.
         slip: probability that a move slides to a side.
         discount: γ of the task, for the robot and all people.
         name: name of the domain.
@@ -76,7 +77,7 @@ class Rescue:
         slip: Slip = 0.0,
         name: str = "rescue",
     ) -> None:
-        """Reads the map and lays out the states: cell · 2^(bonuses + 1) + flags."""
+        """Reads the map and numbers the states: cell · 2^(bonuses + 1) + flags."""
         self.name = name
         self.parameters = parameters_of(parameters, [*BONUSES, *OBSTACLES])
         for parameter in self.parameters:
@@ -107,9 +108,9 @@ class Rescue:
         self._flags = 2 * self._carrying
         self.starts: NDArray[np.int64] = cells * self._flags
         self.state_features = np.repeat(self.grid.cells, self._flags, axis=0).astype(np.float64)
-        self._lay_out(slip)
+        self._compute_outcomes(slip)
 
-    def _lay_out(self, slip: float) -> None:
+    def _compute_outcomes(self, slip: float) -> None:
         """Computes successors and probabilities, which do not depend on the parameters."""
         to, chance = self.grid.outcomes(slip)
         flags = np.arange(self._flags)
@@ -142,7 +143,7 @@ class Rescue:
         self._delivered = self._terminal[self._successor] & (self._probability > 0)
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The task of a person who believes these rewards."""
+        """Returns the task of a person who believes these rewards."""
         reward = np.where(self._delivered, self.rescue_reward, 0.0)
         for kind, entered in self._entered.items():
             reward[entered] += float(values[kind])
@@ -151,11 +152,12 @@ class Rescue:
         return MDP(self._successor, self._probability, reward, self.discount, self._terminal)
 
     def position(self, state: int) -> Cell:
-        """The robot's cell (row, column), from 0."""
+        """Returns the robot's cell (row, column), from 0."""
         return self.grid.position(state // self._flags)
 
     def describe(self, transition: NDArray[np.int64]) -> str:
-        """A phrase for the transition [3], such as "moves right through the puddle at (2, 3)"."""
+        """Describes the transition [3] by a phrase, such as "moves right through the puddle at (2,
+        3)"."""
         state, action, after = (int(x) for x in transition)
         if action >= 4:
             return [*(DONE[kind] for kind in self.bonuses), "picks up the victim"][action - 4]
@@ -171,13 +173,14 @@ class Rescue:
         return f"{verb} into the shelter" if self._terminal[after] else f"{verb} to {cell}"
 
     def situation(self, state: int) -> tuple[str, ...]:
-        """Sentences about earlier events that the map does not show."""
+        """Returns sentences about earlier events that the map does not show."""
         flags = state % self._flags
         done = [SINCE[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]
         return (*done, *(["The robot carries the victim."] if flags & self._carrying else []))
 
     def gone(self, state: int) -> tuple[str, ...]:
-        """Names of the items that are no longer on the map in this state. A fuel station stays."""
+        """Returns the names of the items that are no longer on the map in this state. A fuel
+        station stays on the map."""
         flags = state % self._flags
         taken = [ITEM_NAMES[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]
         victim = [SYMBOLS[VICTIM]] if flags & self._carrying else []

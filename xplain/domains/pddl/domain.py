@@ -39,23 +39,24 @@ effect."""
 @checks("domain")
 class PDDL:
     """A task in PDDL: STRIPS with types, equality, negative preconditions, conditional effects and
-    action costs. States are those that the robot's task or a believed task reaches from the states
-    that the robot can reach. Actions are the ground actions between them.
+    action costs. Its states are all states that the robot can reach, and all states that believed
+    tasks reach from these. Its actions are the ground actions between the states.
 
     The task is undiscounted: plans are compared by their costs; without a metric each action costs
-    1. A person who believes in another start sees the states accordingly, until the robot changes
-    something that this belief is about. In a state without a plan, no action makes sense to this
-    person.
+    1. A person who believes in another start imagines the states accordingly, until the robot
+    changes an atom that this belief is about. In a state without a plan, every action is
+    inexplicable.
 
     Args:
         file, problem: the robot's domain and problem; ``pkg://package/path`` is a file inside an
             installed package.
         believed: people's belief, as the path of another domain file, or ``{file, problem}``
-            (either may be missing): each difference becomes a parameter.
+            (either may be missing): each difference from the robot's task becomes a parameter.
         facts: ``{name: {change, message, belief}}``. ``change`` is one change or a list of them
-            (:mod:`xplain.domains.pddl.facts`). Without it, the fact is the difference of this name,
-            or those that ``join`` lists, as one fact. Missing sentences are made from the change.
-        words: see :class:`~xplain.domains.pddl.facts.Words`.
+            (:mod:`xplain.domains.pddl.facts`). Without ``change``, the fact is the difference with
+            this name; ``join`` lists several differences that together are one fact. Missing
+            sentences are made from the change.
+        words: templates for sentences, as in :class:`~xplain.domains.pddl.facts.Words`.
         features: counts for a labeler, in addition to the atoms: ``{name: pattern, or a list of
             them}``. The count is the number of ways to replace ``?x`` so that all patterns hold,
             such as (at ?package airport).
@@ -68,8 +69,8 @@ class PDDL:
 
     Raises:
         XplainError: Fast Downward's translator is not installed.
-        InputError: a file or a value is not allowed, or people with one incorrect fact have no
-            plan.
+        InputError: a file or a value is not allowed, or people who believe one fact incorrectly
+            have no plan.
         DomainError: the robot has no plan, or its ties are ambiguous.
         TooLargeError: more than ``max_states`` states.
     """
@@ -98,7 +99,7 @@ class PDDL:
         given = mapping("domain.facts", facts or {}, "{name: {change, message, belief}}")
         read = [*self._read_facts(given, found, other)]
         if not read:
-            raise InputError("domain.facts", dict(given), "at least one fact, here or by believed")
+            raise InputError("domain.facts", dict(given), "at least one fact, here or in believed")
         self.parameters = tuple(parameter for parameter, _ in read)
         changes = [change for _, change in read]
         given = mapping("domain.features", features or {}, "{name: pattern, or a list of them}")
@@ -115,14 +116,15 @@ class PDDL:
         self.state_features = np.column_stack([table[:, varying], *counted]).astype(float)
         robot = self._model(frozenset())
         robot.require_solution("the robot's model")
-        self.starts = self._starts(starts, robot)
+        self.starts = self._find_starts(starts, robot)
         self._try_facts(robot)
 
     def _find_differences(
         self, file: str, problem: str, believed: Any
     ) -> tuple[Mapping[str, Items], Items]:
-        """Finds the differences from people's belief, by name, and the believed items. The robot's
-        task gets the predicates and functions that only the belief has."""
+        """Finds the differences between the robot's task and people's belief, by name. Returns them
+        with the believed items. The robot's task gets the predicates and functions that only the
+        belief has."""
         if believed is None:
             return {}, {}
         both = {"file": believed} if isinstance(believed, str) else believed
@@ -141,14 +143,14 @@ class PDDL:
     def _read_facts(
         self, given: Mapping[str, Any], found: Mapping[str, Items], other: Items
     ) -> Iterator[tuple[Parameter, Items]]:
-        """Yields the found facts, then the given ones, each with its changes. The robot's value is
-        "no change"."""
-        joined = {name for fields in given.values() for name in _joined(fields)}
+        """Yields the facts found as differences, then the facts from the configuration, each with
+        its changes. The robot's value of a fact is "no change"."""
+        joined = {name for fields in given.values() for name in _read_join(fields)}
         for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
             key, fields = f"domain.facts.{fact}", given.get(fact, {})
             for name in mapping(key, fields, "the fields change, message, belief"):
                 one_of(key, name, ("change", "join", "message", "belief"), "field")
-            names = [one_of(f"{key}.join", n, found, "difference") for n in _joined(fields)]
+            names = [one_of(f"{key}.join", n, found, "difference") for n in _read_join(fields)]
             every = (found.get(name, {}).items() for name in names or [fact])
             change: Items = dict(chain.from_iterable(every))
             if "change" in fields:
@@ -169,7 +171,7 @@ class PDDL:
             yield Parameter(str(fact), [], plain, *texts), change
 
     def model(self, values: Mapping[str, Any]) -> GoalTask:
-        """The task of a person who believes these values.
+        """Returns the task of a person who believes these values.
 
         Raises:
             InputError: a value is neither the robot's nor the inaccurate one.
@@ -192,8 +194,8 @@ class PDDL:
         sources = [Source(key, pattern, str(pattern).lower()) for pattern in patterns]
         return typed, [read_text(self.task, typed, source) for source in sources]
 
-    def _starts(self, starts: object, robot: GoalTask) -> NDArray[np.int64]:
-        """See the class."""
+    def _find_starts(self, starts: object, robot: GoalTask) -> NDArray[np.int64]:
+        """Finds the start states of traces, as the class describes ``starts``."""
         steps = (
             {"initial": 0, "reachable": np.inf}.get(starts) if isinstance(starts, str) else starts
         )
@@ -214,7 +216,9 @@ class PDDL:
         """
         for j, parameter in enumerate(self.parameters):
             try:
-                self._model(frozenset({j})).require_solution(f"whoever believes {parameter.name}")
+                self._model(frozenset({j})).require_solution(
+                    f"somebody who believes {parameter.name}"
+                )
             except DomainError as error:
                 key = f"domain.facts.{parameter.name}"
                 raise InputError(key, parameter.inaccurate, str(error)) from None
@@ -241,25 +245,25 @@ class PDDL:
 
     def changes(self, transition: NDArray[np.int64]) -> tuple[str, ...]:
         """Describes the effects of a transition: "now holding a", "no longer clear a"."""
-        return self.words.changes(*(self._atoms(int(state)) for state in transition[[0, 2]]))
+        return self.words.changes(*(self._list_atoms(int(state)) for state in transition[[0, 2]]))
 
     def state(self, number: int) -> tuple[str, ...]:
-        """The changeable atoms that hold in a state, in PDDL."""
-        return tuple(f"({' '.join(atom)})" for atom in self._atoms(number))
+        """Returns the changeable atoms that hold in a state, in PDDL."""
+        return tuple(f"({' '.join(atom)})" for atom in self._list_atoms(number))
 
-    def _atoms(self, state: int) -> list[tuple[str, ...]]:
+    def _list_atoms(self, state: int) -> list[tuple[str, ...]]:
         return [self._beliefs.atoms[i] for i in np.flatnonzero(self._beliefs.table[state])]
 
     def position(self, state: int) -> None:
-        """None: there is no map."""
+        """Returns None: the domain has no map."""
 
     @property
     def scene(self) -> None:
-        """None: there is no map."""
+        """None: the domain has no map."""
         return None
 
 
-def _joined(fields: Any) -> list[str]:
-    """Names of the differences that a fact joins."""
+def _read_join(fields: Any) -> list[str]:
+    """Returns the names of the differences that a fact joins."""
     given = fields.get("join", []) if isinstance(fields, Mapping) else []
     return list(given) if isinstance(given, list) else [given]

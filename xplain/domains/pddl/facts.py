@@ -34,8 +34,8 @@ class Words:
     Args:
         task: the task.
         given: templates, ``{predicate, function or action: "{x} is on {y}"}``, with parameters in
-            braces by their names in the domain. Other names are described as in "clear a", "a on
-            b", "pick up block a".
+            braces by their names in the domain. Names without a template are described as in "clear
+            a", "a on b", "pick up block a".
 
     Raises:
         InputError: a template for a name that the task does not have, or with an unknown parameter.
@@ -68,19 +68,19 @@ class Words:
     def atom(self, atom: Atom, action: str = "") -> str:
         """Describes an atom, such as "a on b"; parameters of an action are named by their types."""
         name, *arguments = atom
-        words = [self._argument(argument, action) for argument in arguments]
+        words = [self._describe_argument(argument, action) for argument in arguments]
         infix = len(words) == 2 and name in INFIX
         plainly = [words[0], name, words[1]] if infix else [plain(name), *words]
         return self._fill(name, words) or " ".join(plainly)
 
     def literal(self, text: str, action: str = "") -> str:
-        """Describes a literal as :meth:`atom` does, with "not" before a negated one; for an effect,
-        its last literal followed by its conditions."""
+        """Describes a literal as :meth:`atom` does, with "not" before a negated literal. In an
+        effect, the last literal comes first; the conditions follow."""
         words = []
         for negation, atom in re.findall(r"(\(not )?\(([^?()][^()]*)\)", text):
             name, *arguments = atom.split()
             if name == "=":
-                left, right = (self._argument(argument, action) for argument in arguments)
+                left, right = (self._describe_argument(argument, action) for argument in arguments)
                 words.append(f"{left} is {'not ' if negation else ''}{right}")
             else:
                 said = self.atom((name, *arguments), action)
@@ -116,7 +116,7 @@ class Words:
 
     def act(self, name: str, arguments: Sequence[str]) -> str:
         """Describes a ground action: "pick up block a"."""
-        typed = " ".join([plain(name), *map(self._typed, arguments)])
+        typed = " ".join([plain(name), *map(self._describe_object, arguments)])
         return self._fill(name, [*map(plain, arguments)]) or typed
 
     def changes(self, before: Iterable[Atom], after: Iterable[Atom]) -> tuple[str, ...]:
@@ -128,8 +128,9 @@ class Words:
             *(f"no longer {self.atom(atom)}" for atom in sorted(first - second)),
         )
 
-    def _argument(self, argument: str, action: str) -> str:
-        """An object's name; a parameter as "the block", or "block x" if there are several."""
+    def _describe_argument(self, argument: str, action: str) -> str:
+        """Describes an object by its name; a parameter as "the block", or "block x" if several
+        parameters are blocks."""
         kinds = dict(self._task.items.get(Item("action", action), ()))
         kind = kinds.get(argument, "object")
         if kind == "object":
@@ -137,23 +138,23 @@ class Words:
         alone = [*kinds.values()].count(kind) == 1
         return f"the {plain(kind)}" if alone else f"{plain(kind)} {argument[1:]}"
 
-    def _typed(self, name: str) -> str:
-        """The name with its type, as in "block a". A name that contains its type, such as truck1,
-        stays unchanged."""
+    def _describe_object(self, name: str) -> str:
+        """Describes an object by its type and name, as in "block a". A name that contains the type,
+        such as truck1, stays unchanged."""
         kind = self._objects[name]
         return plain(name) if kind == "object" or kind in name else f"{plain(kind)} {plain(name)}"
 
 
 def plain(name: str) -> str:
-    """A name without hyphens and underscores."""
+    """Replaces hyphens and underscores in a name by spaces."""
     return name.replace("-", " ").replace("_", " ")
 
 
 Change = Mapping[str, Any]
 OF_ACTIONS = ("drop_precondition", "add_precondition", "drop_effect", "add_effect", "cost")
-"""Kinds of change of a named action; a change has one of them."""
+"""Kinds of change of a named action; each change of an action has one of these kinds."""
 OF_TASKS = ("drop_initial", "add_initial", "drop_goal", "add_goal", "drop_action", "add_action")
-"""Other kinds of change; a change has one of them. A further one is ``function`` with its
+"""Other kinds of change; any other change has one of these kinds, or is ``function`` with its
 ``value``."""
 NAMES = {
     "action": "can_{0}",
@@ -164,11 +165,13 @@ NAMES = {
     "goal": "goal_{1}",
     "function": "value_{1}",
 }
-"""Patterns for names of differences, from the action and the expression; in the order of facts."""
+"""Patterns for names of differences: {0} is the action, {1} the expression. Facts come in the order
+of these kinds."""
 
 
 def read_changes(key: str, value: Any, task: Task, other: Items) -> Items:
-    """Applies the changes of a fact, one or a list of them. Returns the changed items of the task.
+    """Applies the changes of a fact: one change, or a list of changes. Returns the changed items of
+    the task.
 
     Args:
         key, value: from the configuration.
@@ -202,11 +205,11 @@ def _read_change(key: str, kind: str, change: Change, task: Task, other: Items) 
     source = Source(f"{key}.{kind}", change[kind], str(change[kind]).lower())
     owner = str(change.get("action", "")).lower()
     if owner:
-        one_of(f"{key}.action", owner, _actions(task.items), "action")
+        one_of(f"{key}.action", owner, _list_actions(task.items), "action")
     does, _, what = kind.partition("_")
     if what == "action":
         there = task.items if does == "drop" else other
-        name = one_of(source.key, source.text, _actions(there), "action")
+        name = one_of(source.key, source.text, _list_actions(there), "action")
         own = {Item("action", name): None} if does == "drop" else there.items()
         return {item: value for item, value in dict(own).items() if item.owner == name}
     signature = task.items.get(Item("action", owner), ())
@@ -231,17 +234,17 @@ def _read_change(key: str, kind: str, change: Change, task: Task, other: Items) 
     return {item: found if does == "add" else None}
 
 
-def _actions(items: Items) -> list[str]:
+def _list_actions(items: Items) -> list[str]:
     return [item.owner for item in items if item.kind == "action"]
 
 
 def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Items]:
-    """Finds each item in which two tasks differ, by a unique name such as pick_up_needs_handempty,
-    with the believed version.
+    """Finds the items in which two tasks differ. Returns the believed version of each difference,
+    by a unique name such as pick_up_needs_handempty.
 
-    All items with a predicate that only one task has are one difference. A value of a function that
-    only one task has belongs to the difference of an initial atom, if only this task has this atom
-    and its arguments are those of the function.
+    All items with a predicate that only one task has are one difference. If only one task has a
+    value of a function, and only this task has an initial atom with the same arguments, then the
+    value and the atom are one difference.
 
     Raises:
         InputError: the tasks differ in objects, types, or the parameters of an action.
@@ -257,7 +260,7 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
         if robots != others:
             raise InputError(f"{key}.{item.owner}", others, allowed)
     unknown = {*robot.predicates} ^ {*believed.predicates}
-    both = {*_actions(robot.items)} & {*_actions(items)} | {""}
+    both = {*_list_actions(robot.items)} & {*_list_actions(items)} | {""}
     found: dict[str, dict[Item, Any]] = {}
     names: dict[Any, str] = {}
     order = [*NAMES]
@@ -269,7 +272,7 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
             continue
         more = {x: v for x, v in items.items() if old is None and x.owner == item.owner}
         made = {item: new} | (more if item.kind == "action" else {})
-        name = _name(item, found)
+        name = _make_name(item, found)
         words = set(re.findall(r"[^\s()]+", " ".join(x.text for x in made)))
         keys = [*sorted(words & unknown), (item.text.partition(" ")[2], old is None, new is None)]
         if item.kind == "function" or len(keys) > 1:
@@ -279,8 +282,8 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
     return found
 
 
-def _name(item: Item, taken: Mapping[str, Any]) -> str:
-    """A unique name for a difference."""
+def _make_name(item: Item, taken: Mapping[str, Any]) -> str:
+    """Makes a unique name for a difference."""
     parts = (re.sub(r"[^a-z0-9]+", "_", text).strip("_") for text in (item.owner, item.text))
     owner, text = parts
     name = NAMES[item.kind].format(owner, text.removeprefix("when_"))
@@ -289,7 +292,7 @@ def _name(item: Item, taken: Mapping[str, Any]) -> str:
 
 
 def describe(task: Task, fact: Items, words: Words) -> tuple[str, str]:
-    """Two texts: the true version of a fact, and the believed one."""
+    """Describes a fact by two texts: its true version, and its believed version."""
     pairs = [
         words.describe(item, task.items.get(item), value)
         for item, value in fact.items()

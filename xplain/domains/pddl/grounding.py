@@ -1,10 +1,10 @@
 """A task under every belief about it: one grounding for all beliefs, their common states, and the
 task of a person who believes some of the facts incorrectly.
 
-All beliefs are merged into one task, which Fast Downward's translator grounds once. In it the atom
-(fact@3) means that a person believes fact 3 incorrectly, and all changes of this fact depend on the
-atom. No action changes such atoms. A belief determines which of them hold, and it has the ground
-actions whose conditions on them hold.
+All beliefs are merged into one task, which Fast Downward's translator grounds once. In this task
+the atom (fact@3) means that a person believes fact 3 incorrectly, and all changes of this fact
+depend on the atom. No action changes such atoms. A belief determines which of these atoms hold. It
+has the ground actions whose conditions on these atoms hold.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ Wrong = frozenset[int]
 Condition = tuple[Signature, Sequence[Any]]
 """Variables, and the literals that must hold, in the translator's form."""
 Effects = tuple[tuple[int, int, int], ...]
-"""(condition, adds, deletes) of each condition."""
+"""(condition, adds, deletes) of each conditional effect."""
 MOST_FACTS = 12
-"""Maximum number of facts about one action's preconditions and effects: all their combinations are
-grounded."""
+"""Maximum number of facts about one action's preconditions and effects, because all combinations of
+these facts are grounded."""
 EVERY = 5.0
 """Seconds between two progress lines of the exploration."""
 log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
     Args:
         task: the robot's task.
         facts: the changes of each fact.
-        conditions: number i becomes the precondition of an action holds@i.
+        conditions: condition i becomes the precondition of an action holds@i.
 
     Raises:
         TooLargeError: more than MOST_FACTS facts affect one action's preconditions and effects.
@@ -74,7 +74,7 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
             every.setdefault(item, value)
 
     def guard(item: Item) -> Any:
-        """The condition under which a person believes in an item."""
+        """Returns the condition under which a person believes in an item."""
         own = [(flag, fact[item]) for flag, fact in zip(flags, facts, strict=True) if item in fact]
         if item in robots:
             return lifted.Conjunction([flag.negate() for flag, value in own if value is None])
@@ -94,7 +94,7 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
             )
         asked, effects = [guard(Item("action", name))], []
         for item, value in ((x, every[x]) for x in every if x.owner == name):
-            # All parts of an action that the robot lacks have the action's guard.
+            # If the robot lacks an action, the guard of the action holds for all of its parts.
             there = guard(item) if Item("action", name) in robots else lifted.Truth()
             if item.kind == "precondition":
                 asked.append(lifted.Disjunction([there.negate(), value]))
@@ -124,17 +124,17 @@ class Grounding:
     Args:
         task: the robot's task.
         facts: the changes of each fact.
-        conditions: conditions to find all instances of, by name.
+        conditions: conditions by name; all of their instances are found.
 
     Attributes:
         atoms: atoms that actions can change.
         beliefs: literals that differ between beliefs.
         start: atoms that hold at the start.
-        starts: for each fact, the atoms whose values differ in the believed start, and those of
-            them that hold there.
+        starts: for each fact, the atoms whose values differ in the believed start, and which of
+            these atoms hold in that start.
         actions: (name, object, …) of each ground action, in the order of the files.
-        variants: the distinct forms of an action in any belief: its index, its precondition, and
-            its effects.
+        variants: the distinct forms of actions in all beliefs: index of the action, precondition,
+            and effects.
         instances: for each condition, the literals of each of its instances.
 
     Raises:
@@ -159,11 +159,11 @@ class Grounding:
         both = [*positive, *(x.negate() for x in positive)]
         self._bits = {literal: 1 << i for i, literal in enumerate(both)}
         self._every = (1 << len(positive)) - 1
-        self.beliefs = self._mask([*fixed, *(x.negate() for x in fixed)])
+        self.beliefs = self._make_mask([*fixed, *(x.negate() for x in fixed)])
         own = (y for x, y in task.items.items() if x.kind == "initial")
         self.start = sum(self._bits.get(x, 0) for x in own)
         self.starts = [
-            (self._mask([flag, *atoms]), self._mask([flag, *filter(None, own.values())]))
+            (self._make_mask([flag, *atoms]), self._make_mask([flag, *filter(None, own.values())]))
             for flag, atoms, own in zip(flags, differing, starts, strict=True)
         ]
         forms = sorted(self._instantiate(found, model), key=lambda x: (order.index(x[0][0]), x))
@@ -181,7 +181,7 @@ class Grounding:
                 self._guards[guard].append(variants.setdefault(variant, len(variants)))
         self.variants = [*variants]
 
-    def _mask(self, literals: Iterable[Any]) -> int:
+    def _make_mask(self, literals: Iterable[Any]) -> int:
         return sum(self._bits[x] for x in {*literals})
 
     def _instantiate(self, found: Any, model: Any) -> Iterator[tuple[Any, int, Effects]]:
@@ -198,10 +198,10 @@ class Grounding:
                 effects: dict[int, list[int]] = defaultdict(lambda: [0, 0])
                 for i, part in enumerate((made.add_effects, made.del_effects)):
                     for condition, atom in part:
-                        effects[self._mask(condition)][i] |= self._bits[atom]
+                        effects[self._make_mask(condition)][i] |= self._bits[atom]
                 action = schema.name, *arguments[: schema.num_external_parameters]
                 done = tuple((x, adds, deletes) for x, (adds, deletes) in sorted(effects.items()))
-                yield action, self._mask(made.precondition), done
+                yield action, self._make_mask(made.precondition), done
 
     def _resolve(self, asked: int, effects: Effects) -> Iterator[tuple[int, Effects]]:
         """Yields, for each belief about the effects of an action, the literals of this belief and
@@ -220,28 +220,29 @@ class Grounding:
             yield asked & self.beliefs | known, tuple(done)
 
     def complete(self, atoms: int, among: int | None = None) -> int:
-        """The literals that are true if exactly these atoms hold: for all atoms, or only for those
-        of ``among``."""
+        """Returns the literals that are true if exactly these atoms hold: literals about all atoms,
+        or only about the atoms of ``among``."""
         among = self._every if among is None else among
         return atoms & among | (~atoms & among) << self._every.bit_length()
 
     def believe(self, wrong: Wrong) -> int:
-        """The values of the literals that differ between beliefs, in this belief."""
+        """Returns the literals that are true in this belief, of all literals that differ between
+        beliefs."""
         atoms = self.start
         for differing, held in (self.starts[j] for j in wrong):
             atoms = atoms & ~differing | held
         return self.complete(atoms) & self.beliefs
 
     def imagine(self, state: int, wrong: Wrong) -> int:
-        """The state as people who believe another start see it: atoms that differ there have their
-        believed values until the robot changes one of them."""
+        """Returns the state as people who believe in another start imagine it. Atoms that differ in
+        that start have their believed values until the robot changes one of them."""
         for differing, held in (self.starts[j] for j in sorted(wrong)):
             if not (state ^ self.start) & differing & ~self.beliefs:
                 state = state & ~differing | held & ~self.beliefs
         return state
 
     def choose(self, wrong: Wrong) -> NDArray[np.bool_]:
-        """[V] True for the variants in this belief."""
+        """Returns [V] True for the variants that this belief has."""
         result, believed = np.zeros(len(self.variants), dtype=bool), self.believe(wrong)
         for guard, own in self._guards.items():
             result[own] |= not guard & ~believed
@@ -261,8 +262,8 @@ class BelievedTask:
     Attributes:
         atoms: atoms that can change.
         states: S sets of atoms. First come the states that the robot reaches, beginning with the
-            initial one. Then come these states as people who believe another start see them. Last
-            come all other states that actions under any beliefs reach from these.
+            initial one. Then come these states as people who believe in another start imagine them.
+            Last come all other states that actions under any beliefs reach from these.
         table: [S, atoms] True if an atom holds in a state.
         actions: A ground actions, (name, object, …), that occur between these states.
 
@@ -291,7 +292,7 @@ class BelievedTask:
         self.atoms, self._max_states = ground.atoms, max_states
         self._imagined = cache(self._imagine_all)
         nobody = frozenset[int]()
-        robots = np.flatnonzero(np.isfinite(self._costs(nobody)))
+        robots = np.flatnonzero(np.isfinite(self._compute_costs(nobody)))
         goal = [ground.instances[text] for text in texts(task.items, "goal")]
         seeds = [ground.start & ~ground.beliefs]
         self.states, *_ = self._explore(seeds, robots, goal, ground.believe(nobody))
@@ -327,8 +328,9 @@ class BelievedTask:
         Args:
             seeds: distinct states.
             allowed: the variants to use, ascending.
-            goal: instances of each of the goal's literals; a state with one of each has no edges.
-            believed: literals that hold in all states.
+            goal: instances of each literal of the goal; a state in which one instance of each
+                literal holds has no edges.
+            believed: literals of the belief, which hold in all states.
 
         Returns:
             The states, and their edges, ascending by state and variant: [E] source, variant,
@@ -374,11 +376,11 @@ class BelievedTask:
         source, variant, successor = (np.array(x, np.int32) for x in (sources, used, successors))
         return states, source, variant, successor
 
-    def _items(self, wrong: Wrong) -> Items:
+    def _list_items(self, wrong: Wrong) -> Items:
         return apply_changes(self._task.items, *(self._facts[j] for j in sorted(wrong)))
 
     def count(self, condition: str, wrong: Wrong) -> NDArray[np.int64]:
-        """[S] number of instances of a condition that hold in each state in this belief."""
+        """Counts [S] the instances of a condition that hold in each state in this belief."""
         result = np.zeros(len(self.states), dtype=np.int64)
         known, atoms = self._ground.believe(wrong), self._ground.complete(0).bit_length() // 2
         for asked in self._ground.instances[condition]:
@@ -388,10 +390,10 @@ class BelievedTask:
                 result += np.all([np.ones(len(self.states), dtype=bool), *holds], axis=0)
         return result
 
-    def _costs(self, wrong: Wrong) -> NDArray[np.float64]:
-        """[V] cost of each variant in this belief; ∞ if the belief does not have it, or it has no
-        cost."""
-        items, cost = self._items(wrong), []
+    def _compute_costs(self, wrong: Wrong) -> NDArray[np.float64]:
+        """Computes [V] the cost of each variant in this belief; ∞ if the belief does not have the
+        variant, or the variant has no cost."""
+        items, cost = self._list_items(wrong), []
         for name, *objects in self._ground.actions:
             signature = items.get(Item("action", name))
             own = np.inf if signature is None else items[Item("cost", name)]
@@ -404,8 +406,8 @@ class BelievedTask:
         return np.where(self._ground.choose(wrong), np.array(cost, dtype=float)[action], np.inf)
 
     def _imagine_all(self, wrong: Wrong) -> NDArray[np.int64] | None:
-        """[S] the state that people see instead of each state; the state itself if the robot never
-        reaches it."""
+        """Returns [S] the state that people imagine instead of each state. A state that the robot
+        never reaches is imagined as it is."""
         if not wrong:
             return None
         number = {state: s for s, state in enumerate(self.states)}
@@ -413,11 +415,11 @@ class BelievedTask:
         return np.array([*seen, *range(self._n_robot, len(self.states))])
 
     def model(self, wrong: Wrong) -> GoalTask:
-        """The task of a person who believes these facts incorrectly."""
-        goal = [self.count(text, wrong) > 0 for text in texts(self._items(wrong), "goal")]
+        """Makes the task of a person who believes these facts incorrectly."""
+        goal = [self.count(text, wrong) > 0 for text in texts(self._list_items(wrong), "goal")]
         return GoalTask(
             space=self._space,
-            cost=self._costs(wrong)[self._used],
+            cost=self._compute_costs(wrong)[self._used],
             terminal=np.all([np.ones(len(self.states), dtype=bool), *goal], axis=0),
             dead_end_cost=self._dead_end_cost,
             start=0,
@@ -426,5 +428,5 @@ class BelievedTask:
 
 
 def split(literals: int) -> list[int]:
-    """The indices of the literals in a set."""
+    """Returns the indices of the literals in a set."""
     return [i for i in range(literals.bit_length()) if literals >> i & 1]

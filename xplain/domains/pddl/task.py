@@ -33,10 +33,10 @@ class Item(NamedTuple):
     """One statement of a task.
 
     Attributes:
-        kind: ``action`` (its value: the signature of its parameters); ``precondition`` and
-            ``effect`` (of an action), ``initial`` and ``goal`` (the value of these four is the
-            translator's object); ``cost`` (of an action; a number, or the text of a function);
-            ``function`` (a number).
+        kind: one of seven kinds, each with its own value. The value of an ``action`` is the
+            signature of its parameters. ``precondition`` and ``effect`` (of an action), ``initial``
+            and ``goal`` have the translator's object as value. The ``cost`` of an action is a
+            number, or the text of a function. A ``function`` has a number.
         owner: the action's name; "" for items of the problem.
         text: the condition, the effect or the function in the form of :func:`write`; "" for
             ``action`` and ``cost``.
@@ -78,14 +78,14 @@ def apply_changes(items: Items, *changes: Items) -> dict[Item, Any]:
 
 
 def texts(items: Items, kind: str, owner: str = "") -> Iterator[str]:
-    """The texts of the present items of a kind."""
+    """Yields the texts of all items of a kind that the task has."""
     for item, value in items.items():
         if item[:2] == (kind, owner) and value is not None:
             yield item.text
 
 
 def sign(typed: Any) -> Signature:
-    """The signature of the translator's typed objects."""
+    """Returns the signature of the translator's typed objects."""
     return tuple((x.name, x.type_name) for x in typed)
 
 
@@ -113,7 +113,7 @@ def write(part: Any) -> str:
 
 
 def substitute(text: str, binding: Mapping[str, str]) -> str:
-    """The text with its variables replaced."""
+    """Replaces the variables in a text."""
     return re.sub(r"\?[^\s()]+", lambda found: binding.get(found[0], found[0]), text)
 
 
@@ -160,21 +160,21 @@ class Source:
         return found.start() if found else begin
 
     def refusal(self, reason: str, position: int) -> InputError:
-        """An error about the expression at a position, with the line of the file."""
+        """Makes an error about the expression at a position, with the line of the file."""
         line = f"line {self.text[:position].count(chr(10)) + 1}: "
         return InputError(self.key, self.value, (line if self.text != self.value else "") + reason)
 
     def parse(self) -> Any:
-        """The text as nested lists.
+        """Parses the text into nested lists.
 
         Raises:
-            InputError: its brackets do not match.
+            InputError: the brackets do not match.
         """
         if not self.text.lstrip().startswith("("):
             at = len(self.text) - len(self.text.lstrip())
             raise self.refusal("an expression in brackets begins with (", at)
         depth = 0
-        # Parts of a task are no parts of others, but for those of the old (:length …).
+        # No part of a task is inside another part, except in the old (:length …).
         for found in re.finditer(r"\(\s*:(?!serial|parallel)[^\s()]*|[()]", self.text):
             if ":" in found[0] and depth != 1:
                 reason = f"brackets do not match: {found[0]} is inside of another part"
@@ -185,8 +185,8 @@ class Source:
 
     @contextmanager
     def translate_errors(self, known: str = "", problem: Source | None = None) -> Iterator[None]:
-        """Converts errors of the translator into errors about this text, or about the problem if
-        they name it; ``known`` is added to them.
+        """Converts errors of the translator into errors about this text, or about ``problem`` if
+        the error is in the problem file. ``known`` is added to their text.
 
         Raises:
             XplainError: the translator is not installed.
@@ -229,7 +229,9 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
     parts, inside = ([x for x in y.parse() if x[:1] != [":requirements"]] for y in (domain, own))
     with domain.translate_errors(problem=own):
         inside = [[":domain", *parts[1][1:]] if x[0] == ":domain" else x for x in inside]
-        found = parsing_functions.parse_task(_number(parts, numbers), _number(inside, numbers))
+        found = parsing_functions.parse_task(
+            _replace_decimals(parts, numbers), _replace_decimals(inside, numbers)
+        )
     if found.axioms:
         raise domain.refusal("derived predicates are not supported", domain.find("(:derived"))
     bases = {x.basetype_name for x in found.types} - {x.name for x in found.types} - {None}
@@ -245,7 +247,7 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
             at = domain.text.rfind(f":action {name}")
             raise domain.refusal(f"two actions are called {name}; rename one of them", at)
         items[Item("action", name)] = sign(action.parameters)
-        items[Item("cost", name)] = _value(cost, numbers) if found.use_min_cost_metric else 1.0
+        items[Item("cost", name)] = _read_cost(cost, numbers) if found.use_min_cost_metric else 1.0
         items |= {
             Item("precondition", name, write(x)): x for x in split_conjunction(action.precondition)
         }
@@ -263,7 +265,9 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
         if isinstance(x, lifted.Atom):
             items |= {Item("initial", "", write(x)): x} if x.predicate != "=" else {}
         elif x.fluent.symbol != "total-cost":
-            items[Item("function", "", str(_value(x.fluent, {})))] = _value(x.expression, numbers)
+            items[Item("function", "", str(_read_cost(x.fluent, {})))] = _read_cost(
+                x.expression, numbers
+            )
     items |= {Item("goal", "", write(x)): x for x in split_conjunction(found.goal)}
     return Task(
         found,
@@ -275,7 +279,7 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
 
 
 def split_conjunction(condition: Any) -> list[Any]:
-    """The parts of a condition that must all hold, sorted."""
+    """Returns the parts of a condition that must all hold, sorted."""
     whole = condition.simplified()
     parts = whole.parts if isinstance(whole, lifted.Conjunction | lifted.Truth) else [whole]
     return sorted(parts, key=write)
@@ -287,7 +291,7 @@ def _refuse_universal(condition: Any, source: Source, action: str = "") -> None:
         raise source.refusal(reason, source.find("(forall", action))
 
 
-def _number(node: Any, numbers: dict[int, float]) -> Any:
+def _replace_decimals(node: Any, numbers: dict[int, float]) -> Any:
     """Replaces decimals by integers that represent them, because the translator reads only
     integers."""
     if isinstance(node, str):
@@ -296,10 +300,10 @@ def _number(node: Any, numbers: dict[int, float]) -> Any:
         key = 10**12 + len(numbers)
         numbers[key] = float(node[2])
         return [*node[:2], str(key)]
-    return [_number(part, numbers) for part in node]
+    return [_replace_decimals(part, numbers) for part in node]
 
 
-def _value(expression: Any, numbers: Mapping[int, float]) -> float | str:
+def _read_cost(expression: Any, numbers: Mapping[int, float]) -> float | str:
     """Converts a cost to a number, or to the text of a function; a missing cost is 0."""
     if isinstance(expression, lifted.PrimitiveNumericExpression):
         return f"({' '.join([expression.symbol, *expression.args])})"
@@ -311,7 +315,7 @@ def read_text(task: Task, signature: Signature, source: Source, effect: bool = F
 
     Args:
         task: defines the predicates and objects.
-        signature: the variables that it may contain.
+        signature: the variables that the text may contain.
         source: the text.
         effect: True if conditions and variables may come before the literal.
 
@@ -341,8 +345,8 @@ def read_text(task: Task, signature: Signature, source: Source, effect: bool = F
 
 
 def reach(found: Any) -> Any:
-    """All atoms and ground actions (as atoms) that a translator's task reaches if nothing is ever
-    deleted and negated conditions hold."""
+    """Finds all atoms and ground actions (as atoms) that a translator's task reaches if nothing is
+    ever deleted and all negated conditions hold."""
     with Source("domain", "", "").translate_errors():
         normalize.normalize(found)
         return build_model.compute_model(pddl_to_prolog.translate(found))

@@ -1,8 +1,8 @@
 r"""Hypotheses: what people might believe incorrectly, and the labels of such people.
 
-A candidate is a set R of facts believed incorrectly. A person of candidate R who was given the
-messages H still believes R \ H incorrectly. Apart from errors their label of transition τ is
-``labels[R \ H, τ]`` (docs/what-to-ask.md).
+A candidate is a set R of facts that a person may believe incorrectly. A person of candidate R who
+was given the messages H still believes R \ H incorrectly. Apart from errors their label of
+transition τ is ``labels[R \ H, τ]`` (docs/what-to-ask.md).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SUM = 1e-6
 
 
 def prior_over(prior: ArrayLike | None, count: int, key: str) -> NDArray[np.float64]:
-    """[count] probabilities; None is uniform.
+    """Checks ``count`` probabilities and makes their sum exactly 1; None becomes a uniform prior.
 
     Raises:
         InputError: another shape, a negative value, or a sum other than 1.
@@ -56,7 +56,7 @@ def prior_over(prior: ArrayLike | None, count: int, key: str) -> NDArray[np.floa
 
 
 def table_of_labels(labels: ArrayLike) -> NDArray[np.uint8]:
-    """Checks labels [C, T] of 0 and 1."""
+    """Checks a table [C, T] of labels 0 and 1, and converts it to uint8."""
     try:
         table = np.asarray(labels)
     except ValueError:
@@ -80,7 +80,7 @@ sets."""
 TEXTS = ("messages", "feature_names", "phrases")
 ARRAYS = ("labels", "facts", "messages", "prior", "variants", "features", "states",
           "variant_weight", "feature_names", "phrases")  # fmt: skip
-"""Names of the arrays in a file; all but the first four are optional."""
+"""Names of the arrays in a file; only ``labels`` is required."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ class Hypotheses:
             may also believe; V may be 0.
         variant_weight: [V] prior probabilities of the variants. None: they are equal, and their sum
             is below the prior of the assumed values.
-        further: labels of sets that are not yet candidates (:meth:`with_sets`); None if they cannot
-            be computed.
+        further: computes labels of sets that are not yet candidates, for :meth:`with_sets`; None if
+            these labels are unknown.
     """
 
     labels: NDArray[np.uint8]
@@ -126,7 +126,7 @@ class Hypotheses:
         prior: ArrayLike | None = None,
         **about: Any,
     ) -> Hypotheses:
-        """Checks and completes a table.
+        """Makes hypotheses from a table of labels; checks all values.
 
         Args:
             labels: [2^n, T] of 0 and 1, or [C, T] with ``facts``.
@@ -136,7 +136,7 @@ class Hypotheses:
             about: the other attributes.
 
         Raises:
-            InputError: an argument contradicts its description, or no question separates any
+            InputError: an argument contradicts its description, or no question separates two
                 candidates.
         """
         table = table_of_labels(labels)
@@ -159,14 +159,15 @@ class Hypotheses:
                 raise InputError("hypotheses.variants", variants.shape, allowed)
             about["variants"] = variants[:, order]
         made = cls(table[order], masks[order], names, weight[order], **about)
-        made._check()
+        made._check_attributes()
         return made
 
     @classmethod
     def of_domain(
         cls, domain: Domain, most: int | None = None, scales: Sequence[float] = (0.5, 2.0)
     ) -> Hypotheses:
-        """Takes all sets of at most ``most`` of a domain's parameters, at their inaccurate values.
+        """Makes the hypotheses of a domain: all sets of at most ``most`` parameters, at their
+        inaccurate values.
 
         The transitions are those of the robot's optimal policies from any start.
 
@@ -242,7 +243,7 @@ class Hypotheses:
             np.savez_compressed(file, **arrays)
 
     def with_sets(self, facts: NDArray[np.int64]) -> Hypotheses:
-        """Adds these sets and all of their subsets as candidates. The new prior is that of
+        """Adds these sets and all of their subsets as candidates. The new prior comes from
         :func:`~xplain.domains.users.inaccurate_values.few`.
 
         Raises:
@@ -263,7 +264,7 @@ class Hypotheses:
 
     @cached_property
     def complete(self) -> bool:
-        """True if all sets of the facts in any candidate are candidates."""
+        """True if every combination of the facts that occur in candidates is a candidate."""
         return len(self.facts) == 1 << int(np.bitwise_or.reduce(self.facts)).bit_count()
 
     @property
@@ -277,25 +278,26 @@ class Hypotheses:
         return int(self.labels.shape[1])
 
     def row(self, held: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The rows of :attr:`labels` for these candidates, an array of bitmasks of any shape."""
-        every = len(self.facts) > self.facts[-1]  # then the row of a set is the set
+        """Returns the rows of :attr:`labels` of candidates. ``held`` has the bitmasks of the
+        candidates, in any shape."""
+        every = len(self.facts) > self.facts[-1]  # then a set's bitmask is its row
         return held if every else np.searchsorted(self.facts, held)
 
     def label(self, transitions: ArrayLike, message_sets: ArrayLike) -> NDArray[np.uint8]:
-        r"""[1 + V, C, Q] labels f_τ(R \\ H) of Q questions by variant and candidate; transitions
-        [Q], message sets [Q] or one."""
+        r"""Returns [1 + V, C, Q] the labels f_τ(R \ H) of Q questions, by variant and candidate.
+        ``transitions`` is [Q]; ``message_sets`` is [Q], or one set for all questions."""
         held = self.facts[:, None] & ~np.asarray(message_sets, dtype=np.int64)
         return np.asarray(self.tables[:, self.row(held), np.asarray(transitions)])
 
     @cached_property
     def tables(self) -> NDArray[np.uint8]:
-        """[1 + V, C, T] labels at the assumed values and of the variants."""
+        """[1 + V, C, T] labels at the assumed values, then those of the variants."""
         variants = self.variants if len(self.variants) else self.labels[None][:0]
         return np.concatenate([self.labels[None], variants])
 
     @cached_property
     def variant_prior(self) -> NDArray[np.float64]:
-        """[1 + V] prior of the assumed values and of the variants."""
+        """[1 + V] prior of the assumed values, then those of the variants."""
         count = len(self.variants)
         weight = np.full(count, (1 - AS_ASSUMED) / max(count, 1))
         weight = weight if self.variant_weight is None else self.variant_weight
@@ -303,15 +305,15 @@ class Hypotheses:
 
     @cached_property
     def sizes(self) -> NDArray[np.bool_]:
-        """[1 + V] True for the assumed values, and for variants on the same side of the robot's
-        values. Such variants have a larger prior."""
+        """[1 + V] True for the assumed values, and for variants with values on the same side of the
+        robot's values. Such variants are recognised by their larger prior."""
         weight = self.variant_prior[1:]
         return np.append(True, weight >= weight.max(initial=0) / 2)
 
     def drop_indistinguishable(self) -> Hypotheses:
         """Leaves out transitions with equal features and different labels: an answer about one of
-        them gives no information if only features are known. Keeps all of them if the remaining
-        transitions separate fewer candidates."""
+        them gives no information if only features are known. Keeps all transitions if the remaining
+        ones separate fewer candidates."""
         if self.features is None:
             return self
         which = np.unique(self.features, axis=0, return_inverse=True)[1].ravel()
@@ -341,8 +343,8 @@ class Hypotheses:
 
     @cached_property
     def pairs(self) -> list[tuple[int, NDArray[np.int64], NDArray[np.int64]]]:
-        """For each fact, the rows of the candidates that contain it, and of the same candidates
-        without it."""
+        """For each fact: its index, the rows of the candidates that contain the fact, and the rows
+        of the same candidates without the fact."""
         found = []
         for j in range(self.n_messages):
             more = np.flatnonzero(self.facts >> j & 1)
@@ -351,18 +353,19 @@ class Hypotheses:
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        r"""[C] for each candidate, the facts that some question reveals at the assumed values.
-        Candidates behave alike if and only if these facts are equal.
+        r"""[C] for each candidate, the facts that some question reveals at the assumed values. Two
+        candidates behave alike if and only if these facts are the same for both.
 
-        The intersection of two candidates that behave alike behaves like them, too (consider the
-        messages outside it), so each class has one smallest member. This member contains fact j
-        unless, for every K ⊆ R \\ j, people who believe K ∪ j incorrectly label everything like
-        those who believe K incorrectly.
+        If two candidates behave alike, their intersection behaves like them, too (consider messages
+        about all other facts). So each class of candidates that behave alike has one smallest
+        member. This member contains fact j unless, for every K ⊆ R \ j, people who believe K ∪ j
+        incorrectly label everything like people who believe K incorrectly.
         """
         found = np.zeros_like(self.facts)
         for j, more, less in self.pairs:
             found[more[(self.labels[more] != self.labels[less]).any(axis=1)]] |= 1 << j
-        for _, more, less in self.pairs:  # … for any K: over all subsets, one fact at a time
+        # Such a K may be any subset of R: takes the union over all subsets, one fact at a time.
+        for _, more, less in self.pairs:
             found[more] |= found[less]
         return found
 
@@ -371,16 +374,16 @@ class Hypotheses:
         """[C] class of each candidate; no question separates candidates of one class."""
         return np.unique(self.essential, return_inverse=True)[1].ravel()
 
-    def _check(self) -> None:
+    def _check_attributes(self) -> None:
         """Raises InputError if attributes contradict each other."""
         if self.facts[0] != 0 or len(np.unique(self.facts)) < len(self.facts):
-            raise InputError("hypotheses.facts", self.facts[0], "different sets, the empty one too")
+            raise InputError("hypotheses.facts", self.facts[0], "different sets, one of them empty")
         for j in range(int(self.facts[-1]).bit_length()):
             less = self.facts & ~(1 << j)
             if not np.isin(less, self.facts).all():
                 lone = int(self.facts[~np.isin(less, self.facts)][0])
                 names = ";".join(names_of(lone, self.messages))
-                raise InputError("hypotheses.facts", names, "with each set all of its subsets")
+                raise InputError("hypotheses.facts", names, "all subsets of each set, too")
         weight = self.variant_weight
         if weight is not None and (
             weight.shape != (len(self.variants),) or (weight <= 0).any() or weight.sum() >= 1
@@ -398,8 +401,8 @@ class Hypotheses:
             raise InputError(
                 "hypotheses",
                 ", ".join(self.messages),
-                "facts that cannot be told apart: no question separates any of them, as every "
-                "transition has one label whatever is believed incorrectly",
+                "facts that change labels; no question can separate these, because no "
+                "label depends on what is believed incorrectly",
             )
 
 
@@ -407,10 +410,11 @@ _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
 
 
 def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
-    """Reads the hypotheses of a file, or takes those of the domain, which are computed only once.
+    """Returns the hypotheses of a file, or of the domain. The hypotheses of a domain are computed
+    only once.
 
     Raises:
-        InputError: there are neither, or they cannot be used.
+        InputError: there is neither a file nor a domain, or the hypotheses cannot be used.
     """
     if path is not None:
         return Hypotheses.load(path)

@@ -1,4 +1,4 @@
-"""Labels of people who believe a domain's inaccurate values, or multiples of them."""
+"""Labels of people who believe a domain's inaccurate values, or multiples of these values."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ log = logging.getLogger(__name__)
 AS_ASSUMED = 0.6
 """Prior of the assumed values, if there are variants."""
 OPPOSITE = 0.05
-"""Total prior of values on the other side of the robot's value."""
+"""Total prior of variants with values on the other side of the robot's value."""
 EACH = 8
-"""Maximum number of facts for which each fact has a variant with only its value on the other
-side."""
+"""If there are at most this many facts, each fact has a variant in which only the value of this
+fact is on the other side."""
 NUDGES = (1.0, 1.01, 0.99, 1.02, 0.98, 1.05, 0.95)
 """If ties at a value are ambiguous, the value times each of these factors is tried, in order.
-People's ideas of a value are not that exact."""
+People do not know a value more exactly."""
 Values = Mapping[str, Any]
 """An inaccurate value of each parameter."""
 
 
 @dataclass(frozen=True)
 class FactLabels:
-    """Labels of people who believe sets of facts incorrectly. Each set is solved once.
+    """Computes labels of people who believe sets of facts incorrectly. The models of each set are
+    solved only once.
 
     Attributes:
         domain: the domain of the models.
         transitions: [T, 3].
-        values: [1 + V] the assumed values, and those of the variants.
+        values: [1 + V] the assumed values, then those of the variants.
         columns: [K] the transitions to label; None: all.
     """
 
@@ -49,11 +50,12 @@ class FactLabels:
     _known: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     def take(self, columns: NDArray[np.int64]) -> FactLabels:
-        """Restricts the labels to some transitions; solved models are shared."""
+        """Restricts the labels to some transitions. The result shares the labels that are already
+        known."""
         return replace(self, columns=columns if self.columns is None else self.columns[columns])
 
     def of(self, facts: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[1 + V, C, K] labels of people who believe these sets [C] incorrectly.
+        """Computes [1 + V, C, K] the labels of people who believe these sets [C] incorrectly.
 
         Raises:
             DomainError: ties of a model are ambiguous.
@@ -66,7 +68,8 @@ class FactLabels:
         return np.stack([self._known[one][:, columns] for one in facts.tolist()], axis=1)
 
     def at(self, values: Values, facts: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[C, T] labels of people who believe these sets [C] incorrectly, at these values.
+        """Computes [C, T] the labels of people who believe these sets [C] incorrectly, with these
+        values.
 
         Raises:
             DomainError: ties of a model are ambiguous.
@@ -87,10 +90,10 @@ class FactLabels:
         """Finds values near the wanted ones without ambiguous ties. Returns them with the labels
         [C, T] of people who believe these sets [C] incorrectly.
 
-        If ties are ambiguous, each parameter in turn takes its wanted value, or its first
-        :data:`NUDGES` without ambiguous ties. Earlier parameters then have the values already
-        found, later ones the assumed values. If every nudge fails, the parameter keeps its assumed
-        value and a warning names it.
+        If ties are ambiguous, the parameters change one after the other from the assumed values.
+        Each parameter gets its wanted value, times the first of :data:`NUDGES` without ambiguous
+        ties. If every factor fails, the parameter keeps its assumed value and a warning names the
+        parameter.
         """
         try:
             return dict(wanted), self.at(wanted, facts)
@@ -110,7 +113,7 @@ class FactLabels:
                 except (DomainError, InputError) as error:
                     reason = str(error)
             else:
-                stays = "hypotheses: no variant with %s=%s, it stays %s: %s"
+                stays = "hypotheses: no variant has %s=%s; the value stays %s: %s"
                 log.warning(stays, name, wanted[name], assumed[name], reason)
         return chosen, labels
 
@@ -125,10 +128,10 @@ class FactLabels:
 
         Args:
             facts: the sets.
-            scales: one variant for each scale, with all numeric inaccurate values multiplied by it.
-                In further variants values are on the other side of the robot's value, all together
-                or (up to EACH facts) one alone: people may also believe that a dangerous fire is a
-                bonus.
+            scales: one variant for each scale: all numeric inaccurate values are multiplied by the
+                scale. In further variants, all values or (for at most EACH facts) a single value
+                are on the other side of the robot's value, because people may also believe that a
+                dangerous fire is a bonus.
         """
         assumed = {one.name: one.inaccurate for one in self.domain.parameters}
         opposite = other_values(self.domain, lambda right, wrong: 2 * right - wrong)
@@ -146,8 +149,9 @@ class FactLabels:
 
 
 def other_values(domain: Domain, other: Callable[[float, float], float]) -> dict[str, Any]:
-    """Other inaccurate values by parameter: ``other(robot's value, inaccurate value)`` if both are
-    numbers and the domain accepts the result; otherwise the inaccurate value."""
+    """Computes another inaccurate value of each parameter: ``other(robot's value, inaccurate
+    value)`` if both are numbers and the domain accepts the result; otherwise the inaccurate value
+    itself."""
     accurate = {one.name: one.accurate for one in domain.parameters}
     values = {one.name: one.inaccurate for one in domain.parameters}
     for name, wrong in values.items():
@@ -162,7 +166,8 @@ def other_values(domain: Domain, other: Callable[[float, float], float]) -> dict
 
 
 def scaled_values(domain: Domain, scale: float) -> dict[str, Any]:
-    """All inaccurate values times ``scale``, by parameter; see :func:`other_values`."""
+    """Multiplies the inaccurate values by ``scale``. A value that is no number, or whose multiple
+    the domain refuses, stays unchanged."""
     return other_values(domain, lambda _, wrong: scale * wrong)
 
 
@@ -171,13 +176,13 @@ def _is_number(value: Any) -> bool:
 
 
 def few(facts: NDArray[np.int64], n: int, share: float) -> NDArray[np.float64]:
-    """[C] probabilities of the sets if each of n facts is believed incorrectly with probability
-    ``share``, independently, given that no other set is possible."""
+    """Computes [C] the probabilities of the sets, if each of n facts is believed incorrectly with
+    probability ``share``, independently, and no other set is possible."""
     size = np.bitwise_count(facts).astype(np.float64)
     weight = share**size * (1 - share) ** (n - size)
     return np.asarray(weight / weight.sum())
 
 
 def with_subsets(facts: Sequence[int]) -> NDArray[np.int64]:
-    """These sets and all of their subsets, ascending."""
+    """Returns these sets and all of their subsets, ascending."""
     return np.unique(np.concatenate([subsets(indices(one)) for one in facts]))

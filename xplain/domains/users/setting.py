@@ -23,12 +23,13 @@ MAX_MODELS = 1 << 14
 
 @dataclass(frozen=True)
 class UserType:
-    """The inaccurate values of a type's users: ``{parameter: their value}``.
+    """A user type: people with the same inaccurate values.
 
     Attributes:
-        name, inaccurate: name and values.
-        backlash: if True, a message about any other parameter makes them believe its inaccurate
-            value.
+        name: name of the type.
+        inaccurate: ``{parameter: the value that these people believe}``.
+        backlash: if True, a message about a parameter that is not in ``inaccurate`` makes these
+            people believe its inaccurate value.
     """
 
     name: str
@@ -36,8 +37,8 @@ class UserType:
     backlash: bool = False
 
     def after(self, names: Sequence[str], told: Collection[str]) -> list[str]:
-        """The parameters among ``names`` that they believe incorrectly after the messages
-        ``told``."""
+        """Returns the parameters among ``names`` that these people believe incorrectly after the
+        messages ``told``."""
         if self.backlash:
             return [name for name in names if (name in self.inaccurate) != (name in told)]
         return [name for name in names if name in self.inaccurate and name not in told]
@@ -45,7 +46,7 @@ class UserType:
 
 @dataclass(frozen=True)
 class Setting:
-    """A domain with N user types, with every distinct model of the task solved.
+    """A domain with N user types, and the solution of every distinct model of the task.
 
     Attributes:
         domain, types: the domain and the types.
@@ -82,7 +83,7 @@ class Setting:
         heard = [names if t.backlash else [x for x in names if x in t.inaccurate] for t in types]
         if sum(1 << len(own) for own in heard) > MAX_MODELS:
             raise TooLargeError(
-                f"users: the types' inaccurate parameters span more than {MAX_MODELS} task models; "
+                f"users: the types' inaccurate parameters need more than {MAX_MODELS} task models; "
                 "use types with fewer inaccurate parameters"
             )
         accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
@@ -109,7 +110,8 @@ class Setting:
                 told = [name for i, name in enumerate(hears) if given >> i & 1]
                 wrong = user_type.after(names, told)
                 values = accurate | {name: theirs[name] for name in wrong}
-                row[given] = model_of(values, f"type {user_type.name} wrong on {wrong}")
+                who = f"type {user_type.name} (believes {', '.join(wrong)} incorrectly)"
+                row[given] = model_of(values, who)
             bits.append(own)
             table.append(row)
         return cls(domain, types, models[0].solve(models, whose), tuple(bits), tuple(table))
@@ -126,30 +128,30 @@ class Setting:
 
     @property
     def wrong(self) -> NDArray[np.float64]:
-        """[M, n] 1 if a type believes a fact incorrectly, else 0."""
+        """[N, n] 1 if a type believes a fact incorrectly, else 0."""
         names = self.message_names
         return np.array([[name in one.inaccurate for name in names] for one in self.types], float)
 
     def model_index(self, user_type: int, message_sets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """[P] index of a type's model after each of these message sets [P]."""
+        """Returns [P] the index of a type's model after each of these message sets [P]."""
         local = np.zeros_like(message_sets)
         for i, j in enumerate(self.bits[user_type]):
             local |= (message_sets >> j & 1) << i
         return self.table[user_type][local]
 
     def label_by_model(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[B, T] labels of transitions [T, 3] under every distinct model."""
+        """Computes [B, T] the labels of transitions [T, 3] under every distinct model."""
         return np.array([model.labels(transitions) for model in self.models])
 
     def labels(
         self, user_type: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """[P] true labels of a type for each (transition [P, 3], message set [P])."""
+        """Computes [P] the true labels of a type for each (transition [P, 3], message set [P])."""
         by_model = self.label_by_model(transitions)
         return by_model[self.model_index(user_type, message_sets), np.arange(len(transitions))]
 
     def label_table(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[N, T, 2^n] true labels of all types for all message sets.
+        """Computes [N, T, 2^n] the true labels of all types for all message sets.
 
         Raises:
             TooLargeError: too many messages for such a table.
@@ -157,14 +159,16 @@ class Setting:
         return self.labels_by_type(transitions).array(self.n_messages).astype(np.uint8)
 
     def labels_by_type(self, transitions: NDArray[np.int64]) -> LabelTable:
-        """True labels of all types; the table of each type has the messages that correct it."""
+        """Computes the true labels of all types. Each type's table has only the messages that
+        change the type's beliefs."""
         by_model = self.label_by_model(transitions)
         return LabelTable.join_types(
             self.bits, [by_model[row].T.astype(np.float64) for row in self.table]
         )
 
     def true_labels(self, transitions: NDArray[np.int64]) -> LabelTable:
-        """True labels of all types, in the form for solvers and simulated users."""
+        """Computes the true labels of all types, in the form that solvers and simulated users
+        need."""
         return self.labels_by_type(transitions).compact(self.n_messages)
 
     @cached_property
@@ -181,8 +185,8 @@ class Setting:
 
     @cached_property
     def distinct(self) -> NDArray[np.int64]:
-        """[N] the same number for types with the same labels for every reachable (transition,
-        message set). Such types behave as one type."""
+        """[N] number of each type's behaviour. Two types have the same number if their labels are
+        the same for every reachable (transition, message set)."""
         labels = self.labels_by_type(self.reachable)
         first: dict[tuple[tuple[int, ...], bytes], int] = {}
         found = []
@@ -193,7 +197,7 @@ class Setting:
 
 
 def task_of(domain: Domain, values: Mapping[str, Any]) -> mdp.TaskModel:
-    """The domain's model with these values.
+    """Makes the domain's model with these values.
 
     Raises:
         InputError: the domain reads a parameter that it does not have.

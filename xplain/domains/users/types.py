@@ -1,6 +1,6 @@
-"""Type sources: they give a setting its user types (docs/choices.md, "Lost or not given").
+"""Sources of the user types of a setting (docs/choices.md, "Lost or not given").
 
-Each has one method, ``types(domain, rng)``.
+Each source has one method, ``types(domain, rng)``.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from xplain.explanation.message_sets import indices
 
 
 class TypeSource(Protocol):
-    """Gives a domain its user types."""
+    """A source of user types: the interface of every component ``users``."""
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """The user types, in the order of their numbers.
+        """Returns the user types, in the order of their numbers.
 
         Args:
             domain: has the parameters that the types believe incorrectly.
             rng: the stream ``types``.
 
         Raises:
-            InputError: they do not fit the domain.
+            InputError: the types do not fit the domain.
         """
         ...
 
@@ -40,8 +40,8 @@ def user_type(domain: Domain, name: str, facts: Sequence[str] | Mapping[str, Any
     Args:
         domain: has the parameters.
         name: name of the type.
-        facts: names of parameters, or a mapping to the type's own values; ``None`` for the domain's
-            inaccurate value.
+        facts: names of parameters, or ``{parameter: the type's inaccurate value}``; the value None
+            becomes the domain's inaccurate value.
 
     Raises:
         InputError: no facts, or an unknown parameter.
@@ -61,8 +61,8 @@ class Explicit:
     """Types given in YAML.
 
     Attributes:
-        groups: ``{name: [parameter, ...]}``, or ``{name: {parameter: value}}`` for a type with its
-            own values (null: the domain's inaccurate value).
+        groups: ``{name: [parameter, ...]}``, or ``{name: {parameter: value}}`` for a type with
+            other inaccurate values (null: the domain's inaccurate value).
     """
 
     groups: Mapping[str, Sequence[str] | Mapping[str, Any]]
@@ -73,18 +73,18 @@ class Explicit:
             raise InputError("users.groups", self.groups, "at least one user type, {name: [facts]}")
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """The types from YAML; ``rng`` is not used."""
+        """Returns the types from YAML; ``rng`` is not used."""
         return tuple(user_type(domain, name, facts) for name, facts in self.groups.items())
 
 
 @dataclass(frozen=True)
 class Completions:
-    """The completions of a partly known list of types: the paper's figure with three of its five
-    rescue types is lost (docs/choices.md).
+    """A partly known list of types, completed: the paper's figure with three of the five rescue
+    types is lost (docs/choices.md).
 
     A completion gives each free name one bonus and one obstacle, so that all types are distinct and
-    all facts are used. For ``rescue`` there are 27, counted as sets of types (the order of the free
-    names does not matter).
+    all facts are used. For ``rescue`` there are 27 completions; the order of the free names does
+    not count.
 
     Attributes:
         known: ``{name: [bonus, obstacle]}`` of the types in the paper's text.
@@ -104,7 +104,7 @@ class Completions:
         whole_number("users.index", self.index, 0, len(self.completions()) - 1)
 
     def completions(self) -> tuple[tuple[tuple[str, str], ...], ...]:
-        """All completions: each has one (bonus, obstacle) for each free name."""
+        """Returns all completions; each has one (bonus, obstacle) for each free name."""
         known = {tuple(pair) for pair in self.known.values()}
         pairs = [p for p in product(self.bonuses, self.obstacles) if p not in known]
         facts = {*self.bonuses, *self.obstacles}
@@ -115,7 +115,7 @@ class Completions:
         )
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """The types of the chosen completion, by name; ``rng`` is not used."""
+        """Returns the types of the chosen completion, sorted by name; ``rng`` is not used."""
         groups = dict(self.known) | dict(
             zip(self.free, self.completions()[self.index], strict=True)
         )
@@ -129,13 +129,13 @@ ATTEMPTS = 1000
 def first_distinct(
     domain: Domain, count: int, draws: Iterable[Sequence[Sequence[int]]], distinct: bool = True
 ) -> tuple[UserType, ...]:
-    """The types of the first suitable draw: they differ in the label of some reachable (transition,
-    message set).
+    """Returns the types of the first suitable draw. In a suitable draw, any two types differ in the
+    label of some reachable (transition, message set).
 
     Args:
         domain: has the parameters that the types believe incorrectly.
         count: number of types.
-        draws: each draw has the facts of all types.
+        draws: the facts of all types, for each draw.
         distinct: False accepts the first draw.
 
     Raises:
@@ -157,8 +157,8 @@ def first_distinct(
 @checks("users")
 @dataclass(frozen=True)
 class RandomCover:
-    """Random types: each is a non-empty subset of the parameters, and their union is all parameters
-    (paper, four rooms).
+    """Random types: each type is a non-empty subset of the parameters, and each parameter is in
+    some type (paper, four rooms).
 
     Attributes:
         count: number of types.
@@ -170,8 +170,8 @@ class RandomCover:
     distinct: bool = True
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """Draws uniformly from the lists of distinct subsets that cover all parameters (and, if
-        required, differ in behaviour), by rejecting other draws as a whole.
+        """Draws lists of subsets until a list is suitable: its subsets are distinct, cover all
+        parameters and, if required, differ in behaviour. All suitable lists are equally likely.
 
         Raises:
             InputError: there are fewer subsets than ``count``, or no draw is suitable.
@@ -197,8 +197,8 @@ class FewFacts:
 
     Attributes:
         count: number of types.
-        fewest, most: range of the number of a type's facts; the number is drawn uniformly, then the
-            facts.
+        fewest, most: smallest and largest number of facts of a type; the number is drawn uniformly,
+            then the facts.
     """
 
     count: Count
