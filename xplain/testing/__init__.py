@@ -12,7 +12,7 @@ your own, override the fixture::
         def component(self, request):
             return request.param
 
-Run them with pytest. Each test states a property that other parts of xplain need.
+Run them with pytest. Each test checks a property that other parts of xplain need.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ __all__ = sorted(_WHERE)
 
 
 def __getattr__(name: str) -> Any:
-    # Imported on demand: the data and problems need no pytest. Type checkers read
-    # __init__.pyi.
+    # Suites are imported on demand, because the data sets and problems need no pytest. Type
+    # checkers read __init__.pyi.
     if name not in _WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

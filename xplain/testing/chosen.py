@@ -10,11 +10,11 @@ from xplain.experiment.config import CONF, register
 
 
 class Chosen:
-    """``group=choice`` of a configuration.
+    """A component that is chosen by ``group=choice`` in a configuration.
 
     Args:
         group, choice: as on the command line.
-        overrides: further keys, ``"solver.simulations=50"``.
+        overrides: further keys, such as ``"solver.simulations=50"``.
         conf: a folder of your own configs, in addition to xplain's.
     """
 
@@ -28,7 +28,7 @@ class Chosen:
 
     @cached_property
     def component(self) -> Any:
-        """The component, created at its first use; see :meth:`make`."""
+        """The component, created by :meth:`make` at its first use."""
         return self.make()
 
     def make(self) -> Any:

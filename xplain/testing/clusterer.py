@@ -1,4 +1,4 @@
-"""Properties of every type finder and every partition (see :mod:`xplain.learning.user_types`)."""
+"""Tests of type finders and of partitions (see :mod:`xplain.learning.user_types`)."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ class TypeFinderConformance(Conformance):
     scores.
 
     Attributes:
-        finds_types: True if it must distinguish types with different answers to the same questions.
-        needs_truth: True if it works with the true types (perfect clustering).
+        finds_types: True if the finder must distinguish types with different answers to the same
+            questions.
+        needs_truth: True if the finder reads the true types (perfect clustering).
     """
 
     finds_types = True
@@ -31,49 +32,51 @@ class TypeFinderConformance(Conformance):
 
     def test_every_observer_gets_a_type(self, component: Any) -> None:
         """Types are numbered from 0 in the order of the observers."""
-        data, truth = self._data()
-        found = self._find(component, data, truth).clustering.assignment
+        data, truth = self._make_data()
+        found = self._find_types(component, data, truth).clustering.assignment
         assert found.shape == (len(data.observers),), "not one type for each observer"
         assert np.array_equal(found, by_first_appearance(found)), "not numbered by appearance"
 
     def test_says_how_it_chose(self, component: Any) -> None:
         """The report needs a method, a rule, and a curve if there is one."""
-        data, truth = self._data()
-        clustering = self._find(component, data, truth).clustering
+        data, truth = self._make_data()
+        clustering = self._find_types(component, data, truth).clustering
         assert isinstance(clustering, Clustering)
         assert clustering.method.strip(), "the method has no name"
         assert clustering.rule.strip(), "the rule for the number of types has no name"
 
     def test_the_same_seed_gives_the_same_types(self, component: Any) -> None:
         """Randomness comes from the seed alone."""
-        data, truth = self._data()
-        once, again = (self._find(component, data, truth).clustering.assignment for _ in range(2))
+        data, truth = self._make_data()
+        once, again = (
+            self._find_types(component, data, truth).clustering.assignment for _ in range(2)
+        )
         assert np.array_equal(once, again), "two clusterings with one seed differ"
 
     def test_does_not_look_at_the_truth(self, component: Any) -> None:
         """The true types of simulated observers are only for scores."""
         if self.needs_truth:
             return
-        data, truth = self._data()
+        data, truth = self._make_data()
         blind = component.find(Observed(data), 3).clustering.assignment
         seen = component.find(Observed(data, truth), 3).clustering.assignment
         assert np.array_equal(blind, seen), "the clustering depends on the truth"
 
     def test_finds_plain_types(self, component: Any) -> None:
-        """It separates three types that need different messages, from three observers each with the
-        same questions."""
+        """It separates three types that need different messages. Each type has three observers, and
+        all observers answer the same questions."""
         if not self.finds_types:
             return
-        data, truth = self._data()
-        found = self._find(component, data, truth).clustering.assignment
+        data, truth = self._make_data()
+        found = self._find_types(component, data, truth).clustering.assignment
         assert np.array_equal(found, truth), f"found {found.tolist()}, true {truth.tolist()}"
 
     def test_observers_may_come_in_any_order(self, component: Any) -> None:
         """The first observer has type 0, whatever the numbers of the true types."""
-        data, truth = self._data()
+        data, truth = self._make_data()
         last_type_first = np.array([8, 0, 4, 1, 7, 3, 6, 5, 2])
-        shuffled, true = _in_order(data, last_type_first), truth[last_type_first]
-        found = self._find(component, shuffled, true).clustering.assignment
+        shuffled, true = _reorder_observers(data, last_type_first), truth[last_type_first]
+        found = self._find_types(component, shuffled, true).clustering.assignment
         assert found[0] == 0, f"the first observer's type is called {found[0]}"
         if self.finds_types:
             expected = by_first_appearance(true)
@@ -82,19 +85,19 @@ class TypeFinderConformance(Conformance):
     def test_observers_who_answer_alike_are_of_one_type(self, component: Any) -> None:
         """Six observers with the same answers to the same questions have one type."""
         data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=6)
-        found = self._find(component, data, truth).clustering.assignment
+        found = self._find_types(component, data, truth).clustering.assignment
         assert (found == 0).all(), f"{found.tolist()}"
 
     def test_a_single_observer_is_a_type(self, component: Any) -> None:
         """A data set with one observer gives one type, and no error."""
         data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=1)
-        assert self._find(component, data, truth).clustering.assignment.tolist() == [0]
+        assert self._find_types(component, data, truth).clustering.assignment.tolist() == [0]
 
     def test_each_type_has_a_name_a_share_and_labels(self, component: Any) -> None:
         """A labeler gives P(label = 1), strictly between 0 and 1, for any transitions and
         messages."""
-        data, truth = self._data()
-        types = self._find(component, data, truth)
+        data, truth = self._make_data()
+        types = self._find_types(component, data, truth)
         number = len(types.labelers)
         assert len(set(types.names)) == number >= types.clustering.n_types, types.names
         assert types.prior.shape == (number,), "one prior a type"
@@ -106,17 +109,17 @@ class TypeFinderConformance(Conformance):
             one = labeler.probability(data.features[data.transition], data.message_set)
             assert np.allclose(one, table[0, data.transition, data.message_set])
 
-    def _find(self, component: Any, data: Dataset, truth: NDArray[np.int64]) -> UserTypes:
+    def _find_types(self, component: Any, data: Dataset, truth: NDArray[np.int64]) -> UserTypes:
         found: UserTypes = component.find(Observed(data, truth if self.needs_truth else None), 3)
         return found
 
     @staticmethod
-    def _data() -> tuple[Dataset, NDArray[np.int64]]:
+    def _make_data() -> tuple[Dataset, NDArray[np.int64]]:
         return rule_data(np.random.default_rng(0), [[0], [1, 2], [3]])
 
 
-def _in_order(data: Dataset, order: NDArray[np.int64]) -> Dataset:
-    """The same labels, with the observers [O] in another order."""
+def _reorder_observers(data: Dataset, order: NDArray[np.int64]) -> Dataset:
+    """Returns the same labels, with the observers [O] in another order."""
     place = np.argsort(order)[data.observer]
     rows = np.argsort(place, kind="stable")
     names = tuple(data.observers[o] for o in order)
@@ -124,12 +127,13 @@ def _in_order(data: Dataset, order: NDArray[np.int64]) -> Dataset:
 
 
 class PartitionConformance(Conformance):
-    """Tests a partition, ``partition(vectors, k, seed)``, the component of
-    :class:`~xplain.learning.paper.Elbow`. The curve of disagreements needs these properties."""
+    """Tests a component ``partition`` of :class:`~xplain.learning.paper.Elbow`, with the method
+    ``partition(vectors, k, seed)``. The curve of disagreements needs these properties."""
 
     def test_makes_at_most_k_groups(self, component: Any) -> None:
-        """One group for k = 1; a group for each distinct vector if k allows it."""
-        vectors = self._vectors()
+        """There is one group for k = 1, and a group for each distinct vector if k is large
+        enough."""
+        vectors = self._make_vectors()
         distinct = len(np.unique(vectors, axis=0))
         for k in range(1, distinct + 3):
             groups = len(np.unique(component.partition(vectors, k, 0)))
@@ -139,7 +143,7 @@ class PartitionConformance(Conformance):
 
     def test_equal_vectors_stay_together(self, component: Any) -> None:
         """Observers with equal vectors are indistinguishable, so no k may separate them."""
-        vectors = self._vectors()
+        vectors = self._make_vectors()
         for k in range(1, 6):
             groups = component.partition(vectors, k, 0)
             assert groups.shape == (len(vectors),), "not one group for each vector"
@@ -149,18 +153,18 @@ class PartitionConformance(Conformance):
 
     def test_the_same_seed_gives_the_same_groups(self, component: Any) -> None:
         """Randomness comes from the seed alone."""
-        vectors = self._vectors()
+        vectors = self._make_vectors()
         once, again = (component.partition(vectors, 3, 11) for _ in range(2))
         assert np.array_equal(once, again), "two partitions with one seed differ"
 
     def test_leaves_the_vectors_as_they_were(self, component: Any) -> None:
         """The array belongs to the caller and must not change."""
-        vectors = self._vectors()
+        vectors = self._make_vectors()
         component.partition(vectors, 3, 0)
-        assert np.array_equal(vectors, self._vectors()), "the vectors were changed"
+        assert np.array_equal(vectors, self._make_vectors()), "the vectors were changed"
 
     @staticmethod
-    def _vectors() -> NDArray[np.uint8]:
+    def _make_vectors() -> NDArray[np.uint8]:
         rng = np.random.default_rng(2)
         kinds = np.array([[0, 0, 0, 0], [1, 1, 0, 0], [0, 0, 1, 1], [1, 1, 1, 0], [0, 0, 0, 1]])
         order = rng.permutation(np.repeat(np.arange(5), 4))

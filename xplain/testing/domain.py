@@ -1,4 +1,4 @@
-"""Properties of every domain (see :mod:`xplain.domains.base`)."""
+"""Tests of domains (see :mod:`xplain.domains.base`)."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ class DomainConformance(Conformance):
             assert parameter.accurate != parameter.inaccurate, f"{parameter.name}: two equal values"
 
     def test_every_idea_of_the_task_shares_states_and_actions(self, component: Any) -> None:
-        """All models have the same states and actions: labels compare the same transition."""
-        robot, *others = _setting(component).models
+        """All models have the same states and actions, because the labels of one transition are
+        compared."""
+        robot, *others = _make_setting(component).models
         for model in others:
             assert model.successor.shape[:2] == robot.successor.shape[:2], (
                 "states or actions differ"
@@ -60,7 +61,7 @@ class DomainConformance(Conformance):
     def test_features_describe_every_state(self, component: Any) -> None:
         """``state_features`` is [S, F], all finite; ``feature_names`` has F different names."""
         features, names = component.state_features, component.feature_names
-        setting = _setting(component)
+        setting = _make_setting(component)
         assert features.shape == (setting.models[0].n_states, len(names)), features.shape
         assert np.isfinite(features).all(), "a feature is not finite"
         assert len(set(names)) == len(names), f"names are given twice: {names}"
@@ -69,21 +70,21 @@ class DomainConformance(Conformance):
 
     def test_traces_can_start(self, component: Any) -> None:
         """Traces start in states that are not terminal."""
-        starts, robot = component.starts, _setting(component).models[0]
+        starts, robot = component.starts, _make_setting(component).models[0]
         assert len(starts), "no start"
         assert ((starts >= 0) & (starts < robot.n_states)).all(), "a start is not a state"
         assert not robot.terminal[starts].any(), "a start is terminal"
 
     def test_the_robot_is_explicable_to_those_who_know_the_task(self, component: Any) -> None:
         """People who believe all values correctly find every transition of the robot explicable."""
-        setting = _setting(component)
+        setting = _make_setting(component)
         labels = setting.label_by_model(setting.reachable)[0]
         assert labels.all(), "the robot's own model finds the robot inexplicable"
 
     def test_every_message_can_matter(self, component: Any) -> None:
         """For a person who believes everything incorrectly, each message changes some label,
         possibly together with other messages."""
-        setting = _setting(component)
+        setting = _make_setting(component)
         labels = setting.labels_by_type(setting.reachable)
         for j, name in enumerate(setting.message_names):
             matters = any(j in own for own in labels.effective())
@@ -91,7 +92,7 @@ class DomainConformance(Conformance):
 
     def test_transitions_are_told_in_words(self, component: Any) -> None:
         """``describe`` gives one non-empty line for each transition."""
-        for transition in _setting(component).reachable[:500]:
+        for transition in _make_setting(component).reachable[:500]:
             phrase = component.describe(transition)
             assert phrase.strip(), f"no words for {transition}"
             assert "\n" not in phrase, f"more than a line for {transition}"
@@ -99,7 +100,7 @@ class DomainConformance(Conformance):
     def test_the_map_has_a_place_for_the_robot(self, component: Any) -> None:
         """If there is a map, every state has a cell on it that is not a wall."""
         scene = component.scene
-        for state in np.unique(_setting(component).reachable[:, [0, 2]]):
+        for state in np.unique(_make_setting(component).reachable[:, [0, 2]]):
             cell = component.position(int(state))
             if scene is None:
                 assert cell is None, "a position without a map"
@@ -110,9 +111,10 @@ class DomainConformance(Conformance):
                 assert (row, column) not in scene.walls, f"{cell} is a wall"
 
 
-def _setting(domain: Domain) -> Setting:
-    """One type that believes everything incorrectly; it has every model that a type can have. If
-    there are too many models, one type for each parameter, which believes this one incorrectly.
+def _make_setting(domain: Domain) -> Setting:
+    """Makes a setting with one type that believes every parameter incorrectly, so that it has every
+    model that a type can have. If there are too many models, there is one type for each parameter,
+    which believes only this parameter incorrectly.
 
     Raises:
         AssertionError: a model is not valid, or its ties are ambiguous.
@@ -123,5 +125,5 @@ def _setting(domain: Domain) -> Setting:
         types = [UserType(name, {name: value}) for name, value in wrong.items()]
     try:
         return Setting.build(domain, tuple(types))
-    except DomainError as error:  # an AssertionError reads better in a test's report
+    except DomainError as error:  # a test's report shows an AssertionError better
         raise AssertionError(str(error)) from error

@@ -1,4 +1,4 @@
-"""Properties of every labeler (see :mod:`xplain.learning.labelers`)."""
+"""Tests of labelers (see :mod:`xplain.learning.labelers`)."""
 
 from __future__ import annotations
 
@@ -25,25 +25,26 @@ class LabelerConformance(Conformance):
 
     def test_learns_a_plain_rule(self, component: Any) -> None:
         """On unseen points, the share of right predictions is at least ``learns``."""
-        labeler = component.fit(self._data(0), 0)
-        fresh = self._data(1)
+        labeler = component.fit(self._make_data(0), 0)
+        fresh = self._make_data(1)
         said = labeler.predict(fresh.features[fresh.transition], fresh.message_set)
         right = float((said == fresh.label).mean())
         assert right >= self.learns, f"{right:.0%} right, expected {self.learns:.0%}"
 
     def test_probabilities_are_never_certain(self, component: Any) -> None:
         """A labeler that is certain would make the belief ignore all later labels."""
-        for probability in self._asked(component):
+        for probability in self._predict_twice(component):
             assert ((probability > 0) & (probability < 1)).all(), "P must be inside (0, 1)"
 
     def test_the_table_says_what_single_questions_say(self, component: Any) -> None:
         """``table`` [T, 2^n] gives the same numbers as ``probability``."""
-        table, single = self._asked(component)
+        table, single = self._predict_twice(component)
         assert np.allclose(table, single, rtol=1e-12), "table and probability differ"
 
     def test_labels_follow_the_probabilities(self, component: Any) -> None:
-        """P(1) is at least ½ exactly where 1 is predicted (if the confidence is above ½)."""
-        data = self._data(0)
+        """P(label = 1) is at least ½ if and only if label 1 is predicted (for a confidence above
+        ½)."""
+        data = self._make_data(0)
         labeler = component.fit(data, 0)
         rows = data.features[data.transition]
         p, label = (ask(rows, data.message_set) for ask in (labeler.probability, labeler.predict))
@@ -52,12 +53,12 @@ class LabelerConformance(Conformance):
 
     def test_the_same_seed_gives_the_same_labeler(self, component: Any) -> None:
         """Randomness comes from the seed alone."""
-        one, other = self._asked(component)[0], self._asked(component)[0]
+        one, other = self._predict_twice(component)[0], self._predict_twice(component)[0]
         assert np.array_equal(one, other), "two fits with one seed differ"
 
     def test_one_kind_of_label_is_learned_too(self, component: Any) -> None:
-        """If all labels are 1, or all 0, it predicts this label everywhere."""
-        data = self._data(0)
+        """If all labels are 1, or all are 0, the labeler predicts this label everywhere."""
+        data = self._make_data(0)
         for only in (0, 1):
             same = replace(data, label=np.full(len(data), only, dtype=np.uint8))
             labeler = component.fit(same, 0)
@@ -65,9 +66,9 @@ class LabelerConformance(Conformance):
             assert ((p > 0.5) == bool(only)).all(), f"all labels were {only}"
 
     def test_figures_of_the_fit_are_told(self, component: Any) -> None:
-        """The confidence is strictly between 0 and 1; the accuracy is that on distinct held-out
-        questions."""
-        data = self._data(0)
+        """The confidence is strictly between 0 and 1. Each distinct question is counted once:
+        either it trains the labeler, or it is held out to measure the accuracy."""
+        data = self._make_data(0)
         labeler = component.fit(data, 0)
         assert 0 < labeler.confidence < 1, labeler.confidence
         assert 0 <= labeler.accuracy <= 1, labeler.accuracy
@@ -76,7 +77,7 @@ class LabelerConformance(Conformance):
 
     def test_the_order_of_the_labels_does_not_matter(self, component: Any) -> None:
         """The same data give the same labeler, in any order of the labels."""
-        data = self._data(0)
+        data = self._make_data(0)
         shuffled = data.take(np.random.default_rng(5).permutation(len(data)))
         one, other = (
             component.fit(labels, 3).table(data.features).array(data.n_messages)[0]
@@ -85,12 +86,13 @@ class LabelerConformance(Conformance):
         assert np.array_equal(one, other), "labels in another order give another labeler"
 
     @staticmethod
-    def _data(seed: int) -> Dataset:
+    def _make_data(seed: int) -> Dataset:
         return rule_data(np.random.default_rng(seed), [[0, 2]], per_type=1, points=300)[0]
 
-    def _asked(self, component: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The table [T, 2^n], and the same numbers from single questions."""
-        data = self._data(0)
+    def _predict_twice(self, component: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Predicts labels in two ways: the table [T, 2^n], and the same numbers from single
+        questions."""
+        data = self._make_data(0)
         labeler = component.fit(data, 3)
         table = labeler.table(data.features).array(data.n_messages)[0]
         sets = np.tile(np.arange(table.shape[1]), len(table))

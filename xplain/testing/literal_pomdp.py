@@ -1,12 +1,13 @@
-"""The paper's POMDP, implemented literally. It is slow, for tiny problems, and the reference of the
-tests.
+"""The paper's POMDP, implemented literally. It is slow and only for tiny problems; tests compare
+solvers with it.
 
-States are ⟨k, L, E_given, E_next, t⟩, with three corrections (docs/choices.md, slips): given or
-pending messages are not actions; label probabilities use E_given ∪ E_next and depend on τ_i; label
-0 has the cost. Messages that change no label and no answer of any type are not actions, either. If
-users err or miss messages, L are their answers, t is a hidden type, and the facts that they
-currently believe correctly are part of the state. The code does not use the reduction to (k, H,
-belief). Optimal values come from the definition, by trying every action and every observation.
+States are ⟨k, L, E_given, E_next, t⟩, with three corrections (docs/choices.md, "Slips in the
+paper's text"): given or pending messages are not actions; label probabilities use E_given ∪ E_next
+and depend on τ_i; label 0 has the cost. Messages that change no label and no answer of any type are
+not actions, either. If users make errors or miss messages, L are their answers, t is a hidden type,
+and the state has the facts that they have learned from messages and not forgotten. The code does
+not use the reduction to (k, H, belief). Optimal values come from the definition, by trying every
+action and every observation.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class LiteralPOMDP:
     problem: Problem
 
     def initial(self) -> dict[LiteralState, float]:
-        """The belief before anything was shown."""
+        """Returns the belief before anything is shown."""
         return {
             LiteralState(0, (), frozenset(), frozenset(), t): float(p)
             for t, p in enumerate(self.problem.prior)
@@ -57,9 +58,9 @@ class LiteralPOMDP:
         }
 
     def actions(self, state: LiteralState) -> list[int]:
-        """The possible actions: *explain*; the messages with effect that are neither given nor
-        pending (if messages may be missed or forgotten, all that are not pending); and questions if
-        no message is pending. At the end of the trace there are none."""
+        """Returns the possible actions: *explain*; the messages with effect that are neither given
+        nor pending (if messages may be missed or forgotten, all messages that are not pending); and
+        questions if no message is pending. At the end of the trace there is no action."""
         if state.step == self.problem.n_steps:
             return []
         messages = self.problem.messages_with_effect
@@ -69,12 +70,13 @@ class LiteralPOMDP:
             used = state.pending
         free = [EXPLAIN, *(j for j in messages if j not in used)]
         if not state.pending:
-            free += [EXPLAIN - 1 - q for q in self._open_questions(state)]
+            free += [EXPLAIN - 1 - q for q in self._list_questions(state)]
         return free
 
-    def _open_questions(self, state: LiteralState) -> list[int]:
-        """The questions that may be asked: among equal ones, only the nearest that was not asked.
-        If users' knowledge is hidden, questions are equal if they are equal for any knowledge."""
+    def _list_questions(self, state: LiteralState) -> list[int]:
+        """Returns the questions that may be asked: among equal questions, only the first that was
+        not asked. If users' knowledge is hidden, questions are equal if they are equal for any
+        knowledge."""
         questions, table = self.problem.questions, self.problem.questions.table
         labels, answers, given = table.p, table.answered, 0
         if self.problem.messages_land:
@@ -94,10 +96,10 @@ class LiteralPOMDP:
     def outcomes(
         self, state: LiteralState, action: int
     ) -> Iterator[tuple[float, LiteralState, Observation, float]]:
-        """The possible outcomes: (probability, next state, observation, reward)."""
+        """Yields the possible outcomes: (probability, next state, observation, reward)."""
         problem = self.problem
         if action < EXPLAIN:
-            yield from self._answers(state, EXPLAIN - 1 - action)
+            yield from self._yield_answers(state, EXPLAIN - 1 - action)
             return
         if action != EXPLAIN:
             reward = -problem.trade_off * float(problem.message_cost[action])
@@ -123,17 +125,17 @@ class LiteralPOMDP:
                     given=given,
                     pending=frozenset(),
                 )
-                # If users err, costs are means over what they think, not over what they answer.
+                # If users make errors, the cost counts the expected labels 0, not the answers 0.
                 errs = problem.table.answers.size
                 zeros = float((1 - thought).sum()) if errs else labels.count(0)
                 reward = -problem.inexplicability_cost * zeros
-                for kept, known in self._not_forgotten(state):
+                for kept, known in self._forget_facts(state):
                     yield probability * kept, after._replace(known=known), labels, reward
 
-    def _answers(
+    def _yield_answers(
         self, state: LiteralState, question: int
     ) -> Iterator[tuple[float, LiteralState, Observation, float]]:
-        """The possible outcomes of a question."""
+        """Yields the possible outcomes of a question."""
         questions = self.problem.questions
         mask = bitmask(state.known if not self.problem.messages_land else state.given)
         yes = float(questions.table.answer_probabilities(question + 1, mask)[state.user_type, -1])
@@ -142,8 +144,8 @@ class LiteralPOMDP:
             if probability > 0:
                 yield probability, after, (answer,), -questions.limits.cost
 
-    def _not_forgotten(self, state: LiteralState) -> Iterator[tuple[float, frozenset[int]]]:
-        """The subsets of K that may remain after a step, with their probabilities."""
+    def _forget_facts(self, state: LiteralState) -> Iterator[tuple[float, frozenset[int]]]:
+        """Yields the subsets of K that may remain after a step, with their probabilities."""
         forget = float(self.problem.forget[state.user_type])
         if not forget:
             yield 1.0, state.known
@@ -154,15 +156,17 @@ class LiteralPOMDP:
             yield probability, frozenset(compress(facts, kept))
 
     def discount(self, action: int) -> float:
-        """γ_E for *explain*; 1 for a question, and for a message if only steps discount. Messages
-        that may be repeated do not discount."""
+        """Returns the discount factor of an action: γ_E for *explain*, 1 for a question. For a
+        message it is γ_E if every action discounts, and 1 if only steps discount or if messages may
+        be repeated."""
         if action == EXPLAIN:
             return self.problem.discount
         return 1.0 if action < EXPLAIN else self.problem.message_discount
 
 
 def literal_optimal_value(problem: Problem) -> float:
-    """The optimal expected discounted return, by trying every action at every belief over states.
+    """Computes the optimal expected discounted return: tries every action at every belief over
+    states.
 
     The cost is exponential in everything; use two or three steps, messages and types.
     """
@@ -193,10 +197,9 @@ def literal_optimal_value(problem: Problem) -> float:
 def reduced_optimal_value(
     problem: Problem, step: int = 0, given: int = 0, belief: tuple[float, ...] | None = None
 ) -> float:
-    """The same value from (k, H, belief), the state that is sufficient according to docs/method.md
-    §5.
+    """Computes the same value from (k, H, belief), a state that is sufficient by docs/method.md §5.
 
-    This also enumerates every message and every label vector; it merges no observations.
+    This function, too, tries every message and every label vector. It merges no observations.
     """
     if belief is None:
         belief = tuple(float(p) for p in problem.prior)

@@ -15,10 +15,10 @@ from xplain.explanation.problem import Problem
 def random_problem(
     rng: np.random.Generator, max_types: int = 3, max_steps: int = 3, max_messages: int = 2
 ) -> Problem:
-    """A problem with features that broke a solver before: unequal costs (some 0), any discount in
-    (0, 1], certain and uncertain labels, prior entries of 0, repeated transitions, messages without
-    effect. With several types allowed, users of some problems slip, guess and err at one of two
-    rates."""
+    """Draws a problem. Its features have revealed mistakes of solvers: unequal costs (some 0), any
+    discount in (0, 1], certain and uncertain labels, prior entries of 0, repeated transitions,
+    messages without effect. If several types are allowed, users in some problems slip and guess,
+    and have one of two error rates."""
     types = int(rng.integers(1, max_types + 1))
     steps = int(rng.integers(1, max_steps + 1))
     n = int(rng.integers(0, max_messages + 1))
@@ -29,7 +29,7 @@ def random_problem(
     elif kind == 2:  # one confidence per type, as labelers with a held-out accuracy have
         confidence = 0.5 + 0.5 * rng.random((types, 1, 1))
         p = np.where(p < 0.5, 1 - confidence, confidence)
-    elif kind == 3:  # certain and uncertain ones together
+    elif kind == 3:  # certain and uncertain labels together
         p = np.where(rng.random(p.shape) < 0.4, np.round(p), p)
     if rng.random() < 0.3:
         p[:, -1] = p[:, 0]
@@ -61,8 +61,8 @@ def random_problem(
 
 
 def with_questions(rng: np.random.Generator, problem: Problem, most: int = 3) -> Problem:
-    """Adds at most ``most`` questions, some of them equal, some certain, which may be asked once or
-    a few times."""
+    """Adds at most ``most`` questions to a problem: some are equal, some have certain answers. The
+    user may be asked one or several of them."""
     count = int(rng.integers(1, most + 1))
     p = rng.random((problem.n_user_types, count, 1 << problem.n_messages))
     if rng.random() < 0.5:

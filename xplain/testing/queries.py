@@ -1,4 +1,4 @@
-"""Properties of every query design (see :mod:`xplain.learning.data.queries`)."""
+"""Tests of query designs (see :mod:`xplain.learning.data.queries`)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SIZES = np.array([23, 1, 12, 40])
 
 class QueriesConformance(Conformance):
     """Tests whether a design, ``ask(setting, sizes, answer, seed)``, suits data and learning. The
-    observers here answer at random: a design must accept any answers."""
+    observers in these tests answer at random, because a design must accept any answers."""
 
     @pytest.fixture(scope="class")
     def domain(self) -> Domain:
@@ -30,12 +30,13 @@ class QueriesConformance(Conformance):
 
     @pytest.fixture(scope="class")
     def setting(self, domain: Domain) -> Setting:
-        """A setting with one type, who believes the first parameter incorrectly."""
-        return _setting(domain, 0)
+        """A setting with one type, which believes the first parameter incorrectly."""
+        return _make_setting(domain, 0)
 
     def test_everybody_is_asked_no_more_than_agreed(self, component: Any, setting: Setting) -> None:
-        """Observer o answers 1 to ``sizes[o]`` questions, in one ``Answered``."""
-        asked, _ = _asked(component, setting)
+        """Observer o answers at least one question and at most ``sizes[o]``. Each observer has one
+        ``Answered`` in the result."""
+        asked, _ = _ask_observers(component, setting)
         assert len(asked) == len(SIZES), "not one for each observer"
         counts = [len(one.labels) for one in asked]
         assert all(1 <= c <= s for c, s in zip(counts, SIZES, strict=True)), f"asked {counts}"
@@ -45,18 +46,22 @@ class QueriesConformance(Conformance):
 
     def test_answers_are_the_observers(self, component: Any, setting: Setting) -> None:
         """All questions and answers are returned, in the order in which they were asked."""
-        asked, heard = _asked(component, setting)
+        asked, heard = _ask_observers(component, setting)
         for one, told in zip(asked, heard, strict=True):
-            assert np.array_equal(one.transitions, told.transitions), "asked another transition"
-            assert np.array_equal(one.message_sets, told.message_sets), "under other messages"
-            assert np.array_equal(one.labels, told.labels), "with other answers"
+            assert np.array_equal(one.transitions, told.transitions), (
+                "the result has another transition"
+            )
+            assert np.array_equal(one.message_sets, told.message_sets), (
+                "the result has another message set"
+            )
+            assert np.array_equal(one.labels, told.labels), "the result has another answer"
 
     def test_questions_are_about_what_the_robot_does(
         self, component: Any, setting: Setting
     ) -> None:
         """Transitions are possible under the robot's optimal policy, and message sets exist."""
         possible = set(map(tuple, setting.reachable.tolist()))
-        for one in _asked(component, setting)[0]:
+        for one in _ask_observers(component, setting)[0]:
             assert set(map(tuple, one.transitions.tolist())) <= possible, "the robot never does it"
             assert (one.message_sets >= 0).all(), "a message set is a bitmask"
             assert (one.message_sets < 1 << setting.n_messages).all(), "there is no such message"
@@ -64,23 +69,26 @@ class QueriesConformance(Conformance):
     def test_the_same_seed_asks_the_same(self, component: Any, setting: Setting) -> None:
         """Randomness comes from the seed alone."""
         for seed in range(3):
-            once, again = (_asked(component, setting, seed)[0] for _ in range(2))
-            assert _same(once, again), "two rounds with one seed and the same answers differ"
+            once, again = (_ask_observers(component, setting, seed)[0] for _ in range(2))
+            assert _are_equal(once, again), "two rounds with one seed and the same answers differ"
 
     def test_does_not_look_at_the_true_types(self, component: Any, domain: Domain) -> None:
         """If other types give the same answers, it asks the same questions."""
         last = len(domain.parameters) - 1
-        one, other = (_asked(component, _setting(domain, j))[0] for j in (0, last))
-        assert _same(one, other), "the questions depend on the true types"
+        one, other = (_ask_observers(component, _make_setting(domain, j))[0] for j in (0, last))
+        assert _are_equal(one, other), "the questions depend on the true types"
 
 
-def _setting(domain: Domain, wrong: int) -> Setting:
+def _make_setting(domain: Domain, wrong: int) -> Setting:
     parameter = domain.parameters[wrong]
     return Setting.build(domain, (UserType("one", {parameter.name: parameter.inaccurate}),))
 
 
-def _asked(design: Any, setting: Setting, seed: int = 0) -> tuple[list[Answered], list[Answered]]:
-    """The design's result, and the questions and answers of its observers."""
+def _ask_observers(
+    design: Any, setting: Setting, seed: int = 0
+) -> tuple[list[Answered], list[Answered]]:
+    """Asks four observers by the design. Returns its result, and the questions and answers as the
+    observers saw them."""
     rngs = [np.random.default_rng([o, seed]) for o in range(len(SIZES))]
     nothing = np.zeros((0, 3), dtype=np.int64)
     heard = [Answered(nothing, nothing[:, 0], nothing[:, 0].astype(np.uint8)) for _ in SIZES]
@@ -100,7 +108,7 @@ def _asked(design: Any, setting: Setting, seed: int = 0) -> tuple[list[Answered]
     return design.ask(setting, SIZES, answer, seed), heard
 
 
-def _same(one: list[Answered], other: list[Answered]) -> bool:
+def _are_equal(one: list[Answered], other: list[Answered]) -> bool:
     return all(
         np.array_equal(a.transitions, b.transitions)
         and np.array_equal(a.message_sets, b.message_sets)

@@ -1,4 +1,4 @@
-"""Properties of every solver (see :mod:`xplain.solvers.base`)."""
+"""Tests of solvers (see :mod:`xplain.solvers.base`)."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ class SolverConformance(Conformance):
     """Tests whether a :class:`~xplain.solvers.base.Solver` and its policies suit episodes,
     sessions, replay and exact evaluation. Above all, a policy must be a function of its arguments.
 
-    The quality of decisions is tested only on three problems with obvious answers.
+    The quality of decisions is tested only on three problems whose best decision is obvious.
 
     Attributes:
         problems: number of random problems.
-        weighs_costs: False skips these three, for references that do not plan, such as silence.
+        weighs_costs: False skips these three problems, for solvers that do not plan, such as
+            silence.
     """
 
     problems = 12
@@ -43,11 +44,13 @@ class SolverConformance(Conformance):
 
     def test_gives_messages_that_exist_and_are_new(self, component: Any) -> None:
         """It gives a bitmask of new messages at any step, history and belief."""
-        for problem, questions in self._situations(component):
+        for problem, questions in self._draw_situations(component):
             policy = component.plan(problem, 0)
             for visible, belief in questions:
                 action, given = policy.decide(visible, belief), visible.given
-                assert isinstance(action, Explain | GiveMessages), f"{action!r} is no such action"
+                assert isinstance(action, Explain | GiveMessages), (
+                    f"{action!r} is not Explain or GiveMessages"
+                )
                 new = messages_of(action)
                 assert isinstance(new, (int, np.integer)), f"{new!r} is not a bitmask"
                 assert new >= 0, f"{new} is not a bitmask"
@@ -57,7 +60,7 @@ class SolverConformance(Conformance):
     def test_the_same_question_gets_the_same_answer(self, component: Any) -> None:
         """A decision does not depend on earlier decisions. Two plans with the same seed decide
         alike."""
-        for problem, questions in self._situations(component):
+        for problem, questions in self._draw_situations(component):
             policy, other = component.plan(problem, 7), component.plan(problem, 7)
             first = [policy.decide(*question) for question in questions]
             again = [policy.decide(*question) for question in reversed(questions)]
@@ -68,7 +71,7 @@ class SolverConformance(Conformance):
     def test_values_belong_to_messages_that_can_be_given(self, component: Any) -> None:
         """Each value is finite and belongs to a message set that can be given next. A policy may
         have no values."""
-        for problem, questions in self._situations(component):
+        for problem, questions in self._draw_situations(component):
             policy = component.plan(problem, 0)
             for visible, belief in questions:
                 for action, value in policy.values(visible, belief).items():
@@ -79,7 +82,7 @@ class SolverConformance(Conformance):
 
     def test_leaves_problem_and_belief_as_they_were(self, component: Any) -> None:
         """Its arguments belong to the caller and must not change."""
-        for problem, questions in self._situations(component):
+        for problem, questions in self._draw_situations(component):
             before = problem.p_explicable.copy()
             policy = component.plan(problem, 0)
             for visible, belief in questions:
@@ -94,30 +97,30 @@ class SolverConformance(Conformance):
         if not self.weighs_costs:
             return
         for steps in (1, 5):
-            certain = LabelTable.dense(np.ones((_types(component, 2), steps, 4)))
+            certain = LabelTable.dense(np.ones((_count_types(component, 2), steps, 4)))
             problem = Problem(certain, np.ones(2))
             policy = component.plan(problem, 0)
             for step in range(steps):
-                action = policy.decide(VisibleState(step), _belief(problem))
+                action = policy.decide(VisibleState(step), _make_belief(problem))
                 assert action == EXPLAIN, "a message without a gain"
 
     def test_says_at_once_what_makes_the_whole_trace_explicable(self, component: Any) -> None:
-        """One cheap message of two makes every transition explicable; without it there are 10
-        labels 0."""
+        """One cheap message of two makes every transition explicable; without this message there
+        are 10 labels 0."""
         if not self.weighs_costs:
             return
         good = 1.0 if component.knows == "labels" else 0.95
-        table = np.full((_types(component, 2), 4, 4), 1 - good)
+        table = np.full((_count_types(component, 2), 4, 4), 1 - good)
         table[:, :, [2, 3]] = good
         problem = Problem(LabelTable.dense(table), np.ones(2), trade_off=0.1)
         policy = component.plan(problem, 0)
-        action = policy.decide(VisibleState(), _belief(problem))
+        action = policy.decide(VisibleState(), _make_belief(problem))
         assert action == GiveMessages(2), "message 1 alone is worth its cost"
 
     def test_explains_a_whole_trace(self, component: Any) -> None:
         """An episode runs to its end, and a message that costs too much is never given."""
         rng = np.random.default_rng(4)
-        for problem, _ in self._situations(component):
+        for problem, _ in self._draw_situations(component):
             m, sets = problem.p_explicable.shape[1:]
             labels = rng.integers(0, 2, (m, sets)).astype(np.uint8)
             dear = replace(problem, trade_off=1.0, message_cost=np.full(problem.n_messages, 1e6))
@@ -130,13 +133,13 @@ class SolverConformance(Conformance):
                 )
                 assert np.isfinite(episode.cost), "the episode has no cost"
                 if one is dear and self.weighs_costs:
-                    assert episode.n_messages == 0, "it paid a million for at most some zeros"
+                    assert episode.n_messages == 0, "it gave a message that costs a million"
 
-    def _situations(self, component: Any) -> Iterator[tuple[Problem, list[Question]]]:
-        """Random problems with random visible states and beliefs."""
+    def _draw_situations(self, component: Any) -> Iterator[tuple[Problem, list[Question]]]:
+        """Yields random problems with random visible states and beliefs."""
         rng = np.random.default_rng(20)
         for _ in range(self.problems):
-            problem = random_problem(rng, _types(component, 3), max_steps=4, max_messages=3)
+            problem = random_problem(rng, _count_types(component, 3), max_steps=4, max_messages=3)
             if component.knows == "labels":
                 problem = replace(problem, table=LabelTable.dense(np.round(problem.p_explicable)))
             questions = [
@@ -155,10 +158,11 @@ class SolverConformance(Conformance):
 ONE = np.ones(1)
 
 
-def _types(solver: Solver, several: int) -> int:
-    """The number of types to plan for: several only if the solver plans for several types."""
+def _count_types(solver: Solver, several: int) -> int:
+    """Returns the number of types to plan for: ``several`` if the solver plans for several types,
+    otherwise 1."""
     return several if solver.knows == "types" else 1
 
 
-def _belief(problem: Problem) -> NDArray[np.float64]:
+def _make_belief(problem: Problem) -> NDArray[np.float64]:
     return np.full(problem.n_types, 1 / problem.n_types)

@@ -1,4 +1,4 @@
-"""The base of the suites, with the tested component."""
+"""The base class of all test suites."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from xplain.testing.chosen import Chosen
 
 
 class Conformance:
-    """A suite. Its subclasses state properties; their subclasses choose what is tested.
+    """A test suite. Each subclass tests one kind of component; its own subclasses choose the
+    component.
 
     Attributes:
         chosen: the choice to test. To test something else, or many choices, override the fixture

@@ -1,4 +1,4 @@
-"""Properties of every source of user types (see :mod:`xplain.domains.users.types`)."""
+"""Tests of sources of user types (see :mod:`xplain.domains.users.types`)."""
 
 from __future__ import annotations
 
@@ -30,34 +30,34 @@ class TypeSourceConformance(Conformance):
         """There is at least one type, each with a unique name and at least one fact believed
         incorrectly."""
         known = {parameter.name for parameter in domain.parameters}
-        types = _types(component, domain, 0)
+        types = _draw_types(component, domain, 0)
         assert types, "no types"
         names = [user_type.name for user_type in types]
         assert len(set(names)) == len(names), f"names are given twice: {names}"
         for user_type in types:
             assert isinstance(user_type, UserType), f"{user_type!r} is no UserType"
-            assert user_type.inaccurate, f"{user_type.name} holds everything right"
+            assert user_type.inaccurate, f"{user_type.name} believes everything correctly"
             assert user_type.inaccurate.keys() <= known, f"{user_type.name}: unknown parameters"
 
     def test_the_same_stream_gives_the_same_types(self, component: Any, domain: Domain) -> None:
         """All randomness comes from ``rng``."""
         for seed in range(3):
-            assert _types(component, domain, seed) == _types(component, domain, seed), (
+            assert _draw_types(component, domain, seed) == _draw_types(component, domain, seed), (
                 "the types do not depend on rng alone"
             )
 
     def test_their_labels_can_be_computed(self, component: Any, domain: Domain) -> None:
         """Every model that they need is solved, with unambiguous ties."""
         for seed in range(3):
-            setting = Setting.build(domain, _types(component, domain, seed))
+            setting = Setting.build(domain, _draw_types(component, domain, seed))
             assert len(setting.distinct) == len(setting.types)
 
     def test_types_can_be_told_apart(self, component: Any, domain: Domain) -> None:
-        """No two types give all transitions the same labels; otherwise they are one type."""
+        """No two types have the same labels for all transitions: such types would be one type."""
         for seed in range(3):
-            distinct = Setting.build(domain, _types(component, domain, seed)).distinct
+            distinct = Setting.build(domain, _draw_types(component, domain, seed)).distinct
             assert len(np.unique(distinct)) == len(distinct), f"alike: {distinct.tolist()}"
 
 
-def _types(source: Any, domain: Domain, seed: int) -> tuple[UserType, ...]:
+def _draw_types(source: Any, domain: Domain, seed: int) -> tuple[UserType, ...]:
     return tuple(source.types(domain, np.random.default_rng(seed)))
