@@ -1,8 +1,8 @@
 """Measures the cost of messages that are missed or forgotten (docs/people-who-err.md), with a
 picture.
 
-python benchmarks/again.py            the jobs of sweeps=again, its table and picture
-python benchmarks/again.py --quick    a smoke run
+    python benchmarks/again.py            runs sweeps=again, prints the table, draws the picture
+    python benchmarks/again.py --quick    a smoke run
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ import xplain
 from xplain.interaction.statistics import clustered_mean
 
 WAYS = {
-    "paper": ("believes that all messages land", "#D55E00", "s-"),
-    "told": ("knows how often they do not", "#009E73", "^--"),
-    "learned": ("weighs how often they do not", "#0072B2", "o-"),
+    "paper": ("assumes that no message is missed", "#D55E00", "s-"),
+    "told": ("knows the rates", "#009E73", "^--"),
+    "learned": ("learns the rates", "#0072B2", "o-"),
     "seen": ("sees type and knowledge", "#666666", "d:"),
 }
 """Explainers in the picture: name, colour and line."""
@@ -38,7 +38,8 @@ def messages(quick: bool) -> None:
     rows.loc[rows["belief.accept"] == "learned", "way"] = "learned"
     at = ["domain", "explainee.accept", "explainee.forget"]
     costs = rows.pivot_table("cost", [*at, "seed"], "way")
-    costs["told"] = costs["told"].fillna(costs["paper"])  # where all land, both are one job
+    # If no message is missed, both are one job.
+    costs["told"] = costs["told"].fillna(costs["paper"])
     costs["seen"] = rows.groupby([*at, "seed"])["clairvoyant_cost"].first()
     costs = costs.reset_index()
     again = (
@@ -47,7 +48,7 @@ def messages(quick: bool) -> None:
     print(
         "| α, φ | as the paper | told | learned | type and knowledge seen | told / paper |", end=""
     )
-    print(" learned / told | said again |\n|---|---|---|---|---|---|---|---|")
+    print(" learned / told | given again |\n|---|---|---|---|---|---|---|---|")
     for domain in DOMAINS:
         print(f"| **{domain.replace('_', ' ')}** |" + " |" * 7)
         here = costs[costs["domain"] == domain]
@@ -79,15 +80,15 @@ def picture(costs: pd.DataFrame) -> Figure:
             x = np.array(list(points))
             mean, low, high = np.array([astuple(found) for found in points.values()]).T
             axis.plot(x, mean, style, color=colour, label=name, linewidth=2, markersize=6)
-            if way != "told":  # it would hide under the third
+            if way != "told":  # another band would hide this band
                 axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
         axis.spines[["top", "right"]].set_visible(False)
         if row == 0:
-            often = f"1 fact in {1 / forget:.0f} lost a step" if forget else "nothing is forgotten"
+            often = f"1 in {1 / forget:.0f} facts lost per step" if forget else "nothing is lost"
             axis.set_title(often, fontsize=12)
         axis.set_xticks([0, 10, 20], ["0 %", "10 %", "20 %"])
     for row, domain in enumerate(DOMAINS):
-        axes[row, 0].set_ylim(bottom=0)  # of the whole row, once all of it is drawn
+        axes[row, 0].set_ylim(bottom=0)  # for the whole row, after it is drawn
         axes[row, 0].set_ylabel(f"{domain.replace('_', ' ')}:\ncost of an explanation", fontsize=12)
     figure.supxlabel("messages that are missed", fontsize=12)
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -98,7 +99,7 @@ def picture(costs: pd.DataFrame) -> Figure:
 def main() -> None:
     """Prints the table as Markdown, and draws the picture."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--quick", action="store_true", help="a smoke run")
     messages(parser.parse_args().quick)
 
 

@@ -17,8 +17,9 @@ If a table has answers before and after messages (column `messages`), the later 
 of the people are left out. The other methods are then the question's mean, question x the person's
 own earlier answer, and a logistic regression on question, own earlier answer and earlier score.
 
-Other people's tables are not in the repository. Measured were: fractions, K. Tatsuoka's data in the
-R package CDM (data.fraction1); skateboard, from SUCCESS-MURI/psiturk-machine-teaching on GitHub.
+Other people's tables are not in the repository. The measured tables are: fractions, K. Tatsuoka's
+data in the R package CDM (data.fraction1); skateboard, from SUCCESS-MURI/psiturk-machine-teaching
+on GitHub.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ def mixture(k: int, seed: int = 0) -> Method:
 
 
 def dina(answers: Table, needed: Table | None) -> Table:
-    """``needed`` [T, n]: the skills of each item."""
+    """Fits DINA; ``needed`` [T, n] has the skills of each item."""
     assert needed is not None
     n = needed.shape[1]
     held = np.arange(1 << n)[:, None] >> np.arange(n) & 1
@@ -113,7 +114,7 @@ def dina(answers: Table, needed: Table | None) -> Table:
 
 
 def classes(answers: Table, _: Table | None) -> Table:
-    """StepMix, one to eight classes."""
+    """Fits StepMix with one to eight classes; BIC chooses the number."""
     from stepmix.stepmix import StepMix
 
     found = [
@@ -126,8 +127,9 @@ def classes(answers: Table, _: Table | None) -> Table:
 
 
 def discovered(answers: Table, needed: Table | None, labels: Table, folder: Path) -> Table:
-    """Runs ``xplain discover`` as a user does: [O, T], NaN except for left-out answers. If skills
-    are given, people lack some of them, and answer 0 to the items that need one of these."""
+    """Returns [O, T] P(answer 1) of left-out answers by ``xplain discover``, run as a user does;
+    NaN for all others. If skills are given, people lack some skills, and answer 0 to items that
+    need a lacked skill."""
     given, left = np.nonzero(~np.isnan(answers)), np.nonzero(np.isnan(answers) & ~np.isnan(labels))
     names = {"observer": [f"p{o:05d}" for o in given[0]], "item": given[1]}
     told = pd.DataFrame(names | {"label": answers[given].astype(int)})
@@ -166,7 +168,7 @@ def predicted(
 
 
 def nats(one: Table, labels: Table, left: NDArray[np.bool_]) -> float:
-    """Computes the nats per left-out answer."""
+    """Computes the mean loss of a left-out answer, in nats."""
     p = np.clip(one[left], 1e-6, 1 - 1e-6)
     return float(-np.log(np.where(labels[left] == 1, p, 1 - p)).mean())
 
@@ -184,7 +186,7 @@ def table_of(path: Path) -> tuple[Table, Table | None]:
 
 
 def skills_of(path: Path) -> list[str]:
-    """Reads the skills in the file beside a table; None without such a file."""
+    """Reads the skills in the file beside a table; returns an empty list without such a file."""
     items = path.with_name(f"{path.stem}_items.csv")
     if not items.exists():
         return []
@@ -192,7 +194,7 @@ def skills_of(path: Path) -> list[str]:
 
 
 def simulated() -> tuple[Table, Table]:
-    """200 pupils, ten items, three skills."""
+    """Simulates 200 pupils, ten items and three skills."""
     rng = np.random.default_rng(0)
     needed = (rng.random((10, 3)) < 0.5).astype(float)
     needed[needed.sum(axis=1) == 0, 0] = 1
@@ -235,7 +237,9 @@ def compare(name: str, labels: Table, needed: Table | None, splits: int) -> None
             found.setdefault(way, []).append(one[left])
         label.append(labels[left])
     print(f"\n## {name}: {labels.shape[0]} people, {labels.shape[1]} questions\n")
-    print("nats a left-out answer | " + " | ".join(f"split {k}" for k in range(splits)) + " | mean")
+    print(
+        "nats per left-out answer | " + " | ".join(f"split {k}" for k in range(splits)) + " | mean"
+    )
     print(" | ".join(["---"] * (splits + 2)))
     for method, values in rows.items():
         print(f"{method} | " + " | ".join(f"{v:.3f}" for v in (*values, np.mean(values))))
@@ -247,10 +251,10 @@ def compare(name: str, labels: Table, needed: Table | None, splits: int) -> None
         inside = sum(one.low <= one.said <= one.high for one in tenths)
         perfect = [worst(calibration(said, rng.random(len(said)) < said)) for _ in range(500)]
         print(
-            f"{way}: {np.mean(seconds[way]):.1f} s; calibration off by {worst(tenths):.3f} at "
-            f"most in a tenth, in {inside} of ten within its interval. Of right probabilities it "
-            f"would be off by {np.median(perfect):.3f} in the median, by less than .05 with "
-            f"probability {np.mean(np.array(perfect) < 0.05):.2f}"
+            f"{way}: {np.mean(seconds[way]):.1f} s; calibration is off by at most "
+            f"{worst(tenths):.3f} in a tenth; {inside} of ten are within their intervals. Right "
+            f"probabilities would be off by {np.median(perfect):.3f} in the median, and by less "
+            f"than 0.05 with probability {np.mean(np.array(perfect) < 0.05):.2f}"
         )
 
 
@@ -265,8 +269,7 @@ def own_earlier(before: Table, after: Table) -> Table:
 
 
 def by_score(before: Table, after: Table) -> Table:
-    """Fits a logistic regression on the question, the earlier answer to it and the earlier
-    score."""
+    """Fits a logistic regression on the question, its earlier answer and the earlier score."""
     o, t = np.indices(before.shape).reshape(2, -1)
     known = ~np.isnan(after[o, t])
     inputs = np.column_stack([np.eye(before.shape[1])[t], before[o, t], before.mean(axis=1)[o]])
@@ -352,11 +355,11 @@ def examinees(banks: int, people: int) -> None:
         off = 1.96 * np.std(values) / len(values) ** 0.5
         print(f"profile right after {number} questions: {np.mean(values):.3f} ± {off:.3f}")
     off = 1.96 * np.std(until) / len(until) ** 0.5
-    print(f"questions until a posterior of .95: {np.mean(until):.2f} ± {off:.2f}")
+    print(f"questions until a posterior of 0.95: {np.mean(until):.2f} ± {off:.2f}")
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, help="a folder of tables")
     parser.add_argument("--quick", action="store_true", help="simulated pupils, one split")

@@ -5,7 +5,7 @@
     python benchmarks/anybody.py --quick    a smoke run
 
 The generators of benchmarks/questions.py draw a new map for each seed. The discount is the default,
-and costs count what people truly think. A ratio compares ``belief=open`` with the best of
+and costs count true labels. A ratio compares ``belief=open`` with the best of
 ``belief=independent``, conformant and say all for that kind of people; its standard error is over
 maps.
 """
@@ -90,8 +90,8 @@ class Told(NamedTuple):
     """One episode with its world, λ, kind of people, policy, trace and user.
 
     Attributes:
-        right: [N] True if a found type thinks as the user did about everything that this user was
-            shown, so that no answer separates them.
+        right: [N] True if a found type has the user's labels of all transitions shown, so that no
+            answer distinguishes them.
     """
 
     seed: int
@@ -105,7 +105,7 @@ class Told(NamedTuple):
 
 
 def of_kinds(world: World, name: str, people: dict[str, Explainee]) -> dict[str, Prepared]:
-    """Yields the world with users of each kind that its task has."""
+    """Returns the world with users of each kind, without the kinds that its task does not have."""
     domain = f"domain={'rescue' if 'rescue' in name else 'four_rooms'}"
     made = components_of(compose_config("config", [domain, f"seed={world.seed}"]))
     components, found = replace(made, domain=domain_of(name, world.seed)), {}
@@ -144,7 +144,7 @@ def episodes(name: str, seeds: Iterable[int], trade_offs: Iterable[float], *over
 
 
 def thought_alike(prepared: Prepared, case: Case, episode: Episode) -> NDArray[np.bool_]:
-    """[N] True if a learned type's true labels are what the user thought at every step."""
+    """Returns [N] True if a learned type's true labels are the user's labels at every step."""
     own = [np.flatnonzero(prepared.distinct == one)[0] for one in prepared.matched_true_type]
     given, alike = 0, np.ones(len(own), np.bool_)
     for k, (said, thoughts) in enumerate(zip(episode.messages, episode.thoughts, strict=True)):
@@ -167,7 +167,7 @@ def ratio(over: NDArray[np.float64], under: NDArray[np.float64]) -> tuple[float,
 def table(
     seeds: Iterable[int], trade_offs: tuple[float, ...], *overrides: str, traces: int
 ) -> None:
-    """Prints the ratios of every kind."""
+    """Prints the ratios of every kind of people."""
     for name in MAPS:
         costs: dict[tuple[str, float, str], dict[int, list[float]]] = defaultdict(
             lambda: defaultdict(list)
@@ -227,7 +227,7 @@ def main() -> None:
     """Prints the table asked for, as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", nargs="?", choices=("true", "learned"))
-    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--quick", action="store_true", help="a smoke run")
     parser.add_argument("--seeds", type=int, nargs=2, default=(SEEDS.start, SEEDS.stop))
     parser.add_argument("--lambdas", type=float, nargs="*", default=TRADE_OFFS)
     options = parser.parse_args()

@@ -1,15 +1,14 @@
-"""Measures questions before explanations (docs/asking.md): what they save, for which people, and
-the time of a decision.
+"""Measures the savings by questions of the explainer (docs/asking.md), for several kinds of people,
+and the time of a decision.
 
     python benchmarks/asking.py table     cost against the price of a question, by solver
     python benchmarks/asking.py learned   with types learned from 20 chosen questions, 5 % wrong
-    python benchmarks/asking.py errors    where one answer in ten is wrong
-    python benchmarks/asking.py again     where messages may be missed or forgotten
+    python benchmarks/asking.py errors    if one answer in ten is wrong
+    python benchmarks/asking.py again     if messages may be missed or forgotten
     python benchmarks/asking.py speed     milliseconds of a decision with 150 clips
     python benchmarks/asking.py --quick   a smoke run
 
-λ is 1, without discount; clips show everything that the robot can do; costs count what users truly
-think.
+λ is 1, without discount; clips show everything that the robot can do; costs count true labels.
 """
 
 from __future__ import annotations
@@ -53,10 +52,10 @@ SOLVERS: Mapping[str, Solver] = {
 KNOWN = "labeler=truth", "clusterer=perfect"
 LEARNED = "labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05"
 AGAIN = ((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1))
-"""α and φ."""
+"""Pairs of α and φ."""
 MAPS = (*DOMAINS, "random rescue", "random rooms")
 FRESH = 9400
-"""The first seed of people and traces; no setting was chosen on it or later ones."""
+"""The first seed of people and traces; no setting was chosen on this or later seeds."""
 
 
 def world(name: str, seed: int, traces: int, *source: str, clips: int = 150) -> World:
@@ -148,7 +147,7 @@ def errors(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> Non
                     found["questions"].append(asked(records))
                 gain = np.subtract(found["never"], found["anytime"]).tolist()
                 cells = [*(figure(found[way]) for way in ways), figure(gain)]
-                how = "the same again" if repeats else "afresh"
+                how = "repeated" if repeats else "independent"
                 mean = f"{np.mean(found['questions']):.1f}"
                 print(f"| {name} | {how} | {rate} | {' | '.join(cells)} | {mean} |", flush=True)
 
@@ -189,11 +188,11 @@ def again(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> N
 
 
 def speed(seeds: Iterable[int], traces: int, clips: int = 150) -> None:
-    """Prints the milliseconds of a step's decision about questions and messages with so many
-    clips."""
+    """Prints the milliseconds of a step's decision about questions and messages, with this number
+    of clips."""
     print("| solver | clips | mean of a step | longest |\n|---|---|---|---|")
     for name in ("qmdp", "pomcp", "certified"):
-        for error in (0.0, 0.1)[: 1 if name == "certified" else 2]:  # it would take minutes
+        for error in (0.0, 0.1)[: 1 if name == "certified" else 2]:  # 0.1 would take minutes
             times, most = [], 0
             for here in decided(seeds, traces, clips):
                 most = max(len(c.questions.texts) for c in here.prepared.cases if c.questions)
@@ -205,7 +204,7 @@ def speed(seeds: Iterable[int], traces: int, clips: int = 150) -> None:
 
 
 def decided(seeds: Iterable[int], traces: int, clips: int) -> Iterator[World]:
-    """Rescue, with learned labels."""
+    """Yields worlds of rescue with learned labels."""
     for seed in seeds:
         yield at(world("rescue", seed, traces, *LEARNED, clips=clips), 0.1)
 
@@ -215,7 +214,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parts = ("table", "learned", "errors", "again", "speed")
     parser.add_argument("what", nargs="?", choices=parts)
-    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--quick", action="store_true", help="a smoke run")
     options = parser.parse_args()
     if options.quick:
         table({"four_rooms": 1}, PRICES[:1])

@@ -38,9 +38,9 @@ FLOOR = "type known (clairvoyant)"
 
 
 def main() -> None:
-    """Draws and prints."""
+    """Draws the picture and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--quick", action="store_true", help="a smoke run")
     quick = parser.parse_args().quick
     few = ("traces=1", "ask.cost=0.1,0.5")
     sweep = xplain.sweep("sweeps=asking", "tracking=none", *(few if quick else ()))
@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def of(frame: pd.DataFrame, policy: str) -> pd.DataFrame:
-    """A policy's rows, by κ."""
+    """Selects a policy's rows, by κ."""
     solver, ask, when = POLICIES[policy]
     own = (frame["solver"] == solver) & (frame["ask"] == ask) & (frame["ask.when"] == when)
     return frame[own].set_index("ask.cost").sort_index()
@@ -74,7 +74,7 @@ def draw(axes: Axes, frame: pd.DataFrame) -> None:
     floor = float(frame["clairvoyant_mean"].iloc[0])
     axes.axhline(floor, color="black", linestyle=":", linewidth=2, label=FLOOR)
     axes.set_ylim(bottom=0)
-    axes.set_xticks([0.05, 0.2, 0.3, 0.5, 1], [".05", ".2", ".3", ".5", "1"])
+    axes.set_xticks([0.05, 0.2, 0.3, 0.5, 1], ["0.05", "0.2", "0.3", "0.5", "1"])
     axes.tick_params(labelsize=12)
     axes.set_xlabel("κ, cost of a question (an inexplicable label costs 1)", fontsize=12)
     axes.set_ylabel("cost of an explanation", fontsize=12)

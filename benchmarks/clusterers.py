@@ -1,12 +1,13 @@
-"""Which clusterer finds the types? Both domains, questions shared or each observer's own, errors.
+"""Counts how often clusterers find the types: in both domains, with shared or independent
+questions, with and without errors.
 
-    python benchmarks/clusterers.py              20 seeds a setting, some minutes
+    python benchmarks/clusterers.py              20 seeds per setting, some minutes
     python benchmarks/clusterers.py --quick      1 seed of one setting, few labels
     python benchmarks/clusterers.py --methods kmeans --noise 0 --seeds 40 --first 100
 
-Numbers of labels and types are those of the domains (four rooms: 2, 3 and 4 types), with three
-observers of each type. ``right`` counts the data sets whose adjusted Rand index (ARI) to the
-behaviourally distinct true types is 1, ``k`` those with the right number of types; ``rules`` names
+Domains decide the numbers of labels and types (four rooms: 2, 3 and 4 types); each type has three
+observers. ``right`` counts the data sets whose adjusted Rand index (ARI) to the behaviourally
+distinct true types is 1, and ``k`` the data sets with the right number of types; ``rules`` names
 the rules that chose this number.
 """
 
@@ -49,7 +50,7 @@ def found(
     clusterer = instantiate(compose_config("discover", [f"clusterer={method}"]).clusterer)
     clustering = clusterer.cluster(observed, seed)
     true = observed.behaviour
-    assert true is not None  # of simulated observers it is known
+    assert true is not None  # simulated observers have known types
     return {
         "ari": adjusted_rand_score(true, clustering.assignment),
         "k": clustering.n_types == len(np.unique(true)),
@@ -60,9 +61,9 @@ def found(
 def main() -> None:
     """Prints a row for each setting, kind of questions, noise and method."""
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--quick", action="store_true", help="1 seed, 40 labels an observer")
+    arguments.add_argument("--quick", action="store_true", help="1 seed, 40 labels per observer")
     arguments.add_argument("--first", type=int, default=0, help="first seed")
-    arguments.add_argument("--seeds", type=int, default=20, help="data sets a setting")
+    arguments.add_argument("--seeds", type=int, default=20, help="data sets per setting")
     arguments.add_argument("--jobs", type=int, default=2, help="processes")
     arguments.add_argument("--methods", nargs="+", default=["dirichlet", "kmeans"])
     arguments.add_argument("--settings", nargs="+", default=list(SETTINGS), choices=SETTINGS)
@@ -71,7 +72,7 @@ def main() -> None:
     seeds = range(chosen.first, chosen.first + (1 if chosen.quick else chosen.seeds))
     points = 40 if chosen.quick else None
     table = Table("setting", "questions", "errors", "clusterer", "right", "k", "mean ARI", "rules")
-    if chosen.quick:  # in this process: to start others takes longer
+    if chosen.quick:  # in this process, because starting others takes longer
         chosen.settings, chosen.noise, chosen.jobs = chosen.settings[1:2], chosen.noise[:1], 1
     axes = (chosen.settings, ("independent", "shared"), chosen.noise, chosen.methods)
     for setting, queries, noise, method in product(*axes):

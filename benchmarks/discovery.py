@@ -1,14 +1,14 @@
 """Measures how well methods find the types of simulated observers, by kind of data.
 
-    python benchmarks/discovery.py goals         the settings with goals of the project python
-    benchmarks/discovery.py grid          domains × questions × noise × points × types python
-    benchmarks/discovery.py growth        time against observers and labels python
-    benchmarks/discovery.py --quick       a little of each, nothing written
+    python benchmarks/discovery.py goals      the settings with goals of the project
+    python benchmarks/discovery.py grid       domains × questions × noise × points × types
+    python benchmarks/discovery.py growth     time against observers and labels
+    python benchmarks/discovery.py --quick    a little of each, nothing written
 
 Every method has one setting for all rows (conf/clusterer/<method>.yaml). Seeds from 5000 on are
-kept for this benchmark; methods were made and tuned on others. Types with the same labels for all
-reachable questions count as one. The held-out log-likelihood (nats per label) is that of the
-paper's trees, fitted to the clusters found, on a held-out quarter of the distinct questions; the
+kept for this benchmark; methods were made and tuned on other seeds. Types with the same labels for
+all reachable questions count as one. The held-out log-likelihood (nats per label) is for the
+paper's trees, fitted to the clusters found, on a held-out quarter of the distinct questions. The
 clusters were found from all labels. Times are CPU seconds to find the types.
 
 Results go to benchmarks/results/. The grid takes long: each row is saved in outputs/benchmarks/,
@@ -226,8 +226,8 @@ def grid(
 
 @cache
 def meaning(domain: str, method: str) -> str:
-    """A digest of the values of the domain and the method: rows with another digest are out of
-    date."""
+    """Computes a digest of the values of the domain and the method. Rows with another digest are
+    out of date."""
     cfg = compose_config("observe", [f"domain={domain}"]).domain
     chosen = compose_config("discover", [f"clusterer={method}"]).clusterer
     text = OmegaConf.to_yaml(cfg) + OmegaConf.to_yaml(chosen)
@@ -293,7 +293,7 @@ def picture(rows: pd.DataFrame) -> Figure:
                 )
             axis.set(ylim=(-0.1, 1.05))
             axis.set_title(f"{domain.replace('_', ' ')}, {queries} questions", fontsize=9)
-            axis.set_xlabel("labels an observer" if x == "points" else "user types")
+            axis.set_xlabel("labels per observer" if x == "points" else "user types")
             if x == "points":
                 axis.set_xscale("log")
                 axis.set_xticks(sorted(part[x].unique()), sorted(part[x].unique()))
@@ -333,7 +333,7 @@ def shown(rows: pd.DataFrame, by: list[str], measures: list[str]) -> str:
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("part", nargs="?", choices=["goals", "grid", "growth"])
     parser.add_argument("--quick", action="store_true", help="a little of each, nothing written")
@@ -381,5 +381,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # Workers find what is cached by the module's name; "__main__" is another module there.
+    # Workers find cached functions by their module's name; "__main__" is another module there.
     importlib.import_module("discovery").main()

@@ -51,7 +51,7 @@ TRACES = 200
 
 
 def settings_of(domain: str, seeds: int = SEEDS) -> list[Setting]:
-    """Yields the domain with its types; if these are random, once for each count and seed."""
+    """Returns the domain with its types; for random types one setting for each count and seed."""
     cfg = compose_config("observe", [f"domain={domain}"])
     made = instantiate(cfg.domain)
     if "count" not in cfg.users:
@@ -63,12 +63,12 @@ def settings_of(domain: str, seeds: int = SEEDS) -> list[Setting]:
 
 
 def sampled(setting: Setting) -> list[Trace]:
-    """Draws the traces of the figures."""
+    """Draws the traces on which the figures are measured."""
     return on_policy_traces(setting, TRACES, stream(0, "domain properties"))
 
 
 def properties(domain: str, seeds: int = SEEDS) -> dict[str, str]:
-    """Returns the column of a domain."""
+    """Returns the figures of a domain, a column of the table."""
     settings = settings_of(domain, seeds)
     first = settings[0]
     number, traces = count_traces(first), sampled(first)
@@ -116,7 +116,7 @@ def has_all(setting: Setting) -> bool:
 
 
 def draws() -> Iterator[tuple[str, bool | None]]:
-    """Yields random maps, with True if they have all properties; None if something has no way to
+    """Yields random maps, with True if they have all properties; None if an object has no way to
     the shelter."""
     cfg = compose_config("observe", ["domain=rescue"])
     node: Any = OmegaConf.to_container(cfg.domain, resolve=True)
@@ -166,7 +166,7 @@ def picture(domain: str, folder: Path) -> None:
         "positions": [place for place in places if place is not None],
         "steps": steps,
     }
-    caption = f"{kind}, to whom nothing is said"
+    caption = f"{kind}, without messages"
     save(draw_trace(setting.domain.scene, story, caption, {}), folder / f"{domain}.png")
 
 
@@ -175,9 +175,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--draw", action="store_true", help="draw rescue's map anew")
-    parser.add_argument("--quick", action="store_true", help="only that it runs")
-    parser.add_argument("--pictures", action="store_true", help="draw the pictures anew")
+    parser.add_argument("--draw", action="store_true", help="draw rescue's map again")
+    parser.add_argument("--quick", action="store_true", help="a smoke run")
+    parser.add_argument("--pictures", action="store_true", help="draw the pictures again")
     options = parser.parse_args()
     if options.draw:
         draw(20 if options.quick else 20_000)

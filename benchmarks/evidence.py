@@ -1,8 +1,8 @@
 """Compares hypotheses with labels alone if hypotheses are guesses.
 
     python benchmarks/evidence.py                            measures, and keeps each data set
-    python benchmarks/evidence.py --table                    the table of those kept
-    python benchmarks/evidence.py --first 7300 --seeds 101   the same of other seeds
+    python benchmarks/evidence.py --table                    the table of the kept data sets
+    python benchmarks/evidence.py --first 7300 --seeds 101   the same for other seeds
     python benchmarks/evidence.py --quick                    one data set, nothing written
 
 Nothing was tuned on the seeds from 7500 on; smaller seeds were used during development.
@@ -11,8 +11,8 @@ Maps and people are those of questions.py, with 40 labels for each person, one i
 There are three ways: *weighed*, the default (queries=adaptive labeler=hypotheses: hypotheses are
 weighed, and given up if labels alone predict better), *believed* (the same, but hypotheses are
 always believed), and *labels alone* (queries=independent labeler=practice). Costs are QMDP's at λ =
-1 on five traces. *scrambled* people have hypotheses that give each transition the labels of
-another.
+1 on five traces. *scrambled* people have hypotheses that give each transition the labels of another
+transition.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ KEY = ["map", "people", "seed"]
 
 @contextmanager
 def believing() -> Iterator[None]:
-    """Makes hypotheses that are never doubted or replaced."""
+    """Opens a context in which hypotheses are never doubted or replaced."""
     never = [
         (evidence, "BEATEN", np.inf),
         (hypothesis_labeler, "DOUBTED", 1.0),
@@ -107,7 +107,7 @@ def costs(setting: Setting, types: Any, traces: int, seed: int) -> tuple[float, 
 
 
 def row_of(name: str, people: str, seed: int, traces: int) -> dict[str, Any]:
-    """One data set."""
+    """Measures one data set."""
     domain: Any = domain_of(name, seed)
     row: dict[str, Any] = dict(zip(KEY, (name, people, seed), strict=True))
     setting = setting_of(domain, people, seed)
@@ -125,8 +125,8 @@ def row_of(name: str, people: str, seed: int, traces: int) -> dict[str, Any]:
 
 
 def table(rows: pd.DataFrame) -> str:
-    """Returns means by people, and the ratio to the better way with the 95 % interval of its
-    bootstrap over data sets."""
+    """Returns means by people, and the ratio to the better way, with its 95 % bootstrap interval
+    over data sets."""
     lines = ["| people | data sets | weighed / true | believed / true | labels alone / true | "
              "weighed / better of both | warned | given up |", "|---" * 8 + "|"]  # fmt: skip
     for people in (one for one in PEOPLE if one in set(rows["people"])):
@@ -145,11 +145,11 @@ def table(rows: pd.DataFrame) -> str:
         )
     loses = rows[rows["believed"] > 1.1 * rows["labels alone"]]
     said = f"warned in {int(loses['warned'].sum())} of the {len(loses)} data sets"
-    return "\n".join([*lines, "", f"{said} where believed hypotheses lose by more than a tenth"])
+    return "\n".join([*lines, "", f"{said} in which believed hypotheses cost over a tenth more"])
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one data set, nothing written")
     parser.add_argument("--table", action="store_true", help="nothing is measured")
@@ -169,7 +169,7 @@ def main() -> None:
             continue
         try:
             row = pd.DataFrame([row_of(name, people, seed, 5)])
-        except XplainError as error:  # no types at other values that behave differently
+        except XplainError as error:  # with other values, the types do not differ
             print(name, people, seed, error)
             continue
         row.to_csv(KEPT, mode="a", header=not KEPT.exists(), index=False, float_format="%.5g")

@@ -2,14 +2,14 @@
 
     python benchmarks/explainees.py errors     answers that are the opposite of what is thought
     python benchmarks/explainees.py learned    the same, with types and rates learned from answers
-    python benchmarks/explainees.py found      messages that do not land, with types from answers
-    python benchmarks/explainees.py earlier    … with rates learned from people explained to before
-    python benchmarks/explainees.py optimum    what nobody can do better than, proven
+    python benchmarks/explainees.py found      messages that are missed, with types from answers
+    python benchmarks/explainees.py earlier    … with rates learned from earlier explanations
+    python benchmarks/explainees.py optimum    proven bounds of the lowest expected cost
     python benchmarks/explainees.py --quick    a smoke run
 
 Types and labels are true (except in "learned" and "found"), λ = 1 without discount, in both of the
-paper's domains; costs count what users truly think. Every row has the same people, and differences
-are paired by seed.
+paper's domains; costs count true labels. Every row has the same people, and differences are paired
+by seed.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ FLOOR = 0.002
 
 @dataclass(frozen=True)
 class Halves(Explainee):
-    """People of whom half never err and half err at a rate."""
+    """People of two kinds: half never err, and half err at one rate."""
 
     rate: float
     repeats: bool
@@ -77,8 +77,8 @@ class World(NamedTuple):
 
 
 def worlds(name: str, seeds: Iterable[int], traces: int, *overrides: str) -> Iterator[World]:
-    """Makes worlds by seed, with true types and labels or other overrides; of a domain, or with a
-    random map for each seed."""
+    """Makes a world for each seed, of a domain or of a random map. Without overrides types and
+    labels are true."""
     source = overrides or ("labeler=truth", "clusterer=perfect")
     domain = "rescue" if "rescue" in name else "four_rooms"
     for seed in seeds:
@@ -89,7 +89,7 @@ def worlds(name: str, seeds: Iterable[int], traces: int, *overrides: str) -> Ite
 
 
 def floored(world: World) -> World:
-    """Returns the same table without certain labels."""
+    """Returns the same world with label probabilities from FLOOR to 1 − FLOOR."""
     cases = tuple(
         replace(case, learned=replace(case.learned, p=case.learned.p.clip(FLOOR, 1 - FLOOR)))
         for case in world.prepared.cases
@@ -126,7 +126,7 @@ def errors(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> 
     """Prints the table of wrong answers."""
     people: dict[str, tuple[Explainee, Habits]] = {"never": (Exact(), PAPER)}
     for repeats in (False, True):
-        how = "the same again" if repeats else "afresh"
+        how = "repeated mistakes" if repeats else "independent mistakes"
         for rate in (0.1, 0.3):
             people[f"{rate:.0%}, {how}"] = Slips(rate, repeats), habits_of(rate, 1.0, 0.0)
         both = Habits(np.array([0.0, 0.3]), np.ones(2), np.zeros(2), np.full(2, 0.5))
@@ -209,8 +209,8 @@ def found(seeds: Iterable[int], traces: int, maps: Sequence[str] = MAPS) -> None
 
 
 def earlier(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> None:
-    """Prints the table with rates learned from earlier explanations: in the world of the previous
-    seed, by an explainer that weighs the rates."""
+    """Prints the table with rates learned from earlier explanations, in the world of the previous
+    seed. An explainer that *weighs* the rates has a belief about them."""
     print("| α, φ | told | weighed | learned from people before |", end="")
     print(" weighed / told | learned / told | α, φ, error learned |\n|---|---|---|---|---|---|---|")
     weighs = Independent(0.0, "learned", "learned")
@@ -295,11 +295,11 @@ def main() -> None:
     """Prints the table asked for, as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", nargs="?", choices=tuple(TABLES))
-    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--quick", action="store_true", help="a smoke run")
     options = parser.parse_args()
     for name, table in TABLES.items():
         if options.quick or options.what == name:
-            seeds = range(10) if table is optimum else SEEDS  # those of sweeps=again
+            seeds = range(10) if table is optimum else SEEDS  # the seeds of sweeps=again
             table(*((seeds[:1], 1, ["four_rooms"]) if options.quick else (seeds, 8)))
 
 

@@ -3,9 +3,9 @@
     python benchmarks/explainer.py [--quick]
 
 Goals: a decision (``messages()``) takes at most 5 ms with qmdp and 50 ms with pomcp at its default
-budget. The table has medians and 95th percentiles over the steps of many sessions: of the first
-decision of a session, which plans; of later decisions; of a new transition with the decision after
-it; and of the belief update.
+budget. The table has medians and 95th percentiles over the steps of many sessions: for the first
+decision of a session, which includes the plan; for later decisions; for a new transition with the
+next decision; and for the belief update.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def explainer(solver: Solver, n: int, seed: int) -> Explainer:
 
 
 def play(one: Explainer, taken: dict[str, list[float]]) -> None:
-    """Plays a session with a known trace, and one whose trace grows step by step."""
+    """Plays a session with a known trace, and a session whose trace grows step by step."""
     rng = np.random.default_rng(0)
     session = one.session(range(STEPS))
     while not session.finished:
@@ -76,7 +76,7 @@ def play(one: Explainer, taken: dict[str, list[float]]) -> None:
 
 
 def timed(action: Callable[[], object]) -> float:
-    """Milliseconds."""
+    """Measures the milliseconds of a call."""
     before = time.perf_counter()
     action()
     return 1e3 * (time.perf_counter() - before)

@@ -1,12 +1,13 @@
-"""Compares the processor time of the first run and of later runs with that of a bare script.
+"""Compares the processor time of the first run and of later runs with a bare script.
 
     python benchmarks/first_minutes.py [--quick]
 
 The bare script does what any experiment does: it imports scikit-learn and MLflow and logs a run
 into an existing SQLite store. It alternates with later runs, so that a machine with a varying speed
 favours neither. The table has user + system seconds of whole processes with their children, and the
-imports that take most time. The first run finds no compiled kernels (with ``--quick`` those of
-others). Goals: a first run at most 5 times the bare script, a later one at most 1.5 times.
+imports that take most time. The first run finds no compiled kernels (with ``--quick`` the kernels
+of other runs). Goals: a first run takes at most 5 times the seconds of the bare script, a later run
+at most 1.5 times.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def main() -> None:
 
 
 def seconds(arguments: list[str], folder: str, environment: dict[str, str]) -> float:
-    """User + system seconds of a process of Python, and of its children."""
+    """Measures the user + system seconds of a process of Python and its children."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(
         [sys.executable, *arguments],
@@ -73,7 +74,7 @@ def seconds(arguments: list[str], folder: str, environment: dict[str, str]) -> f
 
 
 def imports(run: list[str], folder: str, environment: dict[str, str]) -> dict[str, float]:
-    """Wall seconds of imports by top-level package, the most expensive first."""
+    """Measures the wall seconds of imports by top-level package, the slowest first."""
     done = subprocess.run(
         [sys.executable, "-X", "importtime", *run],
         cwd=folder,
@@ -86,8 +87,8 @@ def imports(run: list[str], folder: str, environment: dict[str, str]) -> dict[st
     for own, name in re.findall(r"import time:\s+(\d+) \|\s+\d+ \|\s+([\w.]+)", done.stderr):
         package = name.split(".")[0]
         spent[package] = spent.get(package, 0.0) + int(own) / 1e6
-    dearest = sorted(spent, key=lambda package: -spent[package])[:12]
-    return {package: spent[package] for package in dearest}
+    slowest = sorted(spent, key=lambda package: -spent[package])[:12]
+    return {package: spent[package] for package in slowest}
 
 
 if __name__ == "__main__":

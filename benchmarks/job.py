@@ -1,11 +1,11 @@
 """Measures the time of a sweep's job beyond its method, on a worker that ran another job before.
 
-    python benchmarks/job.py             CPU seconds a job, stage by stage; means of 8 jobs
-    python benchmarks/job.py --quick     of 2 jobs
+    python benchmarks/job.py             CPU seconds per job, by stage; means of 8 jobs
+    python benchmarks/job.py --quick     means of 2 jobs
 
 The jobs differ in λ, so data, types and labelers come from the cache. Planning is done once for the
 sweep. A worker begins a batch by composing Hydra's configuration. In a sweep of many jobs a batch
-has several (on two cores from 8 jobs on), so a job's share is smaller.
+has several jobs (on two cores from 8 jobs on), so a job's share is smaller.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from xplain.runs.job import run_batch, save_batch
 from xplain.runs.plan import Plan
 
 MOST = 0.3
-"""CPU seconds that a job should cost beyond its method, at most."""
+"""The maximum of CPU seconds that a job should cost beyond its method."""
 
 
 def main() -> None:
@@ -52,14 +52,14 @@ def main() -> None:
 
     def run(trade_offs: list[float], outputs: Path) -> None:
         words = [f"lambda={','.join(map(str, trade_offs))}", "solver=qmdp"]
-        with stage("planned"):
+        with stage("plan of the sweep"):
             config = load([f"outputs='{outputs}'"])
             plan = Plan.of(config, words, {}, lambda own: load([f"outputs='{outputs}'", *own]))
             batches = plan.batches()
         (outputs / "batches").mkdir(exist_ok=True)
         for number, batch in enumerate(batches):
             save_batch(path := outputs / "batches" / f"{number}.json", batch)
-            with stage("a batch begun"):
+            with stage("start of a batch"):
                 compose("batch", ["batch=0"], return_hydra_config=True)
             with stage("all of it"):
                 run_batch(path)
@@ -71,7 +71,7 @@ def main() -> None:
     prepare, explain = Experiment.prepare, Experiment.explain_cases
     with (
         tempfile.TemporaryDirectory() as folder,
-        initialize_config_dir(str(CONF), version_base="1.3"),  # as a launcher, once for all jobs
+        initialize_config_dir(str(CONF), version_base="1.3"),  # once for all jobs, as in a launcher
         patch.object(Experiment, "prepare", timed("data, types and labelers", prepare)),
         patch.object(Experiment, "explain_cases", timed("the method", explain)),
     ):

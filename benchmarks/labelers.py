@@ -116,8 +116,8 @@ def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[st
 def measure(
     domain: str, types: int | None, points: int, noise: float, name: str, seed: int, traces: int
 ) -> tuple[dict[str, Any], np.ndarray]:
-    """Returns the figures of one fit, and its reliability: [10, 3] labels, ones, and sum of P, by
-    P."""
+    """Returns the figures of one fit, and its reliability: [10, 3] number of labels, number of
+    ones, and sum of P, by tenths of P."""
     setting = (
         people.setting_of(questions.domain_of(domain, seed), "right", seed)
         if domain.startswith("random")
@@ -168,7 +168,7 @@ def picture(names: list[str], reliability: dict[str, np.ndarray]) -> Figure:
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a little, nothing written")
     parser.add_argument("--maps", choices=("shipped", "random"), default="shipped")

@@ -5,8 +5,8 @@ same.
 
 Ways: ``joblib`` (the reference, always run), ``basic`` (Hydra's own sweeper and launcher), ``ray``
 (local, two nodes), ``submitit`` (``submitit_local``) and ``optuna`` (its sweeper, all points of the
-grid); without any, those that are installed. The packages of the last three, in an environment of
-their own: ``pip install 'xplain-hri[ray,submitit]' hydra-optuna-sweeper``.
+grid); without any way, all installed ways run. Install the packages of the last three ways in a
+separate environment: ``pip install 'xplain-hri[ray,submitit]' hydra-optuna-sweeper``.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ TIMES = ("seconds", "started", "worker")
 
 
 def main() -> int:
-    """Runs the ways; the exit code is 1 if one gives other results."""
+    """Runs the ways; the exit code is 1 if a way gives other results."""
     parser = argparse.ArgumentParser()
     parser.add_argument("ways", nargs="*", choices=[*WAYS, []])
     parser.add_argument("--quick", action="store_true", help="the reference alone")
@@ -70,7 +70,7 @@ def main() -> int:
         same = done.returncode == 0 and found == reference and len(found) == 6
         wrong += not same
         seconds = f"{time.monotonic() - began:.0f} s"
-        print(f"{way:10} {len(found)} results, {'the same' if same else 'OTHERS'}, {seconds}")
+        print(f"{way:10} {len(found)} results, {'the same' if same else 'DIFFERENT'}, {seconds}")
         if not same:
             print(done.stderr[-3000:])
     return int(wrong > 0)
@@ -84,8 +84,8 @@ def brought(way: str) -> bool:
 
 @contextmanager
 def address(way: str) -> Iterator[list[str]]:
-    """A context with the address of a Ray cluster with two nodes on this machine; empty for all
-    other ways."""
+    """Starts a Ray cluster with two nodes on this machine, and yields its address as an override;
+    yields an empty list for all other ways."""
     if way != "ray":
         yield []
         return
@@ -101,7 +101,7 @@ def address(way: str) -> Iterator[list[str]]:
 
 
 def results(folder: Path) -> dict[str, Any]:
-    """``{fingerprint: results without times}``."""
+    """Reads ``{fingerprint: results without times}``."""
     found = {}
     for path in folder.glob("outputs/results/*/results.json"):
         content = json.loads(path.read_text())

@@ -1,9 +1,9 @@
 """Measures how often the paper's learner finds the types, and the accuracy of labelers under
 perfect clustering.
 
-    python benchmarks/learner.py                 20 seeds a setting, minutes
+    python benchmarks/learner.py                 20 seeds per setting, some minutes
     python benchmarks/learner.py --quick         1 seed of one setting
-    python benchmarks/learner.py --first 300 --seeds 100     other seeds, more
+    python benchmarks/learner.py --first 300 --seeds 100     more and other seeds
 
 Queries are shared, with the paper's numbers of labels, k-means and the elbow of disagreements.
 Types count as found if the adjusted Rand index to the behaviourally distinct true types is 1.
@@ -40,19 +40,19 @@ def learning(overrides: list[str], seed: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Prints one row a setting."""
+    """Prints one row for each setting."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--quick", action="store_true", help="1 seed of one setting")
     arguments.add_argument("--first", type=int, default=0, help="first seed")
-    arguments.add_argument("--seeds", type=int, default=20, help="data sets a setting")
+    arguments.add_argument("--seeds", type=int, default=20, help="data sets per setting")
     arguments.add_argument("--jobs", type=int, default=2, help="processes")
     chosen = arguments.parse_args()
     seeds = range(chosen.first, chosen.first + (1 if chosen.quick else chosen.seeds))
     jobs, settings = chosen.jobs, SETTINGS
-    if chosen.quick:  # in this process: to start others takes longer
+    if chosen.quick:  # in this process, because starting others takes longer
         jobs, settings = 1, dict([*SETTINGS.items()][1:2])
     table = Table(
-        "setting", "found", "mean ARI", "accuracy, perfect clustering", "least of a data set"
+        "setting", "found", "mean ARI", "accuracy, perfect clustering", "lowest of a data set"
     )
     for name, overrides in settings.items():
         rows = Parallel(jobs)(delayed(learning)(overrides, seed) for seed in seeds)

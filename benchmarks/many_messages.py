@@ -4,9 +4,9 @@
     python benchmarks/many_messages.py --quick    some seconds
 
 Random problems have the form of the pipeline's: each of n facts matters at a few neighbouring
-transitions or at none, every type lacks some facts, and its labeler has one confidence. Seconds are
-CPU time, the minimum of some repeats in one process with compiled kernels. Memory is the peak of
-what Python and numpy allocate (tracemalloc), without the problem's own table.
+transitions or at none, every type believes some facts incorrectly, and its labeler has one
+confidence. Seconds are CPU time, the minimum of some repeats in one process with compiled kernels.
+Memory is the peak of what Python and numpy allocate (tracemalloc), without the problem's table.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from xplain.solvers.pomcp import POMCP, Search
 def problem_of(
     steps: int, messages: int, types: int, facts: int, seed: int = 0, bearing: int = 3
 ) -> Problem:
-    """Makes a problem in which each type lacks ``facts`` facts, and up to ``bearing`` facts matter
-    at a transition."""
+    """Makes a problem in which each type believes ``facts`` facts incorrectly, and up to
+    ``bearing`` facts matter at a transition."""
     rng = np.random.default_rng(seed)
     sets = np.arange(1 << facts)
     most = min(bearing, messages)
@@ -76,8 +76,8 @@ def mebibytes(work: Callable[[], object]) -> float:
 
 
 def cells(solver: Solver, problem: Problem, repeats: int) -> tuple[str, str]:
-    """Formats the milliseconds to plan and take the first decision, and MiB; or that the solver
-    refuses."""
+    """Formats the milliseconds to plan and take the first decision, and MiB; or returns
+    ``refused``."""
 
     def work() -> Action:
         return solver.plan(problem).decide(VisibleState(), problem.prior)
@@ -89,9 +89,10 @@ def cells(solver: Solver, problem: Problem, repeats: int) -> tuple[str, str]:
 
 
 def growth(quick: bool, repeats: int) -> Table:
-    """Measures QMDP while one size varies, by type, and dense if a dense table fits."""
+    """Measures QMDP while one size varies: with tables by type, and with a dense table if it
+    fits."""
     shown = Table(
-        "steps", "messages", "types", "facts", "worth giving", "by type (ms)", "MiB",
+        "steps", "messages", "types", "facts", "with effect", "by type (ms)", "MiB",
         "dense (ms)", "MiB", title="QMDP: plan and first decision",
     )  # fmt: skip
     sizes = [(20, n, 8, 6) for n in ((10, 40, 60) if quick else (10, 14, 18, 20, 30, 40, 50, 60))]
@@ -114,7 +115,7 @@ def growth(quick: bool, repeats: int) -> Table:
 def solvers(quick: bool, repeats: int) -> Table:
     """Measures every solver of types on the sizes with goals of the project."""
     shown = Table(
-        "solver", "steps", "messages", "types", "facts", "worth giving", "plan, decide (ms)", "MiB",
+        "solver", "steps", "messages", "types", "facts", "with effect", "plan, decide (ms)", "MiB",
         title="solvers",
     )  # fmt: skip
     for m, n, types, facts, bearing in ((20, 60, 8, 6, 3), (20, 60, 8, 6, 12), (12, 40, 5, 4, 3)):
@@ -131,10 +132,10 @@ def solvers(quick: bool, repeats: int) -> Table:
 
 
 def pomcp_decisions(quick: bool) -> Table:
-    """Measures POMCP with 3,000 simulations: a search, and a decision (a search for each message,
-    and one more)."""
+    """Measures POMCP with 3,000 simulations: a search, and a decision (a search for each message
+    that is given, and a last search)."""
     shown = Table(
-        "facts on a transition", "worth giving", "messages a decision", "search (ms)",
+        "facts on a transition", "with effect", "messages per decision", "search (ms)",
         "decision (ms)", title="POMCP: 60 messages, 20 steps, 8 types of 6 facts, medians",
     )  # fmt: skip
     for bearing in (3, 6, 12):
@@ -162,7 +163,7 @@ def pomcp_decisions(quick: bool) -> Table:
 def certified(quick: bool) -> Table:
     """Measures the search to a gap of 1e-2: 40 messages, 12 steps, 5 types of 4 facts."""
     shown = Table(
-        "facts on a transition", "seed", "worth giving", "gap", "seconds", title="certified to 0.01"
+        "facts on a transition", "seed", "with effect", "gap", "seconds", title="certified to 0.01"
     )
     for bearing in (3, 6, 12):
         for seed in range(1 if quick else 3):

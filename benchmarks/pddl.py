@@ -1,13 +1,13 @@
 """Measures seconds and memory of a whole run against the number of states of a PDDL task.
 
     python benchmarks/pddl.py            some minutes
-    python benchmarks/pddl.py --quick    a smaller one
+    python benchmarks/pddl.py --quick    a smaller task
 
-The task: a courier on a ring of places with a few short cuts delivers parcels, any number at a
-time; ten facts that people believe incorrectly (lengths of roads, roads that are there or not, what
-loading and unloading need, a goal). Three types drawn at random hold five facts each in the mean.
-Each size is one new process, `python -m xplain domain=pddl … traces=5 certify.traces=0
-tracking=none`, with compiled kernels.
+In the task a courier on a ring of places with a few short cuts delivers parcels, any number at a
+time. People may believe ten facts incorrectly: lengths of roads, roads that exist or not, what
+loading and unloading need, and a goal. Each of three random types believes five facts incorrectly
+on average. Each size runs in a new process, `python -m xplain domain=pddl … traces=5
+certify.traces=0 tracking=none`, with compiled kernels.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ DOMAIN = """(define (domain courier)
 
 
 def problem(places: int, parcels: int) -> str:
-    """Parcels wait at all places in turn, each for the place across the ring."""
+    """Writes the problem: parcels wait at all places in turn, each for the place across the
+    ring."""
     ring = range(places)
     roads = {(i, (i + 1) % places): 2 + i % 3 for i in ring} | {(0, places // 2): 5}
     roads |= {(b, a): length for (a, b), length in roads.items()}
@@ -62,7 +63,7 @@ def problem(places: int, parcels: int) -> str:
 
 
 def facts(places: int) -> dict[str, object]:
-    """Ten facts; each concerns another part of the task."""
+    """Makes ten facts; each concerns another part of the task."""
 
     def length(a: int, b: int, value: float) -> list[dict[str, object]]:
         return [{"function": f"(length l{x} l{y})", "value": value} for x, y in ((a, b), (b, a))]
@@ -92,13 +93,13 @@ def measured(places: int, parcels: int, starts: str) -> list[str]:
         own = facts(places)
         limit = 2_000_000
         began = time.perf_counter()
-        made = PDDL(*map(str, files), facts=own, starts=_start(starts), max_states=limit)  # type: ignore[arg-type]
+        made = PDDL(*map(str, files), facts=own, starts=_parse_start(starts), max_states=limit)  # type: ignore[arg-type]
         domain_seconds = time.perf_counter() - began
         overrides = [
             "domain=pddl",
             f"domain.file={files[0]}",
             f"domain.problem={files[1]}",
-            "+domain.facts=" + _hydra(own),
+            "+domain.facts=" + _write_override(own),
             f"domain.starts={starts}",
             f"domain.max_states={limit}",
             "traces=5",
@@ -124,16 +125,16 @@ def measured(places: int, parcels: int, starts: str) -> list[str]:
     ]
 
 
-def _start(text: str) -> str | int:
+def _parse_start(text: str) -> str | int:
     return int(text) if text.isdecimal() else text
 
 
-def _hydra(value: object) -> str:
-    """A value as an override of Hydra's: strings in quotes, keys without."""
+def _write_override(value: object) -> str:
+    """Writes a value as an override of Hydra: strings in quotes, keys without quotes."""
     if isinstance(value, dict):
-        return "{" + ",".join(f"{key}:{_hydra(item)}" for key, item in value.items()) + "}"
+        return "{" + ",".join(f"{key}:{_write_override(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ",".join(map(_hydra, value)) + "]"
+        return "[" + ",".join(map(_write_override, value)) + "]"
     return json.dumps(value)
 
 

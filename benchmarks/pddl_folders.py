@@ -5,12 +5,12 @@ collection.
     python benchmarks/pddl_folders.py COLLECTION --only blocks gripper
     python benchmarks/pddl_folders.py --quick       two of the tasks of this package
 
-COLLECTION holds one folder for each domain, as the benchmarks of the planning competitions do
-(https://github.com/aibasel/downward-benchmarks). A folder's own files are tried, or those of the
-folders inside it. A problem's domain is in `domain.pddl`, or in a file named after the problem.
-Each task gets one fact, another cost of its first action. It is built in a process of its own, with
-at most `--states` states, `--seconds` of CPU time and `--gib` of memory. The cost of the best plan
-is compared with that of Fast Downward's A*, if `up-fast-downward` is installed.
+COLLECTION has one folder of files for each domain, as the benchmarks of the planning competitions
+(https://github.com/aibasel/downward-benchmarks). A problem's domain is in `domain.pddl`, or in a
+file named after the problem. Each task gets one fact: its first action has another cost. Each task
+is built in a separate process, with at most `--states` states, `--seconds` of CPU time and `--gib`
+of memory. The cost of the best plan is compared with the cost of Fast Downward's A* plan, if
+`up-fast-downward` is installed.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ def find_task(folder: Path) -> tuple[Path, Path] | None:
 
 
 def build(domain: str, problem: str, states: int) -> str:
-    """Builds a task: its states, ground actions and plan cost, or the reason why not."""
+    """Builds a task. Returns its numbers of states and ground actions and its plan cost, or the
+    reason why it was not built, as JSON."""
     try:
         read = read_task(domain, problem, ("domain", "problem"))
     except XplainError as error:
@@ -77,7 +78,7 @@ def build(domain: str, problem: str, states: int) -> str:
 
 
 def plan_cost(domain: Path, problem: Path) -> float | None:
-    """The cost of Fast Downward's best plan; None if it finds none."""
+    """Computes the cost of Fast Downward's best plan; None without a plan."""
     found = find_spec("up_fast_downward")
     if found is None or found.origin is None:
         return None

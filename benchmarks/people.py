@@ -1,6 +1,6 @@
 """Simulated people who are not as the hypotheses assume, for benchmarks/questions.py.
 
-``python benchmarks/questions.py labels`` tells how many of their labels differ, by kind.
+``python benchmarks/questions.py labels`` prints how many of their labels differ, by kind.
 
 Kinds differ in the incorrect values that user types believe, in the facts that hypotheses leave
 out, or in the way people answer; they do not depend on any method. Types are drawn as for people
@@ -48,9 +48,9 @@ IN_WORDS = {
     "unwritten": "a fact in no hypothesis",
     "scrambled": "hypotheses of something else",
 }
-"""For pictures."""
+"""Names of kinds in pictures."""
 SIZES = {"half": (0.5,), "double": (2.0,), "tenth": (0.1,), "half or double": (0.5, 2.0)}
-"""Factors on incorrect numbers; one is drawn independently for each number."""
+"""Factors on incorrect numbers; one factor is drawn independently for each number."""
 MISREAD, CLIP = 0.15, 4
 """Share of misread questions; number of transitions in a clip."""
 
@@ -70,19 +70,19 @@ def setting_of(domain: Domain, people: str, seed: int) -> Setting:
 
 
 def believed(domain: Domain, fact: Parameter, people: str, rng: np.random.Generator) -> Any:
-    """Returns the value that a person of this kind believes: the assumed one if it is no number, or
-    if the domain refuses the other.
+    """Returns the value that a person of this kind believes: the assumed value if it is no number,
+    or if the domain refuses the drawn value.
 
-    The opposite of a wrong value w is as far from the robot's value a on the other side, 2a − w: a
-    bonus believed to be a penalty is believed to be a larger bonus, an obstacle to be a bonus. The
-    way there is halved until the domain takes it (a discount is below 1).
+    The opposite of a wrong value w is 2a − w, on the other side of the robot's value a: people who
+    would believe a bonus to be a penalty believe it to be a larger bonus, and an obstacle becomes a
+    bonus. The distance from a is halved until the domain accepts the value (a discount is below 1).
     """
     wrong, right = fact.inaccurate, fact.accurate
     if isinstance(wrong, bool) or not isinstance(wrong, (int, float)):
         return wrong
     if people == "opposite":
         tried = [right + (right - wrong) / 2**k for k in range(8)]
-    elif people == "half a bonus":  # obstacles are worth 0 to the robot; all else is as assumed
+    elif people == "half a bonus":  # obstacles have the robot's value 0; all else is as assumed
         tried = [right - wrong / 2 if right == 0 else wrong]
     elif people == "x .3 to 3":
         tried = [wrong * float(np.exp(rng.uniform(np.log(0.3), np.log(3))))]
@@ -117,7 +117,7 @@ def without_a_fact(domain: Domain, seed: int, folder: Path) -> str:
 
 
 def scrambled(domain: Domain, seed: int, folder: Path) -> str:
-    """Writes a file of useless hypotheses: each transition has the labels of another one."""
+    """Writes a file of useless hypotheses: each transition has the labels of another transition."""
     full = hypotheses_of(domain, None)
     moved = stream(seed, "benchmark", "scrambled").permutation(full.n_transitions)
     path = folder / "hypotheses.npz"
@@ -133,7 +133,7 @@ class Altered:
     alter: Callable[[Answer], Answer]
 
     def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> Any:
-        """As the queries."""
+        """Asks as the query design does, and alters the answers."""
         return self.queries.ask(setting, sizes, self.alter(answer), seed)
 
 
@@ -152,8 +152,8 @@ def tired(answer: Answer, points: int, seed: int) -> Answer:
 
 
 def misreading(answer: Answer, setting: Setting, seed: int) -> Answer:
-    """Misreads a share of the questions: one message is overlooked, or the label is that of a
-    possible next step (at the end: of another way there)."""
+    """Misreads a share of the questions: one message is overlooked, or the label is for a possible
+    next step (at the end of a trace, for another step to the same state)."""
     rng = stream(seed, "misread")
     reachable = setting.reachable
 
@@ -176,9 +176,9 @@ def misreading(answer: Answer, setting: Setting, seed: int) -> Answer:
 
 
 def differing(domain: Domain, people: str, seed: int) -> tuple[float, float]:
-    """Returns two shares of the labels of all types, transitions and message sets: those that
-    differ from the hypotheses' labels at the assumed values, and those that differ from the variant
-    nearest to each type."""
+    """Returns two shares of the labels of all types, transitions and message sets: the share that
+    differs from the hypotheses' labels at the assumed values, and the share that differs from the
+    variant nearest to each type."""
     setting, hypotheses = setting_of(domain, people, seed), hypotheses_of(domain, None)
     labels = setting.label_table(setting.reachable)  # [N, T, 2^n]
     told = np.arange(labels.shape[2])

@@ -3,9 +3,10 @@
     python benchmarks/planning.py            some minutes
     python benchmarks/planning.py --quick    some seconds
 
-Random problems have the form of the pipeline's: every type lacks two of n facts, up to two facts
-matter at a transition, the transition is explicable to a type that knows these facts, and a type's
-labeler has one confidence. Times are medians of repeats in one process with compiled kernels.
+Random problems have the form of the pipeline's: every type believes two of n facts incorrectly, up
+to two facts matter at a transition, the transition is explicable to a type that knows these facts,
+and a type's labeler has one confidence. Times are medians of repeats in one process with compiled
+kernels.
 """
 
 from __future__ import annotations
@@ -100,10 +101,10 @@ def certified(quick: bool, seeds: int) -> Table:
 
 
 def gap_against_time(quick: bool) -> Table:
-    """Prints the bounds of one hard problem over time, and QMDP's value."""
+    """Measures the bounds of one hard problem over time, and QMDP's value."""
     problem = facts_problem(15, 8, 5, seed=2, trade_off=1.0)
     worth = evaluate(problem, QMDP().plan(problem))
-    title = f"certified on one hard (15, 8, 5); QMDP earns {worth.value:.4f} ({worth.value_is})"
+    title = f"certified on one hard (15, 8, 5); QMDP's value {worth.value:.4f} ({worth.value_is})"
     shown = Table("seconds", "lower", "upper", "gap", title=title)
     for seconds in (0.01, 0.1, 0.5) if quick else (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0):
         policy = Certified(gap=1e-6, seconds=seconds).plan(problem)

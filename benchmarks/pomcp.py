@@ -1,15 +1,15 @@
 """Compares POMCP with pomdp-py's POUCT and POMCP, in one run, on the same explanation problem.
 
     python benchmarks/pomcp.py            # some minutes; needs pip install 'xplain-hri[bench]'
-    python benchmarks/pomcp.py --quick    # seconds; leaves pomdp-py out where it is not installed
+    python benchmarks/pomcp.py --quick    # seconds; without pomdp-py if it is not installed
 
 Problem, depth, actions, discount and exploration constant are the same. Rollouts are uniformly
-random in pomdp-py, and follow QMDP at exact beliefs in ours. The runs are interleaved, so that
-other load on the machine affects all of them equally. The output has medians over the rounds, and
-the median of the rounds' ratios. Times are CPU time of one core; the start-up also has wall time.
-pomdp-py gets an efficient model: one black box (transition, observation and reward together), every
-state, action and observation made once, expected rewards from a table, and only informative labels
-are drawn. Its rollouts end at the depth; ours go on to the end of the trace.
+random in pomdp-py, and follow QMDP at exact beliefs in our solver. The runs are interleaved, so
+that other load on the machine affects all of them equally. The output has medians over the rounds,
+and the median of the rounds' ratios. Times are CPU time of one core; the start-up also has wall
+time. pomdp-py gets an efficient model: one black box (transition, observation and reward together),
+every state, action and observation made once, expected rewards from a table, and only informative
+labels are drawn. Its rollouts end at the depth; our rollouts go on to the end of the trace.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def problem_of(steps: int = 20, messages: int = 10, types: int = 5, seed: int = 
 
 
 def ours(problem: Problem, simulations: int, **settings: Any) -> Callable[[], float]:
-    """Measures CPU seconds of one search, without planning (pomdp-py's model is also built
-    before)."""
+    """Returns a function that measures the CPU seconds of one search, without planning (pomdp-py's
+    model is also built before)."""
     policy: Any = POMCP(simulations=simulations, **settings).plan(problem)
     policy.search(VisibleState(), 0, problem.prior)
 
@@ -63,7 +63,7 @@ def ours(problem: Problem, simulations: int, **settings: Any) -> Callable[[], fl
 
 
 def theirs(name: str, problem: Problem, simulations: int, depth: int) -> Callable[[], float]:
-    """Measures the same for a planner of pomdp-py."""
+    """Returns the same function for a planner of pomdp-py."""
     import pomdp_py
 
     draw = random.Random(0).random
@@ -140,7 +140,7 @@ def theirs(name: str, problem: Problem, simulations: int, depth: int) -> Callabl
             seen = observations.get(zeros)
             if seen is None:
                 seen = observations[zeros] = Observation(zeros)
-            return after, seen, -state.cost, 1  # as many steps of discount
+            return after, seen, -state.cost, 1  # 1: number of steps that are discounted
 
     class Actions(pomdp_py.RolloutPolicy):  # type: ignore[misc]
         def get_all_actions(self, state: State, history: object = None) -> tuple[Action, ...]:
@@ -180,7 +180,7 @@ def theirs(name: str, problem: Problem, simulations: int, depth: int) -> Callabl
 
 def rates(problem: Problem, rounds: int, many: int, few: int, compare: bool) -> None:
     """Prints the simulations per second at each depth."""
-    print(f"\nsimulations a second ({problem.n_messages + 1} actions, {problem.n_steps} steps)")
+    print(f"\nsimulations per second ({problem.n_messages + 1} actions, {problem.n_steps} steps)")
     print("depth      paper's setting   our default   pomdp-py POUCT      POMCP   ratio to each")
     for depth in DEPTHS:
         same = {"depth": depth, "exploration": EXPLORATION}
@@ -209,7 +209,7 @@ def rates(problem: Problem, rounds: int, many: int, few: int, compare: bool) -> 
 
 def short_searches(problem: Problem, rounds: int) -> None:
     """Measures whole calls from Python, with allocation."""
-    print("\nmilliseconds a search of 2,000 simulations (and of one an action)")
+    print("\nmilliseconds per search of 2,000 simulations, and of 1 simulation")
     cases: list[tuple[str, dict[str, Any]]] = [
         (f"depth {d}, paper's setting", {"depth": d, "backup": "mean"}) for d in DEPTHS
     ]
@@ -266,7 +266,7 @@ def start_up(rounds: int) -> None:
         )
         found.append([float(x) for x in done.stdout.split()])
     wall, cpu = (median(column) for column in zip(*found[1:], strict=True))
-    print(f"\nimports, first plan and decision in a fresh process: {wall:.2f} s ({cpu:.2f} s CPU)")
+    print(f"\nimports, first plan and decision in a new process: {wall:.2f} s ({cpu:.2f} s CPU)")
 
 
 def main() -> None:

@@ -6,8 +6,8 @@
 With more simulations the paper's setting approaches a limit: two actions of exact expectimax, then
 QMDP's value (d = 2). The table also shows the distance to this limit.
 
-Tune with one --seed and report another: on the problems that chose it, the best of many settings
-looks better than it is. Keys of pomcp_paper are set by --set exploration=2 and so on.
+Tune with one --seed and report another, because the best of many settings looks better than it is
+on the problems that chose it. Keys of pomcp_paper are set by --set exploration=2 and so on.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from xplain.solvers.hsvi import Effort
 from xplain.solvers.process import known_values, make_process, matters, outcomes
 
 NEGLIGIBLE = 1e-4
-"""Less likely answers have the value of known types."""
+"""Answers with a smaller probability get the value of known types."""
 
 
 @dataclass(frozen=True)
@@ -44,21 +44,24 @@ class Limit:
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> LimitPolicy:
-        """See :class:`xplain.solvers.base.Solver`."""
+        """Plans the limit's policy; see :class:`xplain.solvers.base.Solver`."""
         process = make_process(problem)
         return LimitPolicy(Greedy(process, known_values(process)))
 
 
 @dataclass(frozen=True)
 class LimitPolicy:
-    """Attributes:
-    greedy: QMDP's policy.
+    """The policy of :class:`Limit`.
+
+    Attributes:
+        greedy: QMDP's policy.
     """
 
     greedy: Greedy
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Adds the best message until *explain* is best; see
+        :class:`xplain.solvers.base.Policy`."""
         chosen = 0
         while True:
             said = visible._replace(given=visible.given | chosen)
@@ -69,9 +72,9 @@ class LimitPolicy:
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """Returns the values of *explain* and of each single message."""
-        return self._values(visible.step, visible.given, belief, 1)
+        return self._compute_values(visible.step, visible.given, belief, 1)
 
-    def _values(
+    def _compute_values(
         self, step: int, said: int, weight: NDArray[np.float64], further: int
     ) -> dict[Action, float]:
         """Returns the values with this number of further actions before QMDP's value, multiplied by
@@ -81,18 +84,18 @@ class LimitPolicy:
         if step + 1 < process.n_steps:
             found = outcomes(process, step, said, weight, NEGLIGIBLE)
             assert found is not None
-            later = [self._best(step + 1, said, one, further) for one in found[0]]
+            later = [self._maximise(step + 1, said, one, further) for one in found[0]]
             tail = float(found[1] @ known.now(step + 1, said))
             value += process.discount * (sum(later) + tail)
         values: dict[Action, float] = {give(0): value}
         for j in indices(matters(process, weight) & ~said):
-            after = process.message_discount * self._best(step, said | 1 << j, weight, further)
+            after = process.message_discount * self._maximise(step, said | 1 << j, weight, further)
             values[give(1 << j)] = after - process.price[j] * weight.sum()
         return values
 
-    def _best(self, step: int, said: int, weight: NDArray[np.float64], further: int) -> float:
+    def _maximise(self, step: int, said: int, weight: NDArray[np.float64], further: int) -> float:
         if further:
-            return max(self._values(step, said, weight, further - 1).values())
+            return max(self._compute_values(step, said, weight, further - 1).values())
         total = float(weight.sum())
         return total * max(self.greedy.values(VisibleState(step, said), weight / total).values())
 
@@ -135,14 +138,14 @@ def main() -> None:
             value = evaluate(problem, solver.plan(problem), 20_000, 400, precision=1e-3)
             simulated += value.value_is == "simulated"
             worth[name].append(value.value)
-    _tell("pomcp_paper to its limit", np.subtract(worth["limit"], worth["pomcp_paper"]))
+    _print_loss("pomcp_paper to its limit", np.subtract(worth["limit"], worth["pomcp_paper"]))
     if optimum:
         for name, values in worth.items():
-            _tell(f"{name} to the optimum", np.subtract(optimum, values))
+            _print_loss(f"{name} to the optimum", np.subtract(optimum, values))
     print(f"{simulated} of {len(solvers) * options.problems} values simulated, the others exact")
 
 
-def _tell(what: str, lost: NDArray[np.float64]) -> None:
+def _print_loss(what: str, lost: NDArray[np.float64]) -> None:
     found = clustered_mean(lost, range(len(lost)))
     half = found.high - found.mean
     print(f"{what:27s} {found.mean:.3f} ± {half:.3f}, largest {max(lost):.3f}")

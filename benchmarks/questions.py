@@ -8,10 +8,10 @@
     python benchmarks/questions.py speed         time to choose a question
     python benchmarks/questions.py --quick       a little of each, nothing written
 
-Each seed has both domains and two random maps, on which nothing was tuned: a rescue map all of
-whose cells are starts, and a four-rooms map with random goals, penalties and incorrect beliefs. The
-seed draws two to five types, with three observers each. QMDP explains at λ = 1; costs are means
-over traces and types.
+Each seed has both domains and two random maps, on which nothing was tuned: a rescue map whose cells
+are all starts, and a four-rooms map with random goals, penalties and incorrect beliefs. Each seed
+draws two to five types, with three observers each. QMDP explains at λ = 1; costs are means over
+traces and types.
 
 Results go to benchmarks/results/. If a part runs with some options only, all other rows of its
 table stay, with the day of their measurement. Rows of the grid are saved one by one in
@@ -113,7 +113,7 @@ def domain_of(name: str, seed: int) -> Domain:
     values: Any = OmegaConf.to_container(cfg, resolve=True)
     while True:
         try:
-            drawn = _rescue(values, rng) if kind == "rescue" else _rooms(values, rng)
+            drawn = _draw_rescue(values, rng) if kind == "rescue" else _draw_rooms(values, rng)
             matters = np.bitwise_or.reduce(hypotheses_of(drawn, None).matters)
         except XplainError:  # no way to the shelter, or ambiguous ties
             continue
@@ -121,7 +121,7 @@ def domain_of(name: str, seed: int) -> Domain:
             return drawn
 
 
-def _rescue(values: Any, rng: np.random.Generator) -> Domain:
+def _draw_rescue(values: Any, rng: np.random.Generator) -> Domain:
     """Draws a map of 6 × 6 cells, a fifth of them walls, with two cells of each obstacle; every
     free cell is a start."""
     cells = np.full(36, ".", dtype="<U1")
@@ -132,7 +132,7 @@ def _rescue(values: Any, rng: np.random.Generator) -> Domain:
     return Rescue(text, values["parameters"], values["rescue_reward"], values["discount"])
 
 
-def _rooms(values: Any, rng: np.random.Generator) -> Domain:
+def _draw_rooms(values: Any, rng: np.random.Generator) -> Domain:
     """Draws two goals and four penalty cells in the four rooms; every free cell is a start."""
     text = values["map"].replace("s", ".")
     free = [(r, c) for r, line in enumerate(text.split()) for c, x in enumerate(line) if x == "."]
@@ -199,7 +199,7 @@ def row_of(
             compose_config("discover", ["clusterer=dirichlet"]).clusterer, _partial_=True
         )
         types = clusterer(labeler=trainer).find(observed, seed)
-        none = _none(observed, types, hypotheses_of(domain, path), error)
+        none = _measure_none(observed, types, hypotheses_of(domain, path), error)
         given = trainer.adapt_to(observed)
         perfect = learn_perfect(observed, given, seed, types.by_observers)
         oracle = oracle_labelers(perfect, observed)
@@ -211,12 +211,14 @@ def row_of(
         "found": types.clustering.n_types,
         "ari": float(adjusted_rand_score(alike, types.clustering.assignment)),
         "none": none,
-        "accuracy": _accuracy(setting, oracle),
+        "accuracy": _measure_accuracy(setting, oracle),
     }
-    return row | _costs(setting, types, oracle, traces, seed)
+    return row | _measure_costs(setting, types, oracle, traces, seed)
 
 
-def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: float) -> float:
+def _measure_none(
+    observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: float
+) -> float:
     """Returns the share of observers whom probably no hypothesis fits, by their own questionnaires,
     or because their type believes something incorrectly that no hypothesis contains."""
     dataset, needs = observed.dataset, types.clustering.needs
@@ -236,7 +238,7 @@ def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: f
     return float(np.mean(said))
 
 
-def _accuracy(setting: Setting, oracle: tuple[Labeler, ...] | None) -> float:
+def _measure_accuracy(setting: Setting, oracle: tuple[Labeler, ...] | None) -> float:
     """Returns the share of right predictions over all transitions and message sets, given true
     types."""
     assert oracle is not None
@@ -245,11 +247,12 @@ def _accuracy(setting: Setting, oracle: tuple[Labeler, ...] | None) -> float:
     return float(((table >= 0.5) == setting.label_table(setting.reachable)).mean())
 
 
-def _costs(
+def _measure_costs(
     setting: Setting, types: Any, oracle: tuple[Labeler, ...] | None, traces: int, seed: int
 ) -> dict[str, float]:
-    """Returns mean costs: of QMDP with learned types and labels, with true ones, with true ones at
-    a confidence of 0.975 (because people err), of the learned oracle, and of the clairvoyant."""
+    """Returns the mean costs of QMDP with learned types and labels, with true types and labels, and
+    with true labels at a confidence of 0.975 (because people err); and the mean costs of the
+    learned oracle and the clairvoyant."""
     found: dict[str, list[float]] = {}
     n = setting.n_messages
     for index in range(traces):
@@ -299,7 +302,7 @@ def identify(seeds: int, maps: list[str], each: int) -> pd.DataFrame:
 def speed() -> pd.DataFrame:
     """Measures the seconds to choose a question, by candidates and transitions; two to four random
     facts decide about each transition. Figures are medians over one person's first twelve
-    questions; the first one also lists all questions."""
+    questions; the first question's time includes listing all questions."""
     rows = []
     for n, count in ((6, 150), (12, 500)):
         rng = stream(0, "benchmark", "speed", n)
@@ -309,7 +312,7 @@ def speed() -> pd.DataFrame:
             chosen = rng.choice(n, rng.integers(2, 5), replace=False)
             inner = (sets[:, None] >> chosen & 1) @ (1 << np.arange(len(chosen)))
             labels[:, t] = (rng.random(1 << len(chosen)) < 0.5)[inner]
-            labels[inner == 0, t] = 1  # who believes nothing incorrectly finds it explicable
+            labels[inner == 0, t] = 1  # people without incorrect beliefs find it explicable
         questions = Questionnaire(labels)
         held, seconds = int(rng.integers(1 << n)), []
         for _ in range(12):
@@ -332,7 +335,7 @@ def grid(cells: list[tuple[Any, ...]], traces: int, kept: Path | None) -> pd.Dat
             continue
         try:
             made.append(row_of(*cell, traces=traces))
-        except XplainError as error:  # no types at other values that behave differently
+        except XplainError as error:  # with other values, the types do not differ
             print(*cell, error)
             continue
         if kept:
@@ -374,8 +377,7 @@ def comparable(rows: pd.DataFrame) -> pd.DataFrame:
 
 def picture(rows: pd.DataFrame) -> Figure:
     """Draws the cost of an explanation against the number of questions, by design, as a multiple of
-    the cost with true labels (ratio of means over seeds, with the 95 % interval of its
-    bootstrap)."""
+    the cost with true labels (ratio of means over seeds, with its 95 % bootstrap interval)."""
     shown = [name for name in MAPS if name in set(rows["map"])]
     figure, axes = plt.subplots(
         *(1, len(shown)),
@@ -400,7 +402,7 @@ def picture(rows: pd.DataFrame) -> Figure:
         axis.set_xlabel("labels asked of each person")
         axis.set_xticks(sorted(part["points"].unique()), sorted(part["points"].unique()))
         axis.minorticks_off()
-    axes[0, 0].set_ylabel("cost of an explanation,\ntimes that with true labels")
+    axes[0, 0].set_ylabel("cost of an explanation,\ndivided by the cost with true labels")
     ticks = [t for t in (1, 2, 5, 10, 20, 50, 100) if t <= axes[0, 0].get_ylim()[1]]
     axes[0, 0].set_yticks(ticks, [f"{t}×" for t in ticks])
     axes[0, 0].set_ylim(bottom=0.85)
@@ -412,8 +414,8 @@ def picture(rows: pd.DataFrame) -> Figure:
 
 
 def multiple(cell: pd.DataFrame) -> tuple[float, float, float]:
-    """Returns the mean cost divided by that with true labels, and the 95 % interval of its
-    bootstrap over data sets."""
+    """Returns the mean cost divided by the cost with true labels, and the 95 % bootstrap interval
+    over data sets."""
     costs = cell[["qmdp", "true"]].to_numpy()
     drawn = stream(0, "benchmark", "bootstrap").integers(0, len(costs), (1000, len(costs)))
     learned, true = costs[drawn].sum(axis=1).T
@@ -505,7 +507,7 @@ def labels_that_differ(maps: Sequence[str], seeds: int) -> None:
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("part", nargs="?", choices=PARTS)
     parser.add_argument("--quick", action="store_true", help="a little of each, nothing written")

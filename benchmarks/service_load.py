@@ -5,11 +5,11 @@ kill -9.
     python benchmarks/service_load.py --quick    30 open sessions, 3 s; 60 sessions; rescue alone
 
 For each task the script prints percentiles of the time from an answer's due time to the last byte
-of its reply. Answers come at random times (a Poisson process), whether or not earlier ones have
-been replied to; a finished session is replaced by a new one, which is timed separately. Then it
-creates sessions, kills the service while it does so, starts it again, and compares: every
-acknowledged session must be there, with the reply that was given. It exits with 1 on any error. The
-clients run on the same machine and take their share of it.
+of its reply. Answers come at random times (a Poisson process), also before earlier answers have a
+reply. A new session replaces a finished session; its start is timed separately. Then the script
+creates sessions, kills the service meanwhile, and starts it again. Every acknowledged session must
+still exist, with the same reply. The exit code is 1 after any error. The clients run on
+the same machine.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Service:
         self.start()
 
     def start(self) -> None:
-        """Starts it, and waits until it replies."""
+        """Starts the service, and waits until it replies."""
         self.process = subprocess.Popen(self.command, stderr=subprocess.DEVNULL)
         while self.process.poll() is None:
             try:
@@ -66,20 +66,20 @@ class Service:
         sys.exit(f"{' '.join(self.command)} ended with {self.process.returncode}")
 
     def kill(self) -> None:
-        """Kills it as a power cut would."""
+        """Kills the service as a power cut would."""
         self.process.send_signal(signal.SIGKILL)
         self.process.wait()
 
     def connect(self) -> http.client.HTTPConnection:
-        """A new connection."""
+        """Opens a new connection."""
         return http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
 
     def call(self, method: str, path: str, content: Json | None = None) -> Json:
-        """One request on this thread's connection.
+        """Sends one request on this thread's connection, and returns the reply.
 
         Raises:
             OSError: there was no reply.
-            RuntimeError: the reply was a refusal.
+            RuntimeError: the service refused the request.
         """
         body = None if content is None else json.dumps(content)
         kept: list[http.client.HTTPConnection] = self.local.__dict__.pop("kept", [])
@@ -206,7 +206,7 @@ def killed(service: Service, sessions: int, kills: int) -> int:
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--domain", choices=["rescue", "four_rooms"])

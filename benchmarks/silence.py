@@ -1,13 +1,14 @@
-"""Records the output of a command on a terminal, with seconds, and prints its longest silence.
+"""Records the output of a command on a terminal, with seconds, and prints the longest time without
+output.
 
     python benchmarks/silence.py [--quick] [--most SECONDS] [--out FILE] [-- COMMAND ...]
     python benchmarks/silence.py -- make run
     NUMBA_CACHE_DIR=$(mktemp -d) python benchmarks/silence.py
 
-The default is README's command, a shorter one with ``--quick``, which judges nothing. The exit code
-is 1 if nothing was written for longer than ``--most`` (3 seconds); a moving bar counts as output.
-The recording has one line for each piece of output: its time in seconds, and its text without
-control codes of a terminal. The command runs on a pty, so this needs POSIX.
+The default command is README's; with ``--quick`` it is a shorter command, and no time is too long.
+The exit code is 1 if nothing was written for longer than ``--most`` (3 seconds); a moving bar
+counts as output. The recording has one line for each piece of output: its time in seconds, and its
+text without control codes of a terminal. The command runs on a pty, so this needs POSIX.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ def main() -> int:
     if given.out is not None:
         given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
     silence, at = longest
-    print(f"exit code {code} after {last:.1f} s; silent for {silence:.1f} s from second {at:.1f}")
+    print(
+        f"exit code {code} after {last:.1f} s; no output for {silence:.1f} s from second {at:.1f}"
+    )
     return int(code != 0 or (silence > given.most and not given.quick))
 
 
@@ -64,7 +67,7 @@ def recorded(command: list[str]) -> tuple[list[tuple[float, str]], int]:
         select.select([terminal], [], [])
         try:
             data = os.read(terminal, 65536)
-        except OSError:  # the command has closed its end
+        except OSError:  # the command has closed the terminal
             break
         if not data:
             break

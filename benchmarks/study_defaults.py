@@ -1,11 +1,11 @@
 """Measures the cost of a study's labeler and belief to its participants (docs/study.md).
 
     python benchmarks/study_defaults.py              both of the paper's domains, 12 seeds
-    python benchmarks/study_defaults.py --seeds 3    three of them
+    python benchmarks/study_defaults.py --seeds 3    three seeds
     python benchmarks/study_defaults.py --quick      a smoke run
 
 Types, observers and policy (personalized) are the study's. Each seed has the five traces for which
-the types need most facts; costs count what people truly think.
+the types need most messages; costs count true labels.
 """
 
 from __future__ import annotations
@@ -32,10 +32,13 @@ from xplain.people.study.prepare import make_draft, make_learned_table, traces_o
 from xplain.randomness import derive_seed
 
 FIRST = 9600
-"""The first seed; nothing was chosen on it or later ones."""
+"""The first seed; nothing was chosen on this or later seeds."""
 LABELERS = ("tree", "hypotheses")
 BELIEFS = {"the paper's": Independent(), "the study's": Open("learned")}
-PEOPLE: dict[str, Explainee] = {"never": Exact(), "10%, the same again": Slips(0.1, repeats=True)}
+PEOPLE: dict[str, Explainee] = {
+    "never": Exact(),
+    "10%, repeated mistakes": Slips(0.1, repeats=True),
+}
 
 
 def paid(study: Study, explainee: Explainee, seed: int) -> float:
@@ -90,7 +93,7 @@ def table(seeds: Iterable[int], traces: int) -> None:
 def main() -> None:
     """Prints the table, as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--quick", action="store_true", help="a smoke run")
     parser.add_argument("--seeds", type=int, default=12)
     options = parser.parse_args()
     seeds, traces = (1, 1) if options.quick else (options.seeds, 5)

@@ -7,8 +7,8 @@ machine.
     python benchmarks/study_load.py --protocol collect    20 adaptive questions about rescue each
 
 Prints percentiles of the time that a page takes, from the click to the last byte of the next page
-(the answer is stored, then the page is rendered), and of single requests; exits with 1 on any
-error. The participants run in this process and take their share of the machine.
+(the answer is stored, then the page is rendered), and of single requests. The exit code is 1 after
+any error. The participants run in this process, on the same machine.
 """
 
 from __future__ import annotations
@@ -77,28 +77,30 @@ class Participant(threading.Thread):
             self.browser.session.close()
 
     def _take_part(self) -> None:
-        _, html = self._page("GET", f"/?invitation={self.invitation}", [])
+        _, html = self._request_page("GET", f"/?invitation={self.invitation}", [])
         for file in ("study.css", "study.js", "robot.svg"):
             self.browser.get(f"/static/{file}")
         fields = [*Page.of_html(html).hidden.items(), ("invitation", self.invitation)]
-        status, html = self._page("POST", "/enter", fields)
+        status, html = self._request_page("POST", "/enter", fields)
         number = 0
         while (page := Page.of_html(html)).hidden:
-            self._report(page, number)
+            self._send_report(page, number)
             number += 1
             time.sleep(self.rng.uniform(*self.think))
             fields = [*page.hidden.items(), *self.person.fill(page)[0]]
-            status, html = self._page("POST", "/study", fields)
+            status, html = self._request_page("POST", "/study", fields)
             assert status == 200, f"{status} at {page.stage}"
         assert page.stage == "done", page.stage
 
-    def _page(self, method: str, path: str, fields: list[tuple[str, str]]) -> tuple[int, str]:
+    def _request_page(
+        self, method: str, path: str, fields: list[tuple[str, str]]
+    ) -> tuple[int, str]:
         start = time.perf_counter()
         answer = self.browser.get(path) if method == "GET" else self.browser.post(path, fields)
         self.pages.append(time.perf_counter() - start)
         return answer
 
-    def _report(self, page: Page, number: int) -> None:
+    def _send_report(self, page: Page, number: int) -> None:
         items = [{"n": number, "kind": "visible", "ms": 5.0, "at": 5.0, "what": page.stage}]
         body = {"token": page.hidden["token"], "tab": "0123456789abcdef", "items": items}
         reply = self.browser.session.post(f"{self.browser.url}/events", json.dumps(body))
@@ -106,7 +108,7 @@ class Participant(threading.Thread):
 
 
 def percentiles(times: Times) -> str:
-    """Median, 95 %, 99 %, worst, in milliseconds."""
+    """Formats the median, 95 %, 99 % and maximum, in milliseconds."""
     marks = np.percentile(times, [50, 95, 99, 100]) * 1000
     return "  ".join(
         f"{name} {mark:.0f} ms"
@@ -122,7 +124,7 @@ class Slow(threading.Thread):
         self.port, self.count, self.ended = port, count, threading.Event()
 
     def run(self) -> None:
-        """Runs until :attr:`ended`; opens connections again that the server closes."""
+        """Runs until :attr:`ended`; replaces connections that the server closes."""
         held: list[socket.socket] = []
         while not self.ended.wait(1.0):
             while len(held) < self.count:
@@ -169,7 +171,7 @@ def measure(command: str, people: int, think: tuple[float, float], ramp: float, 
     with tempfile.TemporaryDirectory() as folder:
         database = Path(folder) / "study.sqlite"
         Store(database, protocol).close()
-        # With the limits that it has by default.
+        # The server has its default limits.
         with ServerProcess(database, command=command) as server:
             invitations = Researcher(server.url, server.key).invite(people)
             rng = np.random.default_rng(0)
@@ -205,7 +207,7 @@ def measure(command: str, people: int, think: tuple[float, float], ramp: float, 
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--people", type=int, default=200)

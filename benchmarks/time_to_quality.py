@@ -3,11 +3,11 @@
     python benchmarks/time_to_quality.py            # tens of minutes
     python benchmarks/time_to_quality.py --quick    # seconds
 
-Random problems of three sizes (types, messages that matter, steps). Each solver explains the same
-traces to the same users, whose labels are drawn once. The output has CPU milliseconds to plan and
-for a decision, and the cost of an explanation minus QMDP's (mean and standard error over problems;
-less than 0 is better). ``certified`` searches until the gap is 1 % of the value of a known type. If
-a solver refuses a size, its row says why.
+The random problems have three sizes (types, messages that matter, steps). Each solver explains the
+same traces to the same users, whose labels are drawn once. The output has CPU milliseconds to plan
+and for a decision, and the cost of an explanation minus QMDP's (mean and standard error over
+problems; less than 0 is better). ``certified`` searches until the gap is 1 % of the value of a
+known type. If a solver refuses a size, its row says why.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def table_of(size: tuple[int, int, int, int], problems: int, users: int, seed: i
         problem = problem_of(steps, messages, types, facts, seed + number)
         people, reference = list(users_of(problem, users, number)), np.zeros(users)
         for name, solver in solvers_of(problem).items():
-            if number == 0:  # compiles, and counts no time
+            if number == 0:  # compiles; this time does not count
                 try:
                     measured(problem, solver, people[:1])
                 except TooLargeError as error:

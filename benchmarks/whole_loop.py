@@ -1,9 +1,9 @@
 """Runs the whole method with simulated people: labels, types, and a study without a briefing.
 
 24 people answer 20 adaptive questions each, 5 % of them wrongly, and ``discover`` finds the types.
-The policies of a study know only these types; other simulated people take part without a briefing:
-*personalized* against *conformant*. Both protocols run without pages. The aim is fewer messages in
-the personalized condition, and no more steps that make no sense.
+The policies of a study know only these types; other simulated people take part without a briefing,
+in the conditions *personalized* and *conformant*. Both protocols run without pages. The aim is
+fewer messages in the personalized condition, without more inexplicable steps.
 
     python benchmarks/whole_loop.py [--domain rescue] [--seeds 5] [--people 20] [--quick]
 """
@@ -43,8 +43,8 @@ from tests.people.bare_flow import crowd, take_part, truth_of
 
 LABELS, PEOPLE, ERROR = 20, 24, 0.05
 HABITS = {
-    "people without fault": Habits(0, 0, 0, 0, mistake=0),
-    "people who err in 3 %, forget, and take in less of more messages": Habits(),
+    "people without errors": Habits(0, 0, 0, 0, mistake=0),
+    "people who err in 3 %, forget, and learn less from each of many messages": Habits(),
 }
 MEASURES = ["messages", "inexplicable", "score", "seconds"]
 
@@ -58,7 +58,7 @@ def collection(domain: str, seed: int) -> CollectPlan:
 
 
 def found_types(plan: CollectPlan, folder: Path, seed: int) -> tuple[Path, float]:
-    """Writes the types that are found in these people's labels into a file. Returns it with the
+    """Finds the types in the labels of simulated people. Returns the file of the types, and the
     adjusted Rand index."""
     from sklearn.metrics import adjusted_rand_score
 
@@ -103,8 +103,8 @@ def took_part(plan: StudyPlan, people: int, habits: Habits, seed: int) -> list[d
 
 
 def one(domain: str, seed: int, people: int) -> list[dict[str, object]]:
-    """Returns the rows of one seed, with ``ari`` and the number of types; none if no study can be
-    made."""
+    """Returns the rows of one seed, with ``ari`` and the number of types; no rows if no study can
+    be made."""
     with tempfile.TemporaryDirectory() as folder:
         with contextlib.redirect_stdout(io.StringIO()):
             types, ari = found_types(collection(domain, seed), Path(folder), seed)
@@ -126,7 +126,7 @@ def main() -> None:
     parser.add_argument("--domain", default="rescue")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--people", type=int, default=20, help="of each kind a condition")
+    parser.add_argument("--people", type=int, default=20, help="per type and condition")
     parser.add_argument("--quick", action="store_true")
     given = parser.parse_args()
     if given.quick:
