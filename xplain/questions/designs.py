@@ -2,7 +2,7 @@
 candidates, or a questionnaire for each person (docs/what-to-ask.md).
 
 A question separates two candidates if they label it differently. The list is a greedy cover of all
-pairs of candidates with different behaviour, each ``redundancy`` times, so that it tolerates
+pairs of candidates with different behaviour, each ``redundancy`` times, so that the list tolerates
 errors. Greedy covers are near-optimal, because the number of covered pairs is submodular.
 """
 
@@ -35,15 +35,16 @@ QuestionList = tuple[NDArray[np.int64], NDArray[np.int64]]
 def battery(
     hypotheses: Hypotheses, redundancy: int = 1, seed: int = 0, at_least: int = 0
 ) -> QuestionList:
-    """Chooses the list. Questions that separate most come first; among equal ones, those about a
-    new transition with few messages to read.
+    """Chooses one list of questions for everybody. Questions that separate most pairs come first;
+    among equal questions, those about a new transition and with few messages.
 
     Args:
         hypotheses: the candidates.
         redundancy: minimum number of questions that separate each pair. A question may occur twice
-            if no other separates the pair.
+            if no other question separates the pair.
         seed: breaks ties between questions.
-        at_least: minimum number of questions; a longer list continues as with a larger redundancy.
+        at_least: minimum number of questions; to reach it, the list goes on as with a larger
+            redundancy.
 
     Raises:
         InputError: redundancy < 1.
@@ -81,8 +82,8 @@ def distinct_questions(
     """Groups the questions by the classes of candidates that they separate.
 
     Returns:
-        For each of D partitions its questions, [·, 2] transition and message set (only messages
-        that matter); and [D, classes] True for classes with another label than the first class.
+        The questions of each of D partitions: [·, 2] transition and message set (only messages that
+        matter). And [D, classes] True for classes with another label than the first class.
 
     Raises:
         TooLargeError: questions × classes > MAX_CELLS.
@@ -93,7 +94,7 @@ def distinct_questions(
     if count * len(first) > MAX_CELLS:
         raise TooLargeError(
             f"queries: {count} questions and {len(first)} classes of candidates are too many "
-            "for one list; ask each person their own (queries=adaptive)"
+            "for one list; choose questions for each person (queries=adaptive)"
         )
     every = [(t, told) for t in np.flatnonzero(matters).tolist()
              for told in subsets(indices(int(matters[t]))).tolist()]  # fmt: skip
@@ -114,14 +115,14 @@ RARE = 1e-3
 AGAIN = 0.25
 """Factor on the weight of a transition that was already checked with any person."""
 KEPT = 0.01
-"""Minimum posterior of a person's additional candidates to be kept for the next person."""
+"""Minimum posterior of a person's candidate that is kept for the next person."""
 Share = Annotated[float, Range(0, 1, "[)")]
 Posterior = tuple[NDArray[np.int64], NDArray[np.float64]]
 """Candidates (bitmasks), and the probability of each."""
 
 
 def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64]:
-    """[T, 3] the transitions of the hypotheses as (s, a, s').
+    """Returns [T, 3] the transitions of the hypotheses as (s, a, s').
 
     Raises:
         InputError: the hypotheses are about another task.
@@ -154,7 +155,7 @@ def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64
 @checks("queries")
 @dataclass(frozen=True)
 class Battery:
-    """One list of questions for everybody; see :func:`xplain.questions.designs.battery`.
+    """One list of questions for everybody, chosen by :func:`xplain.questions.designs.battery`.
 
     Attributes:
         redundancy: minimum number of questions that separate each pair of candidates.
@@ -191,9 +192,9 @@ class Adaptive:
         misread: share of clips that are misunderstood as a whole.
         none: probability that no hypothesis fits a person.
         from_others: weight of earlier observers in the prior of the next one.
-        check: share of check questions, once a person's incorrect beliefs are known. They tell all
-            known facts and ask about a frequent transition of the robot. The answer 0 means that
-            there are further incorrect beliefs.
+        check: share of check questions, once a person's incorrect beliefs are known. A check
+            question gives the messages about all known facts and asks about a frequent transition
+            of the robot. The answer 0 means that there are further incorrect beliefs.
         in_turn: True asks each person one question in turn, as if people answered at the same time;
             each prior comes from all others so far. False asks one person after the other.
         hypotheses: an ``.npz`` file; None: those of the domain.
@@ -211,7 +212,7 @@ class Adaptive:
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Asks each observer exactly ``sizes`` labels; the last clip is cut."""
+        """Asks observer o for exactly ``sizes[o]`` labels; the last clip is cut to fit."""
         known = hypotheses_of(setting.domain, self.hypotheses).drop_indistinguishable()
         transitions = transitions_of(known, setting)
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
@@ -220,11 +221,11 @@ class Adaptive:
         )
         asked: dict[int, Questionnaire] = {}
         found: dict[int, Posterior] = {}
-        with threadpool_limits(1):  # small products: threads would cost more than they save
-            for o, now in self._turns(sizes.tolist()):
+        with threadpool_limits(1):  # for small products, threads cost more than they save
+            for o, now in self._plan_turns(sizes.tolist()):
                 others = [one for other, one in found.items() if other != o]
                 before = asked.get(o) or blank.restart(None, derive_seed(seed, "queries", o))
-                questions = self._questions(before, others)
+                questions = self._update_prior(before, others)
                 left = now
                 while left:
                     check = questions.done and checks.rng.random() < self.check
@@ -233,12 +234,12 @@ class Adaptive:
                     labels = answer(o, transitions[clip], np.full(len(clip), told))
                     questions.answer(labels, (clip.tolist(), told))
                     left -= len(clip)
-                    questions = self._grown(questions, others)
-                asked[o], found[o] = questions, _likely(questions)
-        return [_answered(asked[o], transitions, found[o][0]) for o in range(len(sizes))]
+                    questions = self._add_candidates(questions, others)
+                asked[o], found[o] = questions, _find_likely(questions)
+        return [_collect_answers(asked[o], transitions, found[o][0]) for o in range(len(sizes))]
 
-    def _turns(self, sizes: list[int]) -> list[tuple[int, int]]:
-        """(observer, number of labels) of each turn."""
+    def _plan_turns(self, sizes: list[int]) -> list[tuple[int, int]]:
+        """Returns (observer, number of labels) of each turn."""
         if not self.in_turn:
             return list(enumerate(sizes))
         return [
@@ -248,43 +249,45 @@ class Adaptive:
             if first < size
         ]
 
-    def _questions(self, before: Questionnaire, others: list[Posterior]) -> Questionnaire:
-        """A person's questionnaire, with a prior from the posteriors of all other people so far."""
+    def _update_prior(self, before: Questionnaire, others: list[Posterior]) -> Questionnaire:
+        """Returns a person's questionnaire, with a prior from the posteriors of all other people so
+        far."""
         listed = before.hypotheses
         if others:
             listed = listed.with_sets(np.concatenate([facts for facts, _ in others]))
-        return before.replace_hypotheses(listed, self._prior(listed, others))
+        return before.replace_hypotheses(listed, self._compute_prior(listed, others))
 
-    def _prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
-        """[C] prior before the first question, from the earlier observers."""
+    def _compute_prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
+        """Computes [C] the prior before the first question, from the earlier observers."""
         share = self.from_others if others else 0.0
         asked = np.zeros(len(known.facts))
         for facts, posterior in others:
             asked[known.row(facts)] += posterior
         return (1 - share) * known.prior + share * asked / max(len(others), 1)
 
-    def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
+    def _add_candidates(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
         """Adds the candidates that the answers made likely."""
 
-        def over(known: Hypotheses) -> Questionnaire:
+        def replace_candidates(known: Hypotheses) -> Questionnaire:
             if known is questions.hypotheses:
                 return questions
-            return questions.replace_hypotheses(known, self._prior(known, others))
+            return questions.replace_hypotheses(known, self._compute_prior(known, others))
 
         def posterior(known: Hypotheses) -> NDArray[np.float64]:
-            found = over(known).posterior
+            found = replace_candidates(known).posterior
             return np.asarray(found / found.sum())
 
-        return over(grow(questions.hypotheses, posterior))
+        return replace_candidates(grow(questions.hypotheses, posterior))
 
 
 @dataclass(frozen=True)
 class _Checks:
-    """Questions with the same answer under all hypotheses, because all of their facts are told.
+    """Check questions: they have the same answer under all hypotheses, because the messages about
+    all facts of the hypotheses are given.
 
     Attributes:
         told: the facts of all hypotheses.
-        weight: [T] visits of each transition that is then explicable, lower if already checked.
+        weight: [T] expected visits of each transition that is then explicable; lower after a check.
         rng: random stream.
     """
 
@@ -312,17 +315,18 @@ class _Checks:
         return chosen, self.told
 
 
-def _likely(questions: Questionnaire) -> Posterior:
-    """The posterior of a person; only its likely candidates if the list of candidates grew."""
+def _find_likely(questions: Questionnaire) -> Posterior:
+    """Returns the posterior of a person. If the list of candidates may grow, only likely candidates
+    are kept."""
     known, posterior = questions.hypotheses, questions.posterior / questions.posterior.sum()
     kept = posterior >= (0.0 if known.further is None else KEPT)
     return known.facts[kept], posterior[kept] / posterior[kept].sum()
 
 
-def _answered(
+def _collect_answers(
     questions: Questionnaire, transitions: NDArray[np.int64], likely: NDArray[np.int64]
 ) -> Answered:
-    """All questions of a questionnaire with their answers, one for each label."""
+    """Collects all questions of a questionnaire with their answers, one row for each label."""
     which, told, labels = questions.answers
     found = None if questions.hypotheses.further is None else likely
     return Answered(transitions[which], told, labels, found)

@@ -1,18 +1,18 @@
 r"""The information of questions: all questions as one matrix of labels, and their mutual
-information given what is known about a person.
+information with the beliefs of a person.
 
 A question is a transition τ and messages H. With weights w over the candidates R (and variants)::
 
     P(label 1 | τ, H) = Σ_R w(R) f_τ(R \ H)
 
-If the facts K are not told, this is a sum over the sets R ∩ K, which are candidates too: the
-weights of all R with the same R ∩ K are added and multiplied by the matrix of labels. A question
-has more information if its P(label 1) is closer to ½.
+If H has the messages about all facts except K, this is a sum over the sets R ∩ K, which are
+candidates too: the weights of all R with the same R ∩ K are added and multiplied by the matrix of
+labels. A question has more information if its P(label 1) is closer to ½.
 
 With few facts, every K is evaluated. Otherwise random sets K are evaluated for the label functions
-in random order, until a question is about as close to ½ as the most probable candidate allows.
-Starting at the best question, single facts are then added to K or removed from it as long as the
-question comes closer to ½.
+in random order, until a question is about as close to ½ as the most probable candidate allows. If
+no question is that close, the search goes on from the best question: single facts are added to K or
+removed from K as long as a question comes closer to ½.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from xplain.domains.users.hypotheses import Hypotheses
 from xplain.explanation.message_sets import indices, subsets
 
 EQUAL = 1e-11
-"""Questions tie if the distances of their P(label 1) from ½ differ by less."""
+"""Questions tie if the distances of their P(label 1) from ½ differ by less than this number."""
 CLOSE = 1e-3
 """A question within this distance of the best possible P(label 1) ends the search. It loses at most
 1e-5 bits unless an answer is almost certain."""
@@ -55,13 +55,14 @@ class Nearest(NamedTuple):
 
 @dataclass(frozen=True)
 class QuestionMatrix:
-    """All questions: the G distinct label functions of transitions, and the messages before them.
+    """All questions about T transitions. Transitions with equal labels have one of G label
+    functions; a question is such a function with a message set.
 
     Attributes:
         hypotheses: C candidates.
         labels: [G, (1 + V) · C] uint8, by function, variant and candidate.
         facts: [G] facts that a function depends on, as a bitmask.
-        transitions: [P] transitions with an informative label.
+        transitions: [P] transitions whose label depends on some fact.
         function: [P] label function of each transition.
         sets: [M] all sets of the facts that matter; None if there are too many.
     """
@@ -75,7 +76,7 @@ class QuestionMatrix:
 
     @classmethod
     def of(cls, hypotheses: Hypotheses) -> QuestionMatrix:
-        """Takes all questions about transitions with an informative label."""
+        """Makes the matrix of all questions about transitions whose label depends on some fact."""
         own = np.flatnonzero(hypotheses.matters)
         tables = hypotheses.tables[:, :, own].reshape(-1, len(own))
         bits = np.packbits(tables, axis=0)
@@ -87,13 +88,14 @@ class QuestionMatrix:
         return cls(hypotheses, labels, facts, own, which.ravel(), sets)
 
     def having(self, function: int) -> NDArray[np.int64]:
-        """The transitions with this label function."""
+        """Returns the transitions with this label function."""
         return self.transitions[self.function == function]
 
     def probability(
         self, functions: NDArray[np.int64], kept: NDArray[np.int64], weight: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """[g, M] P(label 1) of some functions [g] if the facts K [M] are not told.
+        """Computes [g, M] P(label 1) of some functions [g] if messages are given about all facts
+        except K [M].
 
         Args:
             functions: indices of the functions.
@@ -115,16 +117,16 @@ class QuestionMatrix:
         rng: np.random.Generator,
     ) -> Nearest:
         """Finds the ``count`` questions with P(label 1) nearest to ``middle`` under the weights [1
-        + V, C]. The result also has all questions that tie with the last of these, and possibly
-        others. The search is complete if ``sets`` has all sets of facts."""
-        # The most probable candidate is on one side of every question.
+        + V, C]. The result also has all questions that tie with the last of these questions, and
+        possibly further ones. The search is exact if ``sets`` has all sets of facts."""
+        # In each question, the most probable candidate has label 1 or label 0.
         enough = max(float(weight.max()) - middle, 0.0) + CLOSE
         n, best = self.hypotheses.n_messages, np.inf
-        kept = self._random_sets(rng) if self.sets is None else self.sets
+        kept = self._draw_sets(rng) if self.sets is None else self.sets
         found: list[tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]] = []
         while True:
-            for functions in self._batches(len(kept), rng):
-                found.append(self._near(functions, kept, weight, middle, count))
+            for functions in self._split_functions(len(kept), rng):
+                found.append(self._select_nearest(functions, kept, weight, middle, count))
                 least = float(found[-1][0].min())
                 if least <= enough and self.sets is None:
                     break
@@ -136,13 +138,13 @@ class QuestionMatrix:
             best = float(off.min())
             kept = own[off.argmin()] ^ (1 << np.arange(n))
 
-    def _random_sets(self, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Random sets of facts of all sizes."""
+    def _draw_sets(self, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Draws random sets of facts of all sizes."""
         n = self.hypotheses.n_messages
         bits = rng.random((SETS, n)) < rng.random((SETS, 1))
         return np.asarray(bits @ (1 << np.arange(n)), dtype=np.int64)
 
-    def _batches(self, sets: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
+    def _split_functions(self, sets: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
         """Splits the functions into parts that fit into memory, in random order; one part if facts
         are few."""
         every = np.arange(len(self.facts))
@@ -151,7 +153,7 @@ class QuestionMatrix:
         size = max(PRODUCTS // (sets * self.labels.shape[1]), 1)
         return np.array_split(rng.permutation(every), -(-len(every) // size))
 
-    def _near(
+    def _select_nearest(
         self,
         functions: NDArray[np.int64],
         kept: NDArray[np.int64],
@@ -162,7 +164,7 @@ class QuestionMatrix:
         """Finds the questions nearest to the middle: their distances, their functions, and the sets
         K."""
         off = np.abs(self.probability(functions, kept, weight) - middle)
-        # Facts without influence on a function make no other question.
+        # A fact without influence on a function makes no other question.
         other = self.sets is None or (kept & ~self.facts[functions, None]) == 0
         g, m = np.nonzero(np.broadcast_to(other, off.shape))
         values = off[g, m]
@@ -172,13 +174,14 @@ class QuestionMatrix:
 
 
 TIE = 1e-9
-"""Clips tie if their mutual informations (bits) differ by less."""
+"""Questions and clips tie if their mutual information (in bits) differs by less than this
+number."""
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """The knowledge about a person, by layer: the assumed values, V variants, and a person whom no
-    hypothesis fits.
+    """What is known about a person after some answers. The layers are the assumed values, V
+    variants, and "no hypothesis fits".
 
     Attributes:
         hypotheses: C candidates.
@@ -196,25 +199,25 @@ class Posterior:
     rates: NDArray[np.float64] | None = None
 
     def labels(self, transitions: ArrayLike, told: int) -> NDArray[np.int64]:
-        """[2 + V, C, Q] labels by layer and candidate; the layer without a fitting hypothesis has
-        the labels at the assumed values."""
+        """Returns [2 + V, C, Q] the labels by layer and candidate; the layer "no hypothesis fits"
+        has the labels at the assumed values."""
         labels = self.hypotheses.label(transitions, told).astype(np.int64)
         return np.concatenate([labels, labels[:1]])
 
     def likelihood(
         self, transitions: Sequence[int], told: int, answers: Sequence[int]
     ) -> NDArray[np.float64]:
-        """[2 + V, C] P(answers | layer, candidate) of one question, with one label for each
-        transition."""
+        """Computes [2 + V, C] P(answers | layer, candidate) of one question, with one answer for
+        each transition."""
         labels, given = self.labels(transitions, told), np.array(answers)
-        one = self._answered_one(labels, np.asarray(transitions))
+        one = self._predict_answers(labels, np.asarray(transitions))
         each = np.where(given == 1, one, 1 - one).prod(axis=2)
         return np.asarray((1 - self.misread) * each + self.misread / 2 ** len(given))
 
-    def _answered_one(
+    def _predict_answers(
         self, labels: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """P(answer 1) given the labels [2 + V, C, Q]."""
+        """Computes [2 + V, C, Q] P(answer 1) given the labels [2 + V, C, Q]."""
         one = labels.astype(np.float64)
         if self.rates is not None:
             slip, guess = self.rates[:, transitions]
@@ -223,17 +226,22 @@ class Posterior:
         return np.asarray((1 - error) * one + error * (1 - one))
 
     def gains(self, transitions: NDArray[np.int64], told: int) -> NDArray[np.float64]:
-        """[Q] information in bits of the answers to Q questions about one transition each."""
-        one = self._answered_one(self.labels(transitions, told), transitions)
+        """Computes [Q] the information, in bits, of the answers to Q questions about one transition
+        each."""
+        one = self._predict_answers(self.labels(transitions, told), transitions)
         one = (1 - self.misread) * one + self.misread / 2
         weight = self.weight[:, :, None]
-        mean, noise = (weight * one).sum(axis=(0, 1)), (weight * _binary(one)).sum(axis=(0, 1))
-        return np.asarray(_binary(mean) - noise)
+        mean, noise = (
+            (weight * one).sum(axis=(0, 1)),
+            (weight * _compute_entropy(one)).sum(axis=(0, 1)),
+        )
+        return np.asarray(_compute_entropy(mean) - noise)
 
     def best_of(
         self, questions: Sequence[tuple[int, int]], rng: np.random.Generator
     ) -> tuple[int, int]:
-        """The most informative of these questions about one transition; ties at random."""
+        """Returns the most informative of these questions about one transition; ties are broken at
+        random."""
         asked = np.array(questions, dtype=np.int64)
         value = np.empty(len(asked))
         for told in np.unique(asked[:, 1]).tolist():
@@ -246,13 +254,13 @@ class Posterior:
     def best_questions(
         self, questions: QuestionMatrix, count: int, seen: list[int], rng: np.random.Generator
     ) -> list[tuple[int, int]]:
-        """The ``count`` most informative questions about one transition, best first. Among ties,
-        those about new transitions come first, then at random.
+        """Returns the ``count`` most informative questions about one transition, best first. Among
+        ties, questions about new transitions come first; other ties are broken at random.
 
-        All errors are those of a symmetric channel, so a question has more information if its
+        All errors flip labels 0 and 1 equally often, so a question has more information if its
         P(label 1) is closer to ½.
         """
-        found = self._nearest(questions, count, rng)
+        found = self._find_nearest(questions, count, rng)
         known = np.zeros(self.hypotheses.n_transitions, dtype=bool)
         known[seen] = True
         fresh = np.zeros(len(questions.facts), dtype=bool)
@@ -270,14 +278,16 @@ class Posterior:
     def best_near_even(
         self, questions: QuestionMatrix, count: int, rng: np.random.Generator
     ) -> tuple[int, int]:
-        """The best question about one transition, among at least ``count`` questions whose labels
-        under the hypotheses, without slips and guesses, are nearest to even odds."""
-        found = self._nearest(questions, count, rng)
+        """Returns the best question about one transition. The candidates are the ``count`` or more
+        questions whose P(label 1), without slips and guesses, is nearest to ½."""
+        found = self._find_nearest(questions, count, rng)
         pairs = zip(found.function.tolist(), found.told.tolist(), strict=True)
         every = {(int(t), told) for at, told in pairs for t in questions.having(at)}
         return self.best_of(sorted(every), rng)
 
-    def _nearest(self, questions: QuestionMatrix, count: int, rng: np.random.Generator) -> Nearest:
+    def _find_nearest(
+        self, questions: QuestionMatrix, count: int, rng: np.random.Generator
+    ) -> Nearest:
         weight = (1 - 2 * self.error)[:, None] * self.weight
         weight[0] += weight[-1]
         weight = weight[:-1]
@@ -286,27 +296,28 @@ class Posterior:
     def best_clip(
         self, starts: list[tuple[int, int]], length: int, rng: np.random.Generator
     ) -> tuple[list[int], int]:
-        """The best clip among those that grow one transition at a time, each time by the most
-        informative one."""
+        """Grows a clip from each start: adds the most informative transition, one at a time.
+        Returns the best clip, with its message set."""
         best, most = ([starts[0][0]], starts[0][1]), -1.0
         every = np.arange(self.hypotheses.n_transitions)
         gains = {told: self.gains(every, told) for told in {told for _, told in starts}}
         for start, told in starts:
             clip = [start]
-            while len(clip) < length and len(after := self._beside(clip)):
+            while len(clip) < length and len(after := self._find_next(clip)):
                 own = gains[told][after]
                 clip.append(int(rng.choice(after[own > own.max() - TIE])))
             if (value := float(gains[told][clip].sum())) > most + TIE:
                 best, most = (clip, told), value
         return best
 
-    def _beside(self, clip: list[int]) -> NDArray[np.int64]:
-        """The transitions that can extend a clip, because they follow its last transition."""
+    def _find_next(self, clip: list[int]) -> NDArray[np.int64]:
+        """Returns the transitions that can extend a clip, because they follow its last
+        transition."""
         states = self.hypotheses.states
         others = np.setdiff1d(np.arange(self.hypotheses.n_transitions), clip)
         return others if states is None else others[states[others, 0] == states[clip[-1], 1]]
 
 
-def _binary(one: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Entropy in bits of an answer that is 1 with this probability."""
+def _compute_entropy(one: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Computes the entropy, in bits, of an answer that is 1 with this probability."""
     return np.asarray((entr(one) + entr(1 - one)) / np.log(2))

@@ -1,4 +1,4 @@
-"""A table of one's own transitions, for robots without a grid."""
+"""A user's own table of transitions, for robots without a grid."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class OwnTransitions:
         path: path of the table.
         texts: description of each transition.
         images: path or address of an image of each transition; "" without an image.
-        features: [T, F] all other columns of the table; None without any.
+        features: [T, F] all other columns of the table; None if there are none.
         feature_names: F names.
         facts: for each transition, the facts that make it inexplicable to people who believe one of
-            them incorrectly; None if the table has none.
+            these facts incorrectly; None if the table has no facts.
         alts: description of each image; "" without one.
     """
 
@@ -44,8 +44,8 @@ class OwnTransitions:
 
     @cached_property
     def hypotheses(self) -> Hypotheses:
-        """All sets of the facts. A person who believes one of a transition's facts incorrectly
-        labels it 0.
+        """The hypotheses: all sets of the facts. A person who believes one of a transition's facts
+        incorrectly labels it 0.
 
         Raises:
             InputError: the table has no facts, or too many.
@@ -71,8 +71,7 @@ class OwnTransitions:
 
 
 def with_features(known: Hypotheses) -> Hypotheses:
-    """Adds features of the transitions to hypotheses; without features, the text becomes a
-    feature."""
+    """Adds features to hypotheses that have none: the texts of the transitions become a feature."""
     if known.features is not None:
         return known
     features, names = features_of([Column.of("transitions", TEXT, known.phrases)])
@@ -125,7 +124,7 @@ def read_known_facts(
     known.
 
     Raises:
-        InputError: both a table and a file, or one that cannot be used.
+        InputError: both a table and a file are given, or one of these cannot be used.
     """
     if hypotheses is not None and transitions is not None:
         raise InputError("transitions", str(transitions), "either transitions or hypotheses")

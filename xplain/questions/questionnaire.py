@@ -4,9 +4,9 @@
 
 Each question has the largest expected information about three unknowns: the facts that the person
 believes incorrectly, their values (the variant of the hypotheses), and whether any hypothesis fits.
-That is the largest mutual information under the current posterior (Lindley 1956; adaptive design
-optimisation; computerised adaptive tests). The variant is included, because labels depend on it and
-explanations depend on the labels: docs/what-to-ask.md.
+This expected information is the mutual information under the current posterior (Lindley 1956;
+adaptive design optimisation; computerised adaptive tests). The variant is included, because labels
+depend on it and explanations depend on the labels: docs/what-to-ask.md.
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ from xplain.questions.matrix import Posterior, QuestionMatrix
 from xplain.randomness import stream
 
 NONE_ERROR = 1 / 3
-"""A person whom no hypothesis fits gives the answer of the best hypothesis in two of three cases.
-This represents people who disagree with all hypotheses more often than errors explain."""
+"""A person whom no hypothesis fits is assumed to give the answer of the best hypothesis in two of
+three cases. This represents people who disagree with all hypotheses more often than errors
+explain."""
 MAX_CLIP = 10
 NEAR = 256
-"""Number of questions with answers nearest to even odds; slips and guesses decide between these."""
+"""Number of questions whose P(label 1) is nearest to ½; slips and guesses decide which of these is
+asked."""
 STARTS = 16
 """Number of most informative questions from which clips grow."""
 CHOSEN = ("error", "prior", "clip", "seed", "stop", "none", "misread", "slip", "guess", "told",
@@ -44,7 +46,8 @@ Question = tuple[int, int] | tuple[list[int], int]
 
 @dataclass(frozen=True)
 class Asked:
-    """A question with its answer: ``transitions`` under one message set, with one label each."""
+    """A question with its answer: ``transitions`` with one message set, and one label for each
+    transition."""
 
     transitions: tuple[int, ...]
     message_set: int
@@ -54,26 +57,27 @@ class Asked:
 class Questionnaire:
     r"""Finds out what one person believes incorrectly.
 
-    A person of candidate R gives the label f_τ(R \\ H), flipped with probability ``error``,
+    A person of candidate R gives the label f_τ(R \ H), flipped with probability ``error``,
     independently. With probability ``misread`` a whole clip is misunderstood, and its labels are
     random. :data:`NONE_ERROR` describes a person whom no hypothesis fits.
 
     Args:
         hypotheses: the candidates; or a table [2^n, T] of their labels 0 and 1.
         error: probability of a wrong label, in [0, ⅓).
-        prior: [C] over the candidates; None is that of the hypotheses, uniform for a table.
-        clip: transitions in a question. If the hypotheses have start and end states of transitions,
-            a clip is a walk; otherwise its transitions are arbitrary.
+        prior: [C] prior of the candidates; None: the prior of the hypotheses, or a uniform prior
+            for a table.
+        clip: number of transitions in a question. If the hypotheses have start and end states of
+            transitions, the transitions of a clip follow each other; otherwise they are arbitrary.
         seed: breaks ties between questions.
-        stop: the questionnaire is done if one class of candidates that behave alike has a larger
-            posterior.
+        stop: the questionnaire is done if one class of candidates that behave alike has a posterior
+            above this number.
         none: prior probability that no hypothesis fits.
         misread: probability that a clip is misread.
         slip, guess: [T] or one number, known P(0 | label 1) and P(1 | label 0) of each transition;
-            ``error`` is then the person's own additional error. None: no slips or guesses. With
-            them questions are about one transition each.
-        told: True if messages may be given before a question; False asks transitions without
-            messages, like items of an adaptive test.
+            ``error`` is then the person's own additional error. None: no slips or guesses. If slips
+            or guesses are given, each question is about one transition.
+        told: True if messages may be given before a question; False asks about transitions without
+            messages, as items of an adaptive test.
         repeats: maximum number of times that a question without messages is asked.
 
     Raises:
@@ -105,15 +109,15 @@ class Questionnaire:
         self.stop = number("stop", stop, Range(0, 1, "[)"))
         self.seed = whole_number("seed", seed, 0)
         self.clip = whole_number("clip", clip, 1, MAX_CLIP)
-        self.rates = _rates(slip, guess, known.n_transitions)
+        self.rates = _read_rates(slip, guess, known.n_transitions)
         self.told, self.repeats = bool(told), whole_number("repeats", repeats, 1)
         if self.clip > 1 and (self.rates is not None or not self.told):
-            raise InputError("clip", clip, "1, where slips or guesses are known or nothing is told")
-        self._start(prior)
+            raise InputError("clip", clip, "1, if slips or guesses are given or told is False")
+        self._reset(prior)
 
     def restart(self, prior: ArrayLike | None, seed: int) -> Questionnaire:
-        """A questionnaire without answers for another person, with the same hypotheses and errors.
-        Both share all computations on the hypotheses.
+        """Returns a questionnaire without answers for another person, with the same hypotheses and
+        errors. Both questionnaires share all computations on the hypotheses.
 
         Args:
             prior, seed: see the class.
@@ -121,15 +125,16 @@ class Questionnaire:
         Raises:
             InputError: a value is not allowed.
         """
-        # Computed once, for all.
+        # This computes the questions once, for all copies.
         assert len(self._questions.facts), "some question separates candidates"
         made = copy.copy(self)
         made.seed = whole_number("seed", seed, 0)
-        made._start(prior)
+        made._reset(prior)
         return made
 
     def replace_hypotheses(self, hypotheses: Hypotheses, prior: ArrayLike | None) -> Questionnaire:
-        """The same questions and answers, with other candidates or another prior.
+        """Returns a questionnaire with the same questions and answers, but other candidates or
+        another prior.
 
         Args:
             hypotheses: about the same transitions and messages.
@@ -139,12 +144,12 @@ class Questionnaire:
         if hypotheses is not self.hypotheses:
             made.hypotheses = hypotheses
             made.__dict__.pop("_questions", None)  # belongs to the old candidates
-        made._start(prior)
+        made._reset(prior)
         for one in self.asked:
-            made._take(one)
+            made._add_answer(one)
         return made
 
-    def _start(self, prior: ArrayLike | None) -> None:
+    def _reset(self, prior: ArrayLike | None) -> None:
         """Resets to the state before the first question."""
         known = self.hypotheses
         self.given_prior = prior
@@ -156,16 +161,20 @@ class Questionnaire:
         self._error = np.append(np.full(len(share) - 1, self.error), NONE_ERROR)
         with np.errstate(divide="ignore"):
             self._log_joint = np.log(share)[:, None] + np.log(start)
-        self._refresh()
+        self._update_weights()
 
     def next(self) -> Question:
-        """The most informative question, as (transition, message set); with ``clip`` > 1 (a list of
-        transitions, message set). It stays the same until it is answered."""
+        """Returns the most informative question, as (transition, message set); with ``clip`` > 1,
+        as (list of transitions, message set). The question stays the same until it is answered."""
         if self._pending is None:
             if not self.told:
-                self._pending = self._posterior.best_of(self._left(), self._rng())
+                self._pending = self._posterior.best_of(
+                    self._list_open_questions(), self._make_rng()
+                )
             elif self.rates is not None:
-                self._pending = self._posterior.best_near_even(self._questions, NEAR, self._rng())
+                self._pending = self._posterior.best_near_even(
+                    self._questions, NEAR, self._make_rng()
+                )
             elif self.clip == 1:
                 self._pending = self.alternatives(1)[0]
             else:
@@ -174,11 +183,11 @@ class Questionnaire:
         return self._pending
 
     def alternatives(self, count: int) -> list[tuple[int, int]]:
-        """The most informative questions about one transition, best first."""
-        return self._posterior.best_questions(self._questions, count, self._seen, self._rng())
+        """Returns the ``count`` most informative questions about one transition, best first."""
+        return self._posterior.best_questions(self._questions, count, self._seen, self._make_rng())
 
-    def _left(self) -> list[tuple[int, int]]:
-        """The questions without messages that may still be asked."""
+    def _list_open_questions(self) -> list[tuple[int, int]]:
+        """Returns the questions without messages that may still be asked."""
         times = np.bincount(self._seen, minlength=self.hypotheses.n_transitions)
         left = np.flatnonzero(times < self.repeats)
         if not len(left):
@@ -189,7 +198,7 @@ class Questionnaire:
     def _seen(self) -> list[int]:
         return [transition for one in self.asked for transition in one.transitions]
 
-    def _rng(self) -> np.random.Generator:
+    def _make_rng(self) -> np.random.Generator:
         return stream(self.seed, "questionnaire", len(self.asked))
 
     def answer(self, label: ArrayLike, question: Question | None = None) -> None:
@@ -197,7 +206,8 @@ class Questionnaire:
 
         Args:
             label: 0 or 1; for a clip a list, one for each transition.
-            question: (transition or transitions, message set); None: the last of :meth:`next`.
+            question: (transition or transitions, message set); None: the last question of
+                :meth:`next`.
 
         Raises:
             InputError: no question was asked, a wrong number of labels, a label other than 0 and 1,
@@ -206,14 +216,16 @@ class Questionnaire:
         about = question if question is not None else self._pending
         if about is None:
             raise InputError("answer", label, "an answer to a question: call next() before")
-        transitions, told = self._checked(about)
+        transitions, told = self._check_question(about)
         labels = np.atleast_1d(np.asarray(label, dtype=object))
         if labels.shape != transitions.shape:
             raise InputError("answer", label, f"{len(transitions)} labels, one a transition")
         for one in labels.tolist():
             if isinstance(one, float) or one not in (0, 1):
                 raise InputError("answer", one, "a label, 0 or 1")
-        self._take(Asked(tuple(transitions.tolist()), told, tuple(int(one) for one in labels)))
+        self._add_answer(
+            Asked(tuple(transitions.tolist()), told, tuple(int(one) for one in labels))
+        )
         self._pending = None
 
     @property
@@ -250,11 +262,11 @@ class Questionnaire:
         return bool(self.classes.max() > self.stop)
 
     def to_json(self) -> str:
-        """The questionnaire without the table of the hypotheses, as text."""
+        """Writes the questionnaire as a text in JSON, without the table of the hypotheses."""
         prior = None if self.given_prior is None else np.asarray(self.given_prior).tolist()
         return json.dumps(
             {
-                "hypotheses": _digest(self.hypotheses),
+                "hypotheses": _compute_digest(self.hypotheses),
                 "error": self.error,
                 "prior": prior,
                 "clip": self.clip,
@@ -272,7 +284,8 @@ class Questionnaire:
 
     @classmethod
     def from_json(cls, text: str, hypotheses: Hypotheses | ArrayLike) -> Questionnaire:
-        """Restores a questionnaire of :meth:`to_json`; its next questions are the same.
+        """Restores a questionnaire from the text of :meth:`to_json`; its next questions are the
+        same.
 
         Raises:
             InputError: an invalid text, other hypotheses, or invalid answers.
@@ -286,28 +299,28 @@ class Questionnaire:
                 "questionnaire", text, f"JSON of Questionnaire.to_json ({error!r})"
             ) from None
         made = cls(hypotheses, **chosen)
-        if digest != _digest(made.hypotheses):
+        if digest != _compute_digest(made.hypotheses):
             raise InputError("questionnaire.hypotheses", digest, "asked with other hypotheses")
         for transitions, told, labels in asked:
             made.answer(labels, (transitions, told))
         return made
 
     def information(self, question: Question) -> float:
-        """Mutual information, in bits, of the answer and (the variant, the candidate, whether any
-        hypothesis fits), which :meth:`next` maximises. For a clip it is the sum over its single
-        transitions."""
-        return float(self._posterior.gains(*self._checked(question)).sum())
+        """Computes the mutual information, in bits, between the answer and three unknowns: the
+        variant, the candidate, and whether any hypothesis fits. :meth:`next` maximises this
+        information. For a clip it is the sum over the single transitions."""
+        return float(self._posterior.gains(*self._check_question(question)).sum())
 
-    def _take(self, one: Asked) -> None:
+    def _add_answer(self, one: Asked) -> None:
         likelihood = self._posterior.likelihood(one.transitions, one.message_set, one.labels)
         with np.errstate(divide="ignore"):
             answer = np.log(likelihood)
         # New arrays, because copies share the old ones.
         self._log_joint = self._log_joint + answer
         self.asked = [*self.asked, one]
-        self._refresh()
+        self._update_weights()
 
-    def _refresh(self) -> None:
+    def _update_weights(self) -> None:
         top = self._log_joint.max()
         if top == -np.inf:
             raise InputError(
@@ -324,7 +337,7 @@ class Questionnaire:
     def _questions(self) -> QuestionMatrix:
         return QuestionMatrix.of(self.hypotheses)
 
-    def _checked(self, question: Any) -> tuple[NDArray[np.int64], int]:
+    def _check_question(self, question: Any) -> tuple[NDArray[np.int64], int]:
         known = self.hypotheses
         try:
             asked, told = question
@@ -338,10 +351,10 @@ class Questionnaire:
         return np.array(transitions), whole_number("question.messages", told, 0, every)
 
 
-def _rates(
+def _read_rates(
     slip: ArrayLike | None, guess: ArrayLike | None, transitions: int
 ) -> NDArray[np.float64] | None:
-    """[2, T] slips and guesses; None without either."""
+    """Checks slips and guesses. Returns them as [2, T]; None if neither is given."""
     if slip is None and guess is None:
         return None
     given = [0.0 if one is None else one for one in (slip, guess)]
@@ -356,6 +369,6 @@ def _rates(
     return rates
 
 
-def _digest(hypotheses: Hypotheses) -> int:
-    """A digest that distinguishes tables of labels."""
+def _compute_digest(hypotheses: Hypotheses) -> int:
+    """Computes a digest that distinguishes tables of labels."""
     return zlib.crc32(hypotheses.tables.tobytes() + hypotheses.facts.tobytes())
