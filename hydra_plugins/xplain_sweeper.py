@@ -30,12 +30,12 @@ class XplainSweeper(Sweeper):
     """
 
     def __init__(self, **_: Any) -> None:
-        """The plan reads these keys from the configuration."""
+        """Ignores the keys, because the plan reads them from the configuration."""
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
     ) -> None:
-        """Called by Hydra before :meth:`sweep`."""
+        """Keeps the configuration and the launcher for :meth:`sweep`; Hydra calls this first."""
         self.config = config
         self._compose = partial(hydra_context.config_loader.load_sweep_config, config)
         self._launcher = partial(
@@ -46,7 +46,7 @@ class XplainSweeper(Sweeper):
         )
 
     def sweep(self, arguments: list[str]) -> Any:
-        """Runs the jobs without a result; returns what the launcher does, or None."""
+        """Runs the jobs without a result. Returns the launcher's result, or None."""
         from xplain.errors import quote
         from xplain.runs.plan import Plan
         from xplain.runs.signals import end_on_signals
@@ -62,9 +62,9 @@ class XplainSweeper(Sweeper):
             own = [
                 f"hydra.sweep.dir={quote(escaped)}",
                 "hydra.sweep.subdir=batches",
-                "hydra/job_logging=none",  # a job in this process would take the sweep's words
+                "hydra/job_logging=none",  # a job in this process would redirect the sweep's log
             ]
-            if config.hydra.job.config_name == "config":  # somebody's own file may have more
+            if config.hydra.job.config_name == "config":  # other files may have more keys
                 config.hydra.job.config_name = "batch"
             words = [quote(str(path).replace("${", r"\${")) for path in batches]
             return self._launcher().launch([[*own, f"++batch={one}"] for one in words], 0)

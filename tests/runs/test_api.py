@@ -120,7 +120,7 @@ def test_a_sweep_takes_lists_and_objects_and_gives_frames_and_axes(here: Path) -
         ({"users_counts": 3}, "users.counts: no such key; did you mean users.count?"),
         ({"solver": "nonsense"}, "solver=nonsense: unknown choice"),
         ({"trade_off": -1}, "lambda (trade_off)=-1.0: a number ≥ 0"),
-        ({"solver": object()}, "an object of a dataclass that stands in a module"),
+        ({"solver": object()}, "an object of a dataclass at the top level of a module"),
         ({"config_dir": "absent"}, "a folder with choices of your own"),
     ],
 )
@@ -135,7 +135,7 @@ def test_what_is_wrong_is_one_line(keys: dict[str, Any], said: str) -> None:
 def test_folders_and_rows_that_are_none_are_told(here: Path) -> None:
     with pytest.raises(InputError, match="of a run or a sweep"):
         xplain.load(here)
-    with pytest.raises(InputError, match="false: nothing ran"):
+    with pytest.raises(InputError, match="false: only the command line has dry runs"):
         xplain.run(*SMALL, dry_run=True)
 
 

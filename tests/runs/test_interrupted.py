@@ -93,7 +93,7 @@ def test_a_worker_that_dies_ends_the_sweep_with_a_line_and_its_report(tmp_path):
     )
     assert code == 1
     assert "the launcher failed (" in output
-    assert "the same command runs the others" in output
+    assert "the same command runs the other jobs" in output
     assert "report: " in output
     assert "Traceback" not in output
 
@@ -116,7 +116,8 @@ def test_ctrl_c_leaves_no_run_open(folder):
     assert "Traceback" not in own
     last = output.strip().splitlines()[-1]
     assert re.fullmatch(
-        r"xplain: interrupted: \d+ of 30 jobs are finished; the same command runs the others", last
+        r"xplain: interrupted: \d+ of 30 jobs are finished; the same command runs the other jobs",
+        last,
     )
 
 

@@ -228,7 +228,7 @@ def test_a_server_that_is_away_costs_a_line_without_its_password(
     (said,) = (one.getMessage() for one in caplog.records if one.name.startswith("xplain"))
     assert f"xplain sync {folder.path}" in said
     assert "\n" not in said
-    with pytest.raises(XplainError, match=r"tracking\.uri: MLflow did not take this"):
+    with pytest.raises(XplainError, match=r"tracking\.uri: MLflow did not store the results"):
         sync([folder.path], folder.path.parents[1], away)
     assert "secret" not in caplog.text
     assert without_passwords("to http://lab:secret@host/x?y") == "to http://***@host/x?y"
@@ -244,5 +244,5 @@ def test_a_deleted_experiment_and_what_is_no_database_are_one_line(
         send(folder)
     other = folder.path.parents[1] / "other.db"
     other.write_text("no database")
-    with pytest.raises(XplainError, match=r"^tracking\.uri: MLflow did not take this .*$"):
+    with pytest.raises(XplainError, match=r"^tracking\.uri: MLflow did not store the results .*$"):
         sync([folder.path], folder.path.parents[1], MLflow(f"sqlite:///{other}"))

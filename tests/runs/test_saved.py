@@ -180,7 +180,7 @@ def test_no_file_and_no_line_has_a_servers_password(tmp_path: Path, given: tuple
     away = "tracking.uri='http://lab:secret@127.0.0.1:9'"
     code, output = run(tmp_path, *given, away)
     assert code == 0, output
-    assert "MLflow did not take this" in output
+    assert "MLflow did not store the results" in output
     for name, content in {**contents(tmp_path), "output": output.encode()}.items():
         assert b"secret" not in content, name
 

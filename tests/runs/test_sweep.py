@@ -45,7 +45,10 @@ def test_the_end_tells_the_table_and_the_links(finished):
     assert "6 of 6 jobs finished" in output
     for part in ("oracle's cost", "QMDP", "QHR", "report/index.html", "&viewStateShareKey="):
         assert part in output
-    assert "once this runs: mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db" in output
+    assert (
+        "start its server first: mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db"
+        in output
+    )
     assert "\x1b" not in output  # clean where the output is no terminal
     assert "\r" not in output
 
@@ -84,7 +87,7 @@ def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
     before, tables, runs = results(folder), sweeps.tables(folder), sweeps.runs(folder)
     code, output = sweeps.run(folder, *sweeps.TINY, sweeps.SERIAL)
     assert code == 0, output
-    assert "nothing is missing" in output
+    assert "no job to run" in output
     assert (results(folder), sweeps.tables(folder), sweeps.runs(folder)) == (before, tables, runs)
 
 
@@ -301,4 +304,4 @@ def test_a_damaged_sweep_hides_no_other_and_its_command_mends_it(finished, tmp_p
     (own / "sweep.json").write_text("not JSON")
     code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL)
     assert code == 0, output
-    assert "nothing is missing" in output
+    assert "no job to run" in output

@@ -79,7 +79,7 @@ class Run:
         return load_results(self.folder)
 
     def frame(self) -> pd.DataFrame:
-        """A row for each episode of the solver and of its references; costs are undiscounted."""
+        """Makes a row for each episode of the solver and its references; costs are undiscounted."""
         return pd.DataFrame([vars(episode) for episode in self.results.episodes])
 
     def plot(self) -> list[Axes]:
@@ -102,7 +102,7 @@ class Sweep:
 
     Attributes:
         folder: folder of its files; ``report/index.html`` is its report.
-        measure: the measure that compares its jobs; None chooses a fair one.
+        measure: the measure that compares the jobs; None chooses a measure that is fair to all.
     """
 
     folder: Path
@@ -110,7 +110,7 @@ class Sweep:
 
     @cached_property
     def summary(self) -> Summary:
-        """The results of its jobs (:class:`xplain.report.frame.Summary`)."""
+        """The results of the sweep's jobs (:class:`xplain.report.frame.Summary`)."""
         return Summary(self.folder, self.measure)
 
     @property
@@ -121,17 +121,17 @@ class Sweep:
 
     @property
     def runs(self) -> list[Run]:
-        """Its finished jobs, in order."""
+        """The runs of the finished jobs, in order."""
         return [Run(self.summary.folder.address(job)) for job, _ in self.summary.results]
 
     def frame(self, rows: str = "jobs") -> pd.DataFrame:
-        """The swept values and the results.
+        """Makes a table of the swept values and the results.
 
         Args:
             rows: ``jobs``, with means over episodes, or ``episodes``.
 
         Raises:
-            InputError: another kind of rows.
+            InputError: ``rows`` is another word.
         """
         if one_of("rows", rows, ("jobs", "episodes")) == "episodes":
             return self.summary.episodes.copy()
@@ -159,7 +159,9 @@ class Sweep:
         name = one_of("measure", measure or self.summary.measure.name, TITLES)
         figure = against_main_key(self.summary, name)
         if figure is None:
-            raise InputError("measure", name, "one that is known, of a sweep of several jobs")
+            raise InputError(
+                "measure", name, "a measure that the jobs have, and a sweep of several jobs"
+            )
         return figure.axes
 
     def _repr_html_(self) -> str:
@@ -177,11 +179,11 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
             be an object of its class instead of a name.
 
     Raises:
-        XplainError: a key or value that is not allowed, in one line.
+        XplainError: a key or value is not allowed; the text is one line.
     """
-    with _composing(overrides, keys, config_dir) as (words, given, composed):
+    with _compose_request(overrides, keys, config_dir) as (words, given, composed):
         cfg = composed(words)
-        job = Job.of(cfg, dict(cfg.hydra.runtime.choices) | set_values(cfg, _single(given)))
+        job = Job.of(cfg, dict(cfg.hydra.runtime.choices) | set_values(cfg, _require_single(given)))
         _require_runnable([job], cfg)
         folder = Path(cfg.hydra.run.dir).absolute()
         run_alone(job, folder, instantiate(cfg.tracking), stages(), shown=False)
@@ -194,19 +196,19 @@ def sweep(
     """Runs all combinations of the listed values. Finished jobs are not run again.
 
     Args:
-        overrides, config_dir, keys: see :func:`run`; a list holds the values of a key, like commas
+        overrides, config_dir, keys: as in :func:`run`; a list has the values of a key, like commas
             on the command line. ``sweeps=NAME`` is a prepared sweep.
-        measure: the measure that compares jobs; None chooses a fair one.
+        measure: the measure that compares jobs; None chooses a measure that is fair to all.
 
     Raises:
-        XplainError: a key or value that is not allowed, in one line; nothing was run.
+        XplainError: a key or value is not allowed, and no job was run; the text is one line.
     """
-    with _composing(overrides, keys, config_dir) as (words, given, composed):
+    with _compose_request(overrides, keys, config_dir) as (words, given, composed):
         began = time.time()
         parsed = OverridesParser.create().parse_overrides(words)
         single = [str(one.input_line) for one in parsed if not one.is_sweep_override()]
         config = composed(single)
-        config.hydra.overrides.task = words  # all of them
+        config.hydra.overrides.task = words  # with the swept overrides
         set_values(config, {key: values[0] for key, values in given.items() if len(values) == 1})
         where = [one for one in single if one.startswith("hydra")]
         task = [one for one in words if one not in where]
@@ -216,14 +218,14 @@ def sweep(
         for key in GROUPS if workers != 1 else ():
             for value in given.get(key, ()):
                 if isinstance(value, dict) and value["_target_"].startswith("__main__."):
-                    allowed = "a component from a file: workers of a sweep import it (or n_jobs=1)"
+                    allowed = "a component from a file that the workers can import (or n_jobs=1)"
                     raise InputError(key, value["_target_"], allowed)
 
         def launch(batches: Sequence[Path]) -> None:
             try:
                 Parallel(workers, batch_size=1)(delayed(run_batch)(path) for path in batches)
             finally:
-                get_reusable_executor().shutdown()  # a worker keeps the code of its first job
+                get_reusable_executor().shutdown()  # workers keep the code of their first job
 
         run_missing(plan, launch)
         outputs = plan.folder.path.parents[1]
@@ -238,19 +240,19 @@ def discover(
 
     Args:
         data: a table with the columns observer, messages, label and features: a file, or a frame.
-        overrides, config_dir, keys: those of conf/discover.yaml; see :func:`run`. Files are written
-            only if ``output`` is given.
+        overrides, config_dir, keys: as in :func:`run`, with the keys of conf/discover.yaml. Files
+            are written only if ``output`` is given.
 
     Raises:
-        XplainError: a table, key or value that is not allowed, in one line.
+        XplainError: a table, key or value is not allowed; the text is one line.
     """
-    known = _composing(overrides, keys, config_dir, "discover")
+    known = _compose_request(overrides, keys, config_dir, "discover")
     with known as (words, given, composed), tempfile.TemporaryDirectory() as place:
         if isinstance(data, pd.DataFrame):
             frame, data = data, Path(place) / "labels.csv"
             frame.to_csv(data, index=False)
         cfg = composed(words)
-        set_values(cfg, {"data": str(data), **_single(given)})
+        set_values(cfg, {"data": str(data), **_require_single(given)})
         folder = Path(cfg.output) if "output" in given else None
         if folder is not None:
             require_writable(folder)
@@ -264,14 +266,14 @@ def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
     """Loads a run or sweep from disk.
 
     Raises:
-        InputError: the folder holds neither a run nor a sweep.
+        InputError: the folder contains neither a run nor a sweep.
     """
     path = Path(folder)
     if (path / SWEEP).exists():
         return Sweep(path, measure)
     if (path / RESULTS).exists():
         return Run(path)
-    raise InputError("folder", str(folder), "of a run or a sweep, below outputs/")
+    raise InputError("folder", str(folder), "the folder of a run or a sweep, below outputs/")
 
 
 _ONE_AT_A_TIME = threading.RLock()
@@ -282,11 +284,11 @@ Asked = tuple[list[str], dict[str, list[Any]], Compose]
 
 
 @contextmanager
-def _composing(
+def _compose_request(
     overrides: Sequence[str], keys: Mapping[str, Any], config_dir: str | None, of: str = "config"
 ) -> Iterator[Asked]:
-    """Reads a caller's request. Errors of the caller are one line. Progress goes to standard error,
-    unless the program configures logging itself."""
+    """Reads the arguments of a call. Errors that the caller can correct become one line. Progress
+    is logged to standard error, unless the program configures logging itself."""
     own = logging.getLogger("xplain")
     quiet = bool(logging.getLogger().handlers or own.handlers)
     handler, level = logging.StreamHandler(sys.stderr), own.level
@@ -329,12 +331,12 @@ def _require_runnable(jobs: Iterable[Job], cfg: DictConfig) -> None:
     """Refuses jobs whose code was edited after it was loaded, and ``dry_run``, which runs no
     job."""
     if cfg.dry_run:
-        raise InputError("dry_run", True, "false: nothing ran")
+        raise InputError("dry_run", True, "false: only the command line has dry runs")
     for job in jobs:
         require_as_loaded(job.config)
 
 
-def _single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
+def _require_single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
     """Returns the value of each key.
 
     Raises:
@@ -342,27 +344,27 @@ def _single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
     """
     for key, values in given.items():
         if len(values) > 1:
-            raise InputError(key, values, "one value; xplain.sweep runs a job for each of several")
+            raise InputError(key, values, "one value; xplain.sweep accepts several values")
     return {key: value for key, (value,) in given.items()}
 
 
 def _split(keys: Mapping[str, Any], known: Sequence[str]) -> tuple[list[str], dict[str, list[Any]]]:
-    """Splits choices into names, as overrides, and lists of Python values."""
+    """Splits keywords into overrides, which name choices, and lists of Python values by key."""
     words, given = list[str](), dict[str, list[Any]]()
     for name, own in keys.items():
-        key = _key(name, known)
+        key = _find_key(name, known)
         value = own.tolist() if isinstance(own, np.ndarray | np.generic) else own
         several = list(value) if isinstance(value, list | tuple | range) else [value]
         groups = (*GROUPS, "tracking", "sweeps")
         if key in groups and all(isinstance(one, str | None) for one in several):
             words.append(f"{key}={','.join('null' if one is None else one for one in several)}")
         else:
-            given[key] = [_plain(key, one) for one in several]
+            given[key] = [_make_plain(key, one) for one in several]
     return words, given
 
 
-def _key(name: str, known: Sequence[str]) -> str:
-    """The configuration key of a keyword: ``users_count`` is ``users.count``."""
+def _find_key(name: str, known: Sequence[str]) -> str:
+    """Returns the configuration key of a keyword: ``users_count`` is ``users.count``."""
     group, _, inside = name.partition("_")
     if name in PYTHON:
         return PYTHON[name]
@@ -374,9 +376,9 @@ def _key(name: str, known: Sequence[str]) -> str:
     return name
 
 
-def _plain(key: str, value: Any) -> Any:
-    """A value in the form of a configuration; for an object, its class and its constructor's
-    arguments.
+def _make_plain(key: str, value: Any) -> Any:
+    """Converts a value to the form of a configuration. For an object, this is its class and the
+    arguments of its constructor.
 
     Raises:
         InputError: the class of an object cannot be found by its name.
@@ -388,9 +390,9 @@ def _plain(key: str, value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Mapping):
-        return {str(name): _plain(key, own) for name, own in value.items()}
+        return {str(name): _make_plain(key, own) for name, own in value.items()}
     if isinstance(value, Sequence):
-        return [_plain(key, own) for own in value]
+        return [_make_plain(key, own) for own in value]
     from sklearn.base import BaseEstimator
 
     kind = type(value)
@@ -401,6 +403,6 @@ def _plain(key: str, value: Any) -> Any:
     elif is_dataclass(value):
         known = {one.name: getattr(value, one.name) for one in fields(value) if one.init}
     if known is None or locate(path) is not kind:
-        allowed = "a name, or an object of a dataclass that stands in a module or script by itself"
+        allowed = "a name, or an object of a dataclass at the top level of a module or script"
         raise InputError(key, value, allowed)
-    return {"_target_": path, **{name: _plain(key, own) for name, own in known.items()}}
+    return {"_target_": path, **{name: _make_plain(key, own) for name, own in known.items()}}

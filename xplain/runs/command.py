@@ -36,12 +36,12 @@ def job(cfg: DictConfig) -> float | None:
         return None
     own = HydraConfig.get()
     if own.mode != RunMode.RUN:
-        return _in_sweep(cfg, own)
+        return _run_in_sweep(cfg, own)
     with report_errors():
-        return _alone(cfg, own)
+        return _run_single(cfg, own)
 
 
-def _alone(cfg: DictConfig, own: Any) -> float | None:
+def _run_single(cfg: DictConfig, own: Any) -> float | None:
     from xplain.report.stages import stages
 
     progress = stages()
@@ -60,12 +60,12 @@ def _alone(cfg: DictConfig, own: Any) -> float | None:
     finally:
         # A folder with this run's random token belongs to no other run.
         if "${unique:}" in OmegaConf.to_yaml(own.run):
-            with suppress(OSError):  # it is not empty
+            with suppress(OSError):  # the folder is not empty
                 folder.rmdir()
 
 
-def _in_sweep(cfg: DictConfig, own: Any) -> float | None:
-    """Runs a job of another sweeper than ours."""
+def _run_in_sweep(cfg: DictConfig, own: Any) -> float | None:
+    """Runs a job of a sweeper that is not xplain's."""
     from xplain.runs.job import Job, run_in_sweep
     from xplain.runs.sweep import list_job
 
@@ -87,7 +87,7 @@ def _check(made: Any) -> None:
 
 
 class SweepEnd(Callback):
-    """The end of a sweep under any sweeper and launcher: report, MLflow, exit code."""
+    """Finishes a sweep of any sweeper and launcher: report, MLflow, exit code."""
 
     def __init__(self) -> None:
         self._began = time.time()
@@ -102,7 +102,7 @@ class SweepEnd(Callback):
         outputs = Path(config.outputs).absolute()
 
         def tell(text: str) -> None:
-            # A launcher in this process leaves logging set to the last job's file.
+            # After a launcher in this process, logging writes to the last job's file.
             print(text, file=sys.stderr)
 
         if not finish(folder, instantiate(config.tracking), outputs, self._began, tell):
@@ -115,7 +115,7 @@ def main() -> None:
     Raises:
         XplainError, HydraException, OmegaConfBaseException: the configuration is wrong.
     """
-    register()  # again, because the folder may have changed
+    register()  # again, because the working folder may have changed
     # Makes Hydra raise errors instead of printing several lines and exiting.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
     hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()

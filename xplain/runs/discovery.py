@@ -83,17 +83,17 @@ class Discovery:
 
     @property
     def accept(self) -> dict[str, list[float]] | None:
-        """The acceptance of each message, with its 95 % interval; None if the answers do not show
-        it."""
+        """The acceptance of each message, with its 95 % interval; None if it cannot be
+        estimated."""
         landing = self.types.landing
         if landing is None or not len(landing.accept):
             return None
         return dict(zip(self.dataset.messages, landing.accept.round(3).tolist(), strict=True))
 
     def frame(self) -> pd.DataFrame:
-        """A row for each type: its numbers of observers and labels, and the messages that its
-        people need."""
-        return pd.DataFrame(_summarised(self.dataset, self.types))
+        """Makes a row for each type: the numbers of its observers and labels, and the messages that
+        its people need."""
+        return pd.DataFrame(_summarise(self.dataset, self.types))
 
     def plot(self) -> dict[str, Figure]:
         """Draws the available results: ``messages``, ``curve``, ``posterior`` and
@@ -124,7 +124,7 @@ class Discovery:
         for name, figure in self.plot().items():
             figure.savefig(folder / f"{name}.png")
         summary = {key: value for key, value in row.items() if key != "assignment"}
-        known = _summarised(self.dataset, self.types)
+        known = _summarise(self.dataset, self.types)
         summary |= {"labels": len(self.dataset), "types": known}
         if clustering.posterior is not None:
             summary["posterior"] = clustering.posterior
@@ -145,9 +145,9 @@ class Discovery:
         return f"<p>{said}</p>{self.frame().round(3).to_html(index=False, border=0)}"
 
     def show(self, folder: Path) -> None:
-        """Prints the types and the places of their files on standard output."""
-        table = Table("type", "observers", "labels", "explicable", "confidence", "needs to be told")
-        for one in _summarised(self.dataset, self.types):
+        """Prints the types and the folder of their files on standard output."""
+        table = Table("type", "observers", "labels", "explicable", "confidence", "needed messages")
+        for one in _summarise(self.dataset, self.types):
             needs = one["needs"] if self.dataset.messages else None
             table.add_row(
                 one["name"],
@@ -207,7 +207,7 @@ def sentences_of(path: str | None, messages: Sequence[str]) -> dict[str, str]:
     """
     if path is None:
         return {}
-    wanted = "a YAML file with a line for each message: its text"
+    wanted = "a YAML file with lines 'message: text'"
     try:
         said = OmegaConf.to_container(OmegaConf.load(path))
     except (OSError, ValueError, YAMLError) as error:
@@ -231,8 +231,8 @@ def require_writable(folder: Path) -> None:
         raise InputError("output", str(folder), "a folder that can be written")
 
 
-def _summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
-    """Summarises each type."""
+def _summarise(dataset: Dataset, types: UserTypes) -> list[Row]:
+    """Makes a row for each type: its observers, its labels and its needed messages."""
 
     rows: list[Row] = []
     known = types.clustering.needs

@@ -22,11 +22,10 @@ log = logging.getLogger(__name__)
 
 @contextmanager
 def attempt(otherwise: str) -> Iterator[None]:
-    """A context for work after the results are saved. If the work fails, a line says what is
-    missing.
+    """Runs work after the results are saved. If the work fails, a warning says what is missing.
 
     Args:
-        otherwise: what is then missing.
+        otherwise: text of the warning.
     """
     try:
         yield
@@ -43,13 +42,13 @@ def attempt(otherwise: str) -> Iterator[None]:
 
 
 def without_passwords(text: str) -> str:
-    """The text without user names and passwords in its addresses."""
+    """Removes user names and passwords from the addresses in a text."""
     return re.sub(r"://[^/@\s'\"]+@", "://***@", text)
 
 
 @contextmanager
 def alone(folder: Path, waiting: str) -> Iterator[None]:
-    """Holds a sweep's lock; logs ``waiting`` if another process has it."""
+    """Locks a sweep during a block; logs ``waiting`` if another process has the lock."""
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / "sweep.lock")
     try:
@@ -72,17 +71,17 @@ class Disk:
             outputs: the outputs folder.
 
         Returns:
-            Lines for the terminal: where to look.
+            Lines for the terminal that say where the results are.
         """
         return []
 
 
 _NO_RESULTS = {"artifacts", "cache", "report", "results"}
-"""Folders below the outputs folder that have only copies of results, or none."""
+"""Folders below the outputs folder that are not searched for runs and sweeps."""
 
 
 def runs_and_sweeps(outputs: Path) -> Iterator[Path]:
-    """The folders of all finished runs and of all sweeps, oldest path first."""
+    """Yields the folders of all finished runs and of all sweeps, oldest path first."""
     for place, folders, files in os.walk(outputs):
         folders[:] = sorted(name for name in folders if name not in _NO_RESULTS)
         if SWEEP in files:
@@ -92,20 +91,21 @@ def runs_and_sweeps(outputs: Path) -> Iterator[Path]:
 
 
 def newest_sweep(outputs: Path) -> Path:
-    """The folder of the sweep whose list was written last.
+    """Returns the folder of the sweep whose list was written last.
 
     Raises:
         InputError: there is no sweep.
     """
     for path in sorted(outputs.glob(f"sweeps/*/{SWEEP}"), key=lambda p: -p.stat().st_mtime):
-        with suppress(InputError):  # a damaged sweep hides no other
+        with suppress(InputError):  # a damaged sweep is skipped
             _ = SweepFolder(path.parent).about
             return path.parent
-    raise InputError("folder", str(outputs / "sweeps"), "no sweep there; name a sweep's folder")
+    raise InputError("folder", str(outputs / "sweeps"), "a folder of a sweep; here is no sweep")
 
 
 def find_unlisted_results(outputs: Path) -> dict[Path, int]:
-    """``{folder: bytes}`` of the results that belong to no run or sweep in the outputs folder.
+    """Finds ``{folder: bytes}`` of the results that belong to no run or sweep in the outputs
+    folder.
 
     Raises:
         InputError: the list of a sweep cannot be read, so its results are unknown.
@@ -122,7 +122,7 @@ def find_unlisted_results(outputs: Path) -> dict[Path, int]:
 
 
 def delete_result(folder: Path) -> None:
-    """Deletes a result; first the file that marks it as complete, so that nobody reads a part of
-    it."""
+    """Deletes a result. First deletes the file that marks the result as complete, so that nobody
+    reads an incomplete result."""
     (folder / RESULTS).unlink(missing_ok=True)
     shutil.rmtree(folder)

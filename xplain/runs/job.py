@@ -3,7 +3,7 @@
 A result has one address, ``outputs/results/<fingerprint>``. A job whose address has a finished
 result returns it. So a repeated run, a resumed sweep, and sweeps with common jobs all use the same
 result. Files are written atomically, ``results.json`` last: no reader sees a partial result, and
-two processes may compute the same one.
+two processes may compute the same result.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ log = logging.getLogger(__name__)
 
 OTHER_CODE = (
     "this worker has other code, libraries, data or files of choices than the process that started "
-    "the sweep: give it the same, and start the command again"
+    "the sweep: update the worker, and start the command again"
 )
 
 
@@ -64,7 +64,7 @@ class Job:
         config: everything that decides a number, resolved.
         choices: the component chosen in each group, by name.
         outputs: path of the outputs folder.
-        anew: True computes it again without any cache, although it has a result.
+        anew: True computes the job again without any cache, even if it has a result.
     """
 
     config: Mapping[str, Any]
@@ -86,21 +86,21 @@ class Job:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Fingerprint of everything that its numbers depend on."""
+        """Fingerprint of everything that the job's numbers depend on."""
         return fingerprint(self.config)
 
     @cached_property
     def source(self) -> str:
-        """Fingerprint of everything that its data, types and traces depend on."""
+        """Fingerprint of everything that the job's data, types and traces depend on."""
         return source_fingerprint(self.config)
 
     @property
     def address(self) -> Path:
-        """The folder of its result, whether it exists or not."""
+        """The folder of the job's result, whether it exists or not."""
         return Path(self.outputs, "results", self.fingerprint)
 
     def find_result(self) -> Results | None:
-        """Its result, if there is a valid one."""
+        """Returns the job's result, if there is a valid result."""
         return None if self.anew else find_finished(self.address)
 
     def result(
@@ -108,12 +108,12 @@ class Job:
         progress: Progress = SILENT,
         save: Callable[[Results, str], None] = lambda results, episodes: None,
     ) -> Results:
-        """Its result, computed if there is none.
+        """Returns the job's result, and computes it if there is no result.
 
         Args:
             progress: receives the progress.
-            save: receives the results and the text of the episodes before the certificates are
-                computed, because these take as long again.
+            save: receives the results and the text of the episodes before the certificates, which
+                may take as long as the results.
         """
         if (known := self.find_result()) is not None:
             log.info("the result exists already: %s", os.path.relpath(self.address))
@@ -162,8 +162,8 @@ def run_alone(
 
     Args:
         job: the job.
-        folder: receives copies of the result's files, and the pictures; created with the first of
-            them.
+        folder: receives copies of the result's files, and the pictures; created with the first
+            file.
         tracking: where results are sent, besides the disk.
         progress: receives the progress.
         shown: True prints tables.
@@ -172,7 +172,7 @@ def run_alone(
         XplainError: the configuration or the data cannot be used, or the folder has results.
     """
     if (folder / RESULTS).exists():
-        allowed = "another folder: this one holds the results of an earlier run"
+        allowed = "another folder: this folder has the results of an earlier run"
         raise InputError("hydra.run.dir", os.path.relpath(folder), allowed)
 
     def save(results: Results, episodes: str) -> None:
@@ -201,7 +201,7 @@ def run_alone(
             print_certificates(results.bounds)
     drawn = ""
     with progress.stage("drawing one explanation"), attempt("there is no picture"):
-        drawn = _draw(folder, results)
+        drawn = _draw_pictures(folder, results)
     with progress.stage("sending the run to MLflow"):
         lines = tracking.log(folder, Path(job.outputs))
     log.info("folder: %s", os.path.relpath(folder))
@@ -218,7 +218,7 @@ def save_batch(path: Path, jobs: Iterable[Job]) -> None:
 
 
 def run_batch(path: Path) -> None:
-    """Runs the jobs of a batch. A failed job writes its error into its folder in the sweep's."""
+    """Runs the jobs of a batch. The error of a failed job is written into the job's folder."""
     end_with_parent()
     for listed, content in json.loads(path.read_text(encoding="utf-8")).items():
         run_in_sweep(Job(**content), path.parents[1] / "jobs" / listed, listed)
@@ -230,7 +230,7 @@ def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:
 
     Args:
         job: the job.
-        folder: its own folder inside the sweep's.
+        folder: the job's folder inside the sweep's folder.
         listed: the fingerprint in the sweep's list.
     """
     regret = None
@@ -243,13 +243,13 @@ def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:
 
 @contextmanager
 def failing_into(folder: Path) -> Iterator[None]:
-    """A context manager that writes an error of its block into the folder. It does not raise the
-    error, because a failed job does not stop a sweep."""
+    """Writes an error of the block into the folder. The error is not raised, because a failed job
+    does not stop a sweep."""
     try:
         yield
     except SystemExit as error:
         mark_failed(folder, RuntimeError(name_ending(error)))
-    except Exception as error:  # noqa: BLE001  (components raise what they like)
+    except Exception as error:  # noqa: BLE001  (components may raise any error)
         mark_failed(folder, error)
 
 
@@ -265,11 +265,11 @@ def mark_failed(folder: Path, error: BaseException) -> None:
 
 
 def name_ending(error: SystemExit) -> str:
-    """Names the function by which a component ended the program."""
+    """Describes how a component ended the program."""
     return f"a component ended the program (sys.exit({error.code!r})) while the experiment ran"
 
 
-def _draw(folder: Path, results: Results) -> str:
+def _draw_pictures(folder: Path, results: Results) -> str:
     """Draws the run's pictures. Returns a description of the drawn episode."""
     from xplain.report import plots, trace
 

@@ -80,7 +80,7 @@ class MLflow(Disk):
         """Updates MLflow to the state of a run's or sweep's folder.
 
         Returns:
-            Lines for the terminal: where to look.
+            Lines for the terminal that say where the results are.
 
         Raises:
             XplainError: MLflow fails, or the experiment was deleted there.
@@ -91,7 +91,7 @@ class MLflow(Disk):
             raise
         except Exception as error:  # MLflow passes on errors of SQLAlchemy, requests, the OS
             text = without_passwords(first_line(error))[:200]
-            raise XplainError(f"tracking.uri: MLflow did not take this ({text})") from error
+            raise XplainError(f"tracking.uri: MLflow did not store the results ({text})") from error
 
     def _send(self, folder: Path, outputs: Path) -> list[str]:
         outputs.mkdir(parents=True, exist_ok=True)
@@ -120,7 +120,7 @@ class MLflow(Disk):
         lines = [f"MLflow: {page}/{experiment}/runs{shown}"]
         if not served:
             place = f"sqlite:///{os.path.relpath(own)}" if self.uri is None else self.uri
-            lines.append(f"  once this runs: mlflow ui --backend-store-uri {place}")
+            lines.append(f"  start its server first: mlflow ui --backend-store-uri {place}")
         return lines
 
 
@@ -148,7 +148,7 @@ def sync(folders: Sequence[Path], outputs: Path, tracking: MLflow) -> int:
             except InputError as error:
                 log.warning("left out: %s", error)
                 continue
-            with alone(path, "it is running; waiting"):
+            with alone(path, "the sweep is running; waiting for its end"):
                 tracking.send(path, outputs)
     return count
 
@@ -181,9 +181,9 @@ class _Store:
 
         Args:
             folder, results: of the finished run.
-            label: label of its job in a sweep; "" for a run of its own.
+            label: label of the job in a sweep; "" for a single run.
             swept: keys of the sweep with this run's values.
-            known_by: tags that distinguish it from other runs of the same result.
+            known_by: tags that distinguish the run from other runs of the same result.
             among: candidate runs; None searches for them.
         """
         end = results.started + sum(results.seconds.values())
@@ -197,20 +197,23 @@ class _Store:
         metrics = [Metric(key, round(value, 4), times[1], 0) for key, value in found]
         params = [Param(key, value) for key, value in parameters(results, swept).items()]
         known_by = {RESULT_TAG: results.fingerprint, **known_by}
-        among = self._known(known_by) if among is None else among
+        among = self._find_runs(known_by) if among is None else among
         name, figured = label or results.name, (metrics, params)
-        return self._put(folder, name, "FINISHED", times, known_by, about, among, *figured)
+        return self._write_run(folder, name, "FINISHED", times, known_by, about, among, *figured)
 
     def send_sweep(self, sweep: SweepFolder) -> str:
-        """Sends the ended jobs of a sweep, its report and a view of it. Returns the view's key."""
+        """Sends the ended jobs, the report and a view of a sweep. Returns the view's key."""
         summary, name = Summary(sweep.path), sweep.path.name
         began, now = int(1000 * summary.about["started"]), int(1000 * time.time())
         tags = {SWEEP_TAG: name, **SOURCE}
-        found = self._known({SWEEP_TAG: name})
+        found = self._find_runs({SWEEP_TAG: name})
         own = found[0] if found else self.client.create_run(self.experiment, began, tags, name)
         parent = str(own.info.run_id)
         self.client.set_tag(parent, "mlflow.note.content", answer(summary))
-        children, states = self._known({PARENT_TAG: parent}), [sweep.state(j) for j in sweep.jobs]
+        children, states = (
+            self._find_runs({PARENT_TAG: parent}),
+            [sweep.state(j) for j in sweep.jobs],
+        )
         for job, state in zip(sweep.jobs, states, strict=True):
             known_by = {RESULT_TAG: job.fingerprint, PARENT_TAG: parent}
             if state == "finished":
@@ -219,7 +222,7 @@ class _Store:
             elif state == "failed":
                 at = int(1000 * ((folder := sweep.of(job)) / FAILURE).stat().st_mtime)
                 error = {"xplain.error": sweep.error(job)[:4000]}
-                self._put(folder, job.label, "FAILED", (at, at), known_by, error, children)
+                self._write_run(folder, job.label, "FAILED", (at, at), known_by, error, children)
         if (report := sweep.path / "report").is_dir():
             self.client.log_artifacts(parent, str(report), "report")
         ended = "FAILED" if "failed" in states else "KILLED" if "waiting" in states else "FINISHED"
@@ -231,7 +234,7 @@ class _Store:
         self.client.set_experiment_tag(self.experiment, f"mlflow.sharedViewState.{key}", text)
         return key
 
-    def _put(
+    def _write_run(
         self,
         folder: Path,
         name: str,
@@ -247,10 +250,10 @@ class _Store:
         or start come from earlier attempts or from interrupted senders, and are deleted.
 
         Args:
-            folder: its artifacts.
+            folder: artifacts of the run.
             name, status: of the run.
-            times: its start and end, in milliseconds since 1970.
-            known_by: tags that distinguish it from all other runs.
+            times: start and end of the run, in milliseconds since 1970.
+            known_by: tags that distinguish the run from all other runs.
             tags: further tags.
             among: candidate runs.
             metrics, params: of the run.
@@ -271,14 +274,14 @@ class _Store:
         self.client.set_terminated(made.info.run_id, status, times[1])
         return str(made.info.run_id)
 
-    def _known(self, tags: Mapping[str, str]) -> Sequence[Run]:
-        """The runs with these tags, without deleted ones."""
+    def _find_runs(self, tags: Mapping[str, str]) -> Sequence[Run]:
+        """Finds the runs with these tags, without deleted runs."""
         wanted = " and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items())
         return self.client.search_runs([self.experiment], wanted, max_results=50_000)
 
 
 def figures(results: Results) -> dict[str, float]:
-    """Figures with one number each, by MLflow's names."""
+    """Returns figures with one number each, by MLflow's names."""
     known = {FIGURES[key]: own for key, own in results.metrics.items() if key in FIGURES}
     compared = [name for name in known if name in MEASURES.values()]
     every = {
@@ -292,17 +295,17 @@ def figures(results: Results) -> dict[str, float]:
 
 
 def parameters(results: Results, swept: Mapping[str, str]) -> dict[str, str]:
-    """The swept values, the choices by group (``solver = pomcp``), and the experiment's own numbers
-    and texts. The artifact ``results.json`` has all keys."""
+    """Returns the swept values, the choices by group (``solver = pomcp``), and the experiment's own
+    numbers and texts. The artifact ``results.json`` has all keys."""
     own = {key: value for key, value in results.config.items() if not isinstance(value, Mapping)}
     every = {**{key: swept[key] for key in swept if "." in key}, **results.choices, **own}
     return {key: str(value)[:500] for key, value in every.items()}
 
 
 def view(parent: str, summary: Summary) -> dict[str, Any]:
-    """The view of a sweep on MLflow's page of runs: a row for each job with the measure, its
-    interval, the cost and the swept values. Problems keep their order; the jobs of one problem, if
-    one was swept, are sorted by the measure."""
+    """Makes the view of a sweep on MLflow's page of runs: a row for each job with the measure, its
+    interval, the cost and the swept values. Rows are sorted by λ or another swept key of the
+    problem, or by the measure if the problem was not swept."""
     measure = MEASURES[summary.measure.name] if summary.results else "regret"
     keys = [key for key in summary.keys if len(summary.values(key)) > 1]
     figures = dict.fromkeys((measure, "solver/cost", f"{measure}_low", f"{measure}_high"))

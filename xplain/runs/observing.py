@@ -24,7 +24,7 @@ Row = dict[str, Any]
 
 def write_labels(cfg: DictConfig) -> Row:
     """Writes labels of simulated observers, and their true types in a second file. Returns both
-    paths and their numbers.
+    paths, and the numbers of observers, labels and types.
 
     Args:
         cfg: conf/observe.yaml with its overrides, and the ``hydra`` node.
@@ -60,7 +60,7 @@ def write_labels(cfg: DictConfig) -> Row:
 
 
 def write_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
-    """Writes the questions to ask. Returns a row for each, and a summary.
+    """Writes the questions to ask. Returns a row for each question, and a summary.
 
     Args:
         cfg: conf/questions.yaml with its overrides, and the ``hydra`` node.
@@ -72,14 +72,14 @@ def write_questions(cfg: DictConfig) -> tuple[list[Row], Row]:
     design = instantiate(cfg.queries)
     if not isinstance(design, Battery):
         allowed = (
-            "battery; other questions depend on the answer before (from xplain import "
+            "battery; other designs choose each question after the last answer (from xplain import "
             "Questionnaire)"
         )
         raise InputError("queries", cfg.hydra.runtime.choices.queries, allowed)
     path = cfg.hypotheses if cfg.hypotheses is not None else cfg.queries.hypotheses
     domain = instantiate(cfg.domain) if path is None and cfg.transitions is None else None
     known, images, sentences = read_known_facts(cfg.transitions, path, domain)
-    assert known is not None, "of a table, a file or a domain"
+    assert known is not None, "a table, a file or a domain has the facts"
     transitions, told = battery(known, design.redundancy, cfg.seed)
     rows: list[Row] = []
     for number, (t, mask) in enumerate(zip(transitions.tolist(), told.tolist(), strict=True), 1):

@@ -1,4 +1,4 @@
-"""The jobs of a sweep, and which of them have to run.
+"""The jobs of a sweep, and the jobs that have to run.
 
 The command line and Python plan in the same way: by overrides in Hydra's form, and by Python's
 values, which are never converted to text.
@@ -34,8 +34,8 @@ log = logging.getLogger(__name__)
 
 MANY, EACH = 32, 4
 """A worker takes 0.2 s to begin a batch, so large sweeps run several jobs in one batch. With EACH
-batches for each worker, all workers are busy to the end. If the launcher does not tell its number
-of workers, there are MANY batches."""
+batches for each worker, all workers are busy to the end. If the launcher's number of workers is
+unknown, there are MANY batches."""
 
 LAST = ("solver", "lambda", "seed")
 """Keys at the end of a job's label, so that labels sort by setting."""
@@ -72,7 +72,7 @@ class Plan:
         given: Mapping[str, Sequence[Any]],
         compose: Compose,
     ) -> Plan:
-        """Composes and checks every job, so that errors appear before the first one starts.
+        """Composes and checks every job, so that errors appear before the first job starts.
 
         Args:
             config: configuration of the planning process, with the ``hydra`` node.
@@ -87,14 +87,14 @@ class Plan:
         for word in config.hydra.overrides.hydra:
             key, _, value = word.lstrip("+").partition("=")
             if key.startswith("hydra.sweep."):
-                allowed = "outputs=FOLDER instead: the jobs of a sweep name its folder"
+                allowed = "outputs=FOLDER instead: a sweep's folder gets its name from the jobs"
                 raise InputError(key, value, allowed)
         keys: Any = OmegaConf.to_container(config.hydra.sweeper)
         file = _File(**{key: value for key, value in keys.items() if not key.startswith("_")})
         settings = [{**file.params, **setting} for setting in file.settings or [{}]]
         composer = _Composer(compose, config)
         jobs, rows = dict[str, Job](), dict[str, Listed]()
-        combinations = _combinations(settings, _parse(words))
+        combinations = _list_combinations(settings, _parse(words))
         for texts, values in itertools.product(combinations, itertools.product(*given.values())):
             own = dict(zip(given, values, strict=True))
             named = {k: v for k, v in own.items() if k in GROUPS and isinstance(v, str)}
@@ -104,7 +104,7 @@ class Plan:
             job = Job.of(cfg, dict(cfg.hydra.runtime.choices) | set_values(cfg, others))
             if jobs.setdefault(job.fingerprint, job) is job:
                 shown = values_of([*texts, *others], job)
-                rows[job.fingerprint] = Listed("", _overrides(texts), shown, job.fingerprint)
+                rows[job.fingerprint] = Listed("", _make_overrides(texts), shown, job.fingerprint)
         composer.require_known([*rows.values()])
         name = config.hydra.runtime.choices.get("sweeps") or "multirun"
         digest = hashlib.sha256(json.dumps([*jobs]).encode()).hexdigest()[:10]
@@ -120,8 +120,9 @@ class Plan:
         return cls(folder, label_jobs([*rows.values()]), todo, finished, config, about)
 
     def batches(self) -> list[list[Job]]:
-        """The jobs to run, by worker. Jobs of one data set are in the same batch, because the
-        others wait for the first of them. One batch of each data set comes before further ones."""
+        """Groups the jobs to run, a batch for each call of a worker. Jobs of one data set are in
+        the same batch, because all wait until the first job has made the data. The first batches
+        of all data sets come before their second batches."""
         by_data: dict[str, list[Job]] = {}
         for job in self.todo.values():
             by_data.setdefault(job.source, []).append(job)
@@ -134,7 +135,7 @@ class Plan:
 
 @checks("hydra.sweeper")
 class _File:
-    """Keys of hydra.sweeper; see :class:`hydra_plugins.xplain_sweeper.XplainSweeper`."""
+    """The keys of hydra.sweeper (:class:`hydra_plugins.xplain_sweeper.XplainSweeper`)."""
 
     def __init__(
         self,
@@ -148,7 +149,7 @@ class _File:
 
 
 def label_jobs(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
-    """Reduces the values and labels of jobs to the swept keys: those that differ between jobs, or
+    """Reduces the values and labels of jobs to the swept keys: keys that differ between jobs, or
     that some jobs lack."""
     keys = dict.fromkeys(key for job in jobs for key in job.values)
     varying = [key for key in keys if len({job.values.get(key) for job in jobs}) > 1]
@@ -165,17 +166,17 @@ def label_jobs(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
 
 
 def values_of(keys: Sequence[str], job: Job) -> dict[str, str]:
-    """Returns ``{key: value as text}`` for those of these keys that affect the numbers of a job."""
+    """Returns ``{key: value as text}`` for the keys that affect the numbers of a job."""
     names = dict.fromkeys(key.lstrip("+~").partition("@")[0] for key in keys)
     return {
-        key: job.choices[key] if key in job.choices else _text(_inside(job.config, key))
+        key: job.choices[key] if key in job.choices else _format_value(_get_value(job.config, key))
         for key in names
         if key in job.choices or key.partition(".")[0] in job.config
     }
 
 
-def _inside(node: Any, key: str) -> Any:
-    """The value of a dotted key; None if it is missing."""
+def _get_value(node: Any, key: str) -> Any:
+    """Returns the value of a dotted key; None if it is missing."""
     for name in key.split("."):
         node = node.get(name) if isinstance(node, Mapping) else None
     return node
@@ -200,34 +201,34 @@ def set_values(cfg: DictConfig, values: Mapping[str, Any]) -> dict[str, str]:
     return names
 
 
-def _combinations(
+def _list_combinations(
     settings: list[dict[str, Any]], given: dict[str, list[str]]
 ) -> list[dict[str, str]]:
-    """The distinct combinations of values, a mapping for each job."""
+    """Lists the distinct combinations of values, a mapping for each job."""
     apart = [key for key in given if len({str(setting.get(key)) for setting in settings}) > 1]
-    texts = [{key: _swept_text(value) for key, value in setting.items()} for setting in settings]
+    texts = [{key: _format_values(value) for key, value in setting.items()} for setting in settings]
     chosen: dict[tuple[str, ...], dict[str, str]] = {}
     for setting in texts:
-        own = _parse(_overrides(setting))
+        own = _parse(_make_overrides(setting))
         merged = own | {key: values for key, values in given.items() if key not in apart}
         for combination in itertools.product(*merged.values()):
             values = dict(zip(merged, combination, strict=True))
             if all(values.get(key) in given[key] for key in apart):
-                chosen[_overrides(values)] = values
+                chosen[_make_overrides(values)] = values
     if not chosen:
         known = [{key: own[key] for key in apart if key in own} for own in texts]
-        has = "; ".join(" ".join(_overrides(own)) or "none" for own in known)
+        has = "; ".join(" ".join(_make_overrides(own)) or "none" for own in known)
         asked = ",".join(given[apart[0]])
         raise InputError(apart[0], asked, f"values of one of the sweep's settings: {has}")
     return list(chosen.values())
 
 
-def _overrides(values: Mapping[str, str]) -> tuple[str, ...]:
+def _make_overrides(values: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(f"{key}={value}" for key, value in values.items())
 
 
 def _parse(overrides: Sequence[str]) -> dict[str, list[str]]:
-    """``{key: values}`` of overrides, in their order."""
+    """Parses overrides to ``{key: values}``, in their order."""
     parsed: dict[str, list[str]] = {}
     for override in OverridesParser.create().parse_overrides([*overrides]):
         key = override.get_key_element()
@@ -243,22 +244,22 @@ def _parse(overrides: Sequence[str]) -> dict[str, list[str]]:
     return parsed
 
 
-def _swept_text(value: Any) -> str:
-    """The values of a key in a sweep's file, as an override."""
-    return ",".join(map(_text, value)) if isinstance(value, list) else _text(value)
+def _format_values(value: Any) -> str:
+    """Formats the values of a key in a sweep's file, as an override."""
+    return ",".join(map(_format_value, value)) if isinstance(value, list) else _format_value(value)
 
 
-def _text(value: Any) -> str:
-    """A value in YAML's form; numbers have no trailing zeros."""
+def _format_value(value: Any) -> str:
+    """Formats a value in YAML's form; numbers have no trailing zeros."""
     if isinstance(value, float):
         return f"{value:.10g}"
     return value if isinstance(value, str) else json.dumps(value)
 
 
 class _Composer:
-    """Calls Hydra once for each choice of groups that the planning process did not make itself,
-    because a call takes a fifth of a second. Overrides that only set a value (``lambda=1.5``)
-    change an existing configuration. Everything else, including errors, is left to Hydra.
+    """Composes the configurations of jobs with few calls of Hydra, because a call takes 0.2 s.
+    Overrides that only set a value (``lambda=1.5``) change an existing configuration with the same
+    choices of groups. Hydra handles everything else, including errors.
 
     Args:
         load: Hydra's composition.
@@ -272,10 +273,10 @@ class _Composer:
         self._lacking: dict[str, tuple[Exception, dict[str, None]]] = {}
 
     def compose(self, values: dict[str, str]) -> DictConfig:
-        """The configuration of one combination. Keys that the chosen component lacks are dropped,
-        such as ``solver.simulations`` for a solver without a search."""
+        """Composes the configuration of one combination. Keys that the chosen component lacks are
+        dropped, such as ``solver.simulations`` for a solver without a search."""
         try:
-            return self._composed([*_overrides(values)])
+            return self._reuse_or_load([*_make_overrides(values)])
         except ConfigCompositionException as error:
             key = missing_key(error) or ""
             group = key.partition(".")[0]
@@ -289,14 +290,14 @@ class _Composer:
         """Reports which choices lack a swept key.
 
         Raises:
-            ConfigCompositionException: no choice has it.
+            ConfigCompositionException: no choice has the key.
         """
         for key, (error, choices) in self._lacking.items():
             if not any(key in job.values for job in jobs):
                 raise error
             log.info("%s: no key of %s", key, ", ".join(choices))
 
-    def _composed(self, overrides: list[str]) -> DictConfig:
+    def _reuse_or_load(self, overrides: list[str]) -> DictConfig:
         parsed = OverridesParser.create().parse_overrides(overrides)
         values = [override for override in parsed if self._sets_a_value(override)]
         others = [override for override in parsed if override not in values]
@@ -328,7 +329,7 @@ class _Composer:
 
 
 def command(config: DictConfig) -> str:
-    """The command that starts the same sweep."""
+    """Returns the command that starts the same sweep."""
     given = [*config.hydra.overrides.hydra, *config.hydra.overrides.task]
     words = [word for word in given if not word.startswith("hydra.mode=")]
     prepared = any(word.startswith("sweeps=") for word in words)

@@ -12,8 +12,8 @@ from multiprocessing import resource_tracker
 from typing import NoReturn
 
 CAME = threading.Event()
-"""An event that a signal sets when it ends the process, because a library may replace the
-interruption by another error."""
+"""Is set when a signal interrupts this process. A library may replace the interruption by another
+error, but not this event."""
 
 
 def end_on_signals() -> None:
@@ -28,13 +28,13 @@ def end_on_signals() -> None:
         while signal.sigwait({signal.SIGINT}):
             os.kill(os.getpid(), signal.SIGTERM)
 
-    # Keeps what is ignored: Ctrl-C in a background job, a closed terminal under nohup.
+    # Ignored signals stay ignored: Ctrl-C in a background job, a closed terminal under nohup.
     numbers = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
     heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
     for number in heard:
         signal.signal(number, interrupt)
     if signal.SIGINT in heard:
-        resource_tracker.ensure_running()  # its start would remove the block
+        resource_tracker.ensure_running()  # a later start would remove the block
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # workers inherit this
         threading.Thread(target=wait, daemon=True).start()
 

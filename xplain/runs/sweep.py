@@ -43,14 +43,14 @@ job of another sweeper."""
 
 
 def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
-    """Runs the jobs of a plan without results. Returns the launcher's result.
+    """Runs the jobs of a plan that have no results. Returns the launcher's result.
 
     Args:
         plan: the sweep. With ``dry_run=true`` its jobs are only printed.
         launch: runs the batches in these files.
 
     Raises:
-        KeyboardInterrupt: it was interrupted; ended jobs are in MLflow.
+        KeyboardInterrupt: the sweep was interrupted; MLflow has the ended jobs.
     """
     if plan.config.dry_run:
         _print_jobs(plan)
@@ -59,7 +59,7 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
     with alone(folder.path, "another process runs this sweep; waiting for it"):
         outputs = folder.path.parents[1]
         save_sweep(folder.path, jobs, outputs, plan.about)
-        words = [f"{len(plan.todo)} jobs to run" if plan.todo else "nothing is missing"]
+        words = [f"{len(plan.todo)} jobs to run" if plan.todo else "no job to run"]
         words += [f"{done} finished before"] if done else []
         log.info("%s: %s", folder.path.name, ", ".join(words))
         batches, files = plan.batches(), list[Path]()
@@ -69,10 +69,10 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
             save_batch(files[-1], batch)
         returned: Any = []
         try:
-            with _watched(plan):
+            with _report_progress(plan):
                 try:
                     returned = launch(files) if files else []
-                except Exception as error:  # noqa: BLE001  (launchers raise what they like)
+                except Exception as error:  # noqa: BLE001  (launchers may raise any error)
                     log.warning("the launcher failed (%s)", first_line(error)[:160])
                 if CAME.is_set():  # the launcher replaced the interruption by another error
                     raise KeyboardInterrupt
@@ -80,7 +80,9 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
             tracking: Disk = instantiate(plan.config.tracking)
             tracking.log(folder.path, outputs)
             finished = sum(folder.state(job) == "finished" for job in jobs)
-            said = f"{finished} of {len(jobs)} jobs are finished; the same command runs the others"
+            said = (
+                f"{finished} of {len(jobs)} jobs are finished; the same command runs the other jobs"
+            )
             raise KeyboardInterrupt(said) from None
         for (job, *_), one in zip(batches, returned or (), strict=False):
             with failing_into(folder.path / "jobs" / job.fingerprint):
@@ -100,7 +102,8 @@ def save_sweep(path: Path, jobs: Sequence[Listed], outputs: Path, about: Mapping
     with suppress(OSError, InputError):
         _ = SweepFolder(path).about
         return
-    # A relative path, because a project may be moved; ".." follows no symbolic link back.
+    # A relative path, because a project may be moved. Both paths are resolved, because ".." goes
+    # to another folder after a symbolic link.
     results = os.path.relpath(outputs.resolve() / "results", path.resolve())
     made = {"code": code_version(), "git": git_state(), "started": time.time(), "results": results}
     text = json.dumps({**about, **made, "jobs": [asdict(job) for job in jobs]}, indent=1)
@@ -115,22 +118,22 @@ def finish(
     tell: Callable[[str], None],
     shown: bool = True,
 ) -> bool:
-    """Writes the report of a sweep, sends it to MLflow and prints its end. Returns True if all of
-    its jobs have results.
+    """Writes the report of a sweep, sends it to MLflow and prints the outcome. Returns True if all
+    jobs have results.
 
     Args:
         folder: folder of the sweep.
         tracking: where results are sent, besides the disk.
         outputs: the outputs folder.
-        began: when this process started it, in seconds since 1970.
-        tell: receives a line for people.
-        shown: True prints its table.
+        began: time when this process started the sweep, in seconds since 1970.
+        tell: prints the outcome.
+        shown: True prints the table of the sweep.
     """
     from xplain.report.page import write_report
     from xplain.report.terminal import print_sweep
 
     summary = None
-    # A sweep started twice ends twice: both would send the same jobs to MLflow.
+    # If two processes run one sweep, both end it and would send the same jobs to MLflow.
     with alone(folder.path, "another process ends this sweep; waiting for it"):
         with attempt("there is no report"):
             summary, _ = write_report(folder.path)
@@ -140,15 +143,15 @@ def finish(
             print_sweep(summary)
     states = [folder.state(job) for job in folder.jobs]
     finished, count = states.count("finished"), len(states)
-    end = [f"{finished} of {count} jobs finished, {_duration(time.time() - began)}"]
+    end = [f"{finished} of {count} jobs finished, {_format_duration(time.time() - began)}"]
     for job, state in zip(folder.jobs, states, strict=True):
         if state == "failed":
             where = os.path.relpath(folder.of(job))
             end += [f"failed: {job.label}: {folder.error(job)}", f"  {where}"]
-    end += ["the same command runs the others"] if finished < count else []
+    end += ["the same command runs the other jobs"] if finished < count else []
     end += [f"folder: {os.path.relpath(folder.path)}"]
     end += [f"report: {os.path.relpath(folder.path / 'report' / 'index.html')}", *lines]
-    with attempt("the end was not reported"):
+    with attempt("the outcome was not printed"):
         tell("\n".join(end))
     return finished == count
 
@@ -162,8 +165,8 @@ def list_job(job: Job, overrides: Sequence[str], folder: Path) -> None:
 
 
 def find_ended(config: DictConfig) -> SweepFolder | None:
-    """The sweep that ended: from our sweeper's plan, or from the descriptions that another
-    sweeper's jobs wrote. None if nothing ran."""
+    """Finds the sweep that ended: from the plan of xplain's sweeper, or from the descriptions that
+    jobs of another sweeper wrote. Returns None if no job ran."""
     folder = SweepFolder(Path(config.hydra.sweep.dir).absolute())
     paths = sorted(folder.path.glob(f"jobs/*/{LISTED}"), key=lambda path: path.stat().st_mtime_ns)
     if rows := [Listed(**json.loads(path.read_text(encoding="utf-8"))) for path in paths]:
@@ -173,7 +176,7 @@ def find_ended(config: DictConfig) -> SweepFolder | None:
 
 
 def _print_jobs(plan: Plan) -> None:
-    """Prints the jobs, the finished ones, and the expected time, for ``dry_run=true``."""
+    """Prints the jobs with their states, and the expected time, for ``dry_run=true``."""
     for job in plan.jobs:
         if job.fingerprint in {*plan.finished, *plan.todo}:  # resume=failed skips some
             print(f"{'done' if job.fingerprint in plan.finished else 'to run':8}{job.label}")
@@ -183,14 +186,14 @@ def _print_jobs(plan: Plan) -> None:
     elif plan.todo:
         paths = (plan.folder.path.parents[1] / "results" / key / RESULTS for key in plan.finished)
         seconds = sum(sum(json.loads(p.read_text("utf-8"))["seconds"].values()) for p in paths)
-        left = _duration(seconds / len(plan.finished) * len(plan.todo))
+        left = _format_duration(seconds / len(plan.finished) * len(plan.todo))
         print(f"expected time: about {left} for one worker, estimated from the finished jobs")
 
 
 @contextmanager
-def _watched(plan: Plan) -> Iterator[None]:
-    """A context that reports the progress of the jobs, from their folders, and the first
-    failure."""
+def _report_progress(plan: Plan) -> Iterator[None]:
+    """Reports the progress of the jobs, from their folders, and the first failure, while the block
+    runs."""
     began, folder, done = time.time(), plan.folder, len(plan.finished)
     jobs = [job for job in plan.jobs if job.fingerprint in plan.todo]
     progress, stop, said = stages(), threading.Event(), list[Listed]()
@@ -207,7 +210,7 @@ def _watched(plan: Plan) -> Iterator[None]:
         words = f"{done + count} of {done + len(jobs)} jobs done, {len(failed)} failed"
         if 0 < count < len(jobs):
             left = (time.time() - began) / count * (len(jobs) - count)
-            words += f", about {_duration(left)} left"
+            words += f", about {_format_duration(left)} left"
         progress.note(words)
 
     def watch() -> None:
@@ -225,6 +228,6 @@ def _watched(plan: Plan) -> Iterator[None]:
             look()
 
 
-def _duration(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     """Formats hours, minutes and seconds: ``0:03:20``."""
     return str(timedelta(seconds=round(seconds)))
