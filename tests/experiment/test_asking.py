@@ -1,18 +1,23 @@
-"""Questions in an experiment: the questions of a trace, their answers, and their costs."""
+"""Questions in an experiment: the questions of a trace, right answers to them, and their costs."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
+from hydra.utils import instantiate
 
+from tests.configurations import composed
+from tests.report import handmade
 from xplain.domains.base import transition_features
-from xplain.domains.users.setting import Setting
+from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
+from xplain.experiment.asking import CaseQuestions, belief_questions, merge_questions
 from xplain.experiment.cache import source_fingerprint
-from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import (
     Costs,
     evaluate,
@@ -23,76 +28,136 @@ from xplain.experiment.explanations import (
 from xplain.experiment.fingerprint import configuration
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, observe, prepare
+from xplain.experiment.results import EPISODES, episode_lines
 from xplain.experiment.strangers import with_others
-from xplain.explanation.asking import Limits, Pool
+from xplain.explanation.asking import SENSE, Limits, Pool
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.explainees import Exact, Heedless, Slips, Unseen
+from xplain.interaction.metrics import Record, by_step, summarise
+from xplain.report.trace import LISTED, list_said, stories
+from xplain.solvers.base import Solver
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.simple import AskFirst
 
-OVERRIDES = ("domain=four_rooms", "labeler=truth", "clusterer=perfect", "discount=1", "traces=3")
+TRUE = ("labeler=truth", "clusterer=perfect")
+ROOMS = ("domain=four_rooms", *TRUE, "discount=1", "traces=3")
+CLIPS = (*ROOMS, "ask=clips")
+ASKED = (*TRUE, "discount=1", "traces=3", "lambda=0.5", "ask=clips", "ask.cost=0.2")
+TWO = (*TRUE, "traces=2")
 
 
 @cache
-def world(*more: str) -> tuple[Prepared, Costs, Setting]:
-    cfg = compose_config("config", [*OVERRIDES, "ask=clips", *more])
-    components = components_of(cfg)
-    own = (components.domain, components.users, components.observers, components.queries)
-    setting = observe(*own, components.seed).setting
-    assert setting is not None
-    return prepare(components), costs_of(cfg), setting
+def world(*overrides: str) -> tuple[Prepared, Costs]:
+    cfg = composed(*overrides)
+    return prepare(components_of(cfg)), costs_of(cfg)
+
+
+def questions(*overrides: str) -> CaseQuestions:
+    """Those of the first trace."""
+    found = world(*overrides)[0].cases[0].questions
+    assert found is not None
+    return found
+
+
+@cache
+def records_of(solver: Solver, limits: Limits | None, *overrides: str) -> list[Record]:
+    prepared, costs = world(*overrides)
+    costs = costs if limits is None else replace(costs, asking=limits)
+    return evaluate(prepared, costs, {"solver": solver}, Independent(), Exact(), 0)
 
 
 def test_clips_are_the_tasks_nearest_first_with_their_labels() -> None:
-    prepared, _, setting = world()
-    for case in prepared.cases:
+    components = components_of(composed(*CLIPS))
+    own = (components.domain, components.users, components.observers, components.queries)
+    setting = observe(*own, components.seed).setting
+    for case in world(*CLIPS)[0].cases:
         asked = case.questions
-        assert asked is not None
         assert {*map(tuple, asked.transitions.tolist())} <= {
             *map(tuple, setting.reachable.tolist())
         }
         truth = setting.true_labels(asked.transitions)
         assert np.array_equal(asked.labels.p, truth.p)
         assert np.array_equal(asked.learned.p, truth.p)  # labeler=truth
-        own, clips = (
+        trace, clips = (
             transition_features(setting.domain, t) for t in (case.transitions, asked.transitions)
         )
-        apart = (clips[:, None] != own).sum(axis=2).min(axis=1)
+        apart = (clips[:, None] != trace).sum(axis=2).min(axis=1)
         assert (np.diff(apart) >= 0).all()
         for clip, row in zip(asked.transitions, asked.shows, strict=True):
             assert row.tolist() == (case.transitions == clip).all(axis=1).tolist()
+    assert len(questions(*CLIPS, "ask.clips=4").texts) == 4
 
 
-def test_no_more_clips_are_kept_than_asked_for() -> None:
-    prepared, _, _ = world("ask.clips=4")
-    assert {len(c.questions.texts) for c in prepared.cases if c.questions} == {4}
-
-
-def test_an_episode_costs_its_questions_too() -> None:
+@pytest.mark.parametrize(
+    ("solver", "limits", "overrides"),
+    [(QMDP(), None, ASKED), (AskFirst(), Limits(0.3, most=2), CLIPS)],
+)
+def test_an_episode_costs_its_questions_too(
+    solver: Solver, limits: Limits | None, overrides: tuple[str, ...]
+) -> None:
     """Exact users answer with their true labels under the messages given."""
-    prepared, costs, _ = world()
-    dear = replace(costs, asking=Limits(0.3, most=2))
-    records = evaluate(prepared, dear, {"solver": AskFirst()}, Independent(), Exact(), 0)
-    assert max(record.episode.n_questions for record in records) == 2
+    prepared, costs = world(*overrides)
+    records = records_of(solver, limits, *overrides)
+    price = (limits or costs.asking).cost
     for record in records:
         episode, asked = record.episode, prepared.cases[record.trace].questions
-        assert asked is not None
-        assert episode.n_questions <= 2
-        paid = costs.trade_off * episode.communication + episode.inexplicability
-        assert episode.cost == pytest.approx(paid + 0.3 * episode.n_questions)
+        paid = costs.trade_off * episode.n_messages + episode.n_inexplicable
+        assert episode.cost == pytest.approx(paid + price * episode.n_questions)
+        assert episode.asking == pytest.approx(price * episode.n_questions)
         for step, question, answer in episode.questions.tolist():
-            assert step == 0  # before the first step, so nothing was said
-            label = asked.labels.label_probabilities(question + 1, 0)[record.user_type, -1]
-            assert answer == label
+            given = int(np.bitwise_or.reduce(episode.messages[:step], initial=0))
+            labels = asked.labels.label_probabilities(question + 1, given)
+            assert answer == labels[record.user_type, -1]
+    counts = [record.episode.n_questions for record in records]
+    assert max(counts) <= (limits.most if limits else np.inf)
+    figures, steps = summarise(records), by_step(records)
+    assert figures["questions"].mean == np.mean(counts) > 0
+    assert figures["questions_cost"].mean == pytest.approx(price * np.mean(counts))
+    assert steps["questions_asked"] @ steps["episodes"][1:] == pytest.approx(sum(counts))
+
+
+def test_each_question_is_told_with_its_step_and_its_answer_and_the_report_counts_it(
+    tmp_path: Any,
+) -> None:
+    prepared, records = (
+        world(*ASKED)[0],
+        records_of(QMDP(), None, *ASKED),
+    )
+    text = episode_lines(prepared, records)
+    (tmp_path / EPISODES).write_text(text)
+    messages = handmade.results("run", {}, ()).messages
+    for line, story, record in zip(
+        text.splitlines(), stories(tmp_path, "solver"), records, strict=True
+    ):
+        told = [
+            (k, one["about"], one["answer"], one["reply"])
+            for k, step in enumerate(json.loads(line)["steps"])
+            for one in step["questions"]
+            if one["text"] == SENSE
+        ]
+        texts = prepared.cases[record.trace].questions.texts
+        rows = record.episode.questions.tolist()
+        assert told == [(k, texts[q], answer, ("no", "yes")[answer]) for k, q, answer in rows]
+        assert sum(len(step["questions"]) for step in story["steps"]) == len(rows)
+        assert list_said(story, messages).count("it asks: “") == min(len(rows), LISTED)
+
+
+def test_where_nothing_is_asked_which_is_the_default_nothing_is_told_of_it() -> None:
+    prepared, costs = world(*TRUE, "traces=1")
+    records = records_of(QMDP(), None, *TRUE, "traces=1")
+    assert prepared.cases[0].questions is None
+    assert not problem_of_types(prepared, prepared.cases[0], costs, Independent()).questions
+    assert '"questions"' not in episode_lines(prepared, records)
+    assert not {"questions", "questions_cost"} & summarise(records).keys()
+    assert "questions_asked" not in by_step(records)
 
 
 def test_a_clip_is_answered_as_the_label_is_mistakes_included() -> None:
     """People who repeat a mistake make it about a transition and about its clip."""
-    prepared, _, _ = world()
+    prepared, _ = world(*CLIPS)
     mistakes = 0
     for case in prepared.cases:
-        assert case.questions is not None
         labels, same = true_thoughts(case)
         m = len(case.transitions)
         for user in range(len(prepared.types)):
@@ -119,35 +184,20 @@ def test_who_missed_a_message_answers_without_it() -> None:
 
 def test_asking_is_learned_once_whatever_it_costs() -> None:
     def key(*more: str) -> str:
-        return source_fingerprint(configuration(compose_config("config", [*OVERRIDES, *more])))
+        return source_fingerprint(configuration(composed(*ROOMS, *more)))
 
     assert key("ask=clips") == key("ask=clips", "ask.cost=0.5", "ask.most=3", "ask.when=first")
     assert len({key(), key("ask=clips"), key("ask=clips", "ask.clips=9")}) == 3
 
 
-def test_nothing_is_asked_by_default() -> None:
-    cfg = compose_config("config", list(OVERRIDES))
-    components = components_of(cfg)
-    assert components.ask is None
-    prepared = prepare(replace(components, traces=1))
-    assert prepared.cases[0].questions is None
-    assert not problem_of_types(prepared, prepared.cases[0], costs_of(cfg), Independent()).questions
-
-
-def test_true_labels_and_strangers_answer_questions_too() -> None:
-    prepared, costs, _ = world()
-    for case in with_true_labels(prepared).cases:
-        assert case.questions is not None
+def test_true_labels_answer_questions_too() -> None:
+    for case in with_true_labels(world(*CLIPS)[0]).cases:
         assert case.questions.learned is case.questions.labels
-    cfg = compose_config("config", [*OVERRIDES, "ask=clips"])
-    strange = with_others(prepared, components_of(cfg), Unseen())
-    records = evaluate(strange, costs, {"solver": QMDP()}, Independent(0.1), Exact(), 0)
-    assert len(records) == len(strange.types) * len(strange.cases)
 
 
 def test_users_who_err_are_asked_twice() -> None:
     """There are second opinions if users err, otherwise none."""
-    prepared, costs, _ = world()
+    prepared, costs = world(*CLIPS)
     cheap = replace(costs, asking=Limits(0.01))
     asked = []
     for error in (0.0, 0.2):
@@ -157,12 +207,113 @@ def test_users_who_err_are_asked_twice() -> None:
     assert asked[1] > asked[0] > 0
 
 
-def test_what_may_be_asked_is_checked() -> None:
-    with pytest.raises(InputError, match=r"ask\.kinds"):
-        Pool(("riddles",))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"ask\.clips"):
-        Pool(clips=0)
-    with pytest.raises(InputError, match=r"ask\.cost"):
-        Limits(-0.1)
-    with pytest.raises(InputError, match=r"ask\.when"):
-        Limits(when="later")  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("key", "made"),
+    [
+        ("ask.kinds", lambda: Pool(("riddles",))),
+        ("ask.clips", lambda: Pool(clips=0)),
+        ("ask.cost", lambda: Limits(-0.1)),
+        ("ask.when", lambda: Limits(when="later")),
+    ],
+)
+def test_what_may_be_asked_is_checked(key: str, made: Any) -> None:
+    with pytest.raises(InputError, match=key):
+        made()
+
+
+# --- Questions about beliefs ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def setting() -> Setting:
+    domain = instantiate(composed().domain)
+    values = {one.name: one.inaccurate for one in domain.parameters}
+    held = [(), ("fire",), ("rubble", "fence"), ("refuel", "puddle", "first_aid")]
+    return Setting.build(
+        domain,
+        tuple(UserType(str(t), {n: values[n] for n in own}) for t, own in enumerate(held)),
+    )
+
+
+def test_a_fact_is_right_unless_it_is_held_wrong_and_was_not_told(setting: Setting) -> None:
+    beliefs = belief_questions(setting, setting.wrong, 0)
+    names = setting.message_names
+    assert [names[j] for j in beliefs.facts] == list(names)
+    for given in range(1 << len(names)):
+        found = beliefs.labels.label_probabilities(len(names), given)
+        for t, user in enumerate(setting.types):
+            wanted = [n not in user.inaccurate or given >> j & 1 for j, n in enumerate(names)]
+            assert found[t].tolist() == wanted
+
+
+def test_what_types_know_is_what_is_left_until_they_are_told(setting: Setting) -> None:
+    rng = np.random.default_rng(0)
+    wrong = np.where(rng.random((3, 6)) < 0.3, 0.004, rng.random((3, 6)))
+    learned = belief_questions(setting, wrong, 0).learned
+    for given in range(1 << 6):
+        told = np.array([given >> j & 1 for j in range(6)], bool)
+        wanted = np.where(told & (wrong >= 0.01), 1, 1 - wrong)
+        np.testing.assert_allclose(learned.label_probabilities(6, given), wanted)
+
+
+def test_the_order_of_sentences_is_drawn_and_says_nothing_of_the_right_one(
+    setting: Setting,
+) -> None:
+    drawn = [belief_questions(setting, setting.wrong, seed) for seed in range(200)]
+    again = belief_questions(setting, setting.wrong, 7)
+    assert (again.texts, again.right.tolist()) == (drawn[7].texts, drawn[7].right.tolist())
+    shares = np.mean([one.right for one in drawn], axis=0)
+    assert (abs(shares - 0.5) < 4 * 0.5 / np.sqrt(200)).all()
+    for one in drawn:
+        for j, text, right in zip(one.facts, one.texts, one.right, strict=True):
+            assert text.split("\n")[right] == setting.domain.parameters[j].message
+            assert text.split("\n")[1 - right] == setting.domain.parameters[j].belief
+
+
+def test_labels_of_people_tell_what_their_types_hold_wrong() -> None:
+    """20 labels of each person are enough for these types; the posterior is never certain."""
+    learner = ("labeler=hypotheses", "queries=adaptive", "points=20", "traces=2")
+    found, true = (questions(*words, "ask=beliefs") for words in (learner, TWO))
+    assert found.facts.tolist() == true.facts.tolist()
+    p = found.learned.label_probabilities(len(found.facts), 0)
+    truth = true.learned.label_probabilities(len(true.facts), 0)
+    assert ((p > 0) & (p < 1)).all()
+    for own in p:  # types come in another order
+        assert abs(truth - own).sum(axis=1).min() < 0.1
+
+
+def test_types_without_fact_sets_are_refused_in_one_line() -> None:
+    with pytest.raises(InputError, match="labeler=truth and labeler=hypotheses"):
+        world("labeler=tree", "clusterer=perfect", "ask=beliefs", "traces=1", "points=20")
+
+
+def test_clips_and_beliefs_are_one_list_with_one_cap() -> None:
+    both, clips = (questions(*TWO, f"ask={kind}") for kind in ("both", "clips"))
+    assert len(both.texts) == len(clips.texts) + (both.facts >= 0).sum()
+    assert (both.transitions[both.facts < 0] == clips.transitions).all()
+    assert len(questions(*TWO, "ask=both", "ask.clips=7").texts) == 7
+    assert merge_questions([], 5) is None
+
+
+@pytest.mark.parametrize("kind", ["clips", "beliefs", "both"])
+def test_strangers_answer_for_themselves(kind: str) -> None:
+    prepared, costs = world(*TWO, f"ask={kind}")
+    components = components_of(composed(*TWO, f"ask={kind}"))
+    strangers = with_others(prepared, components, Unseen())
+    for case in strangers.cases:
+        asked = case.questions
+        assert asked.labels.n_types == len(strangers.types)
+        for t, name in enumerate(strangers.types):
+            facts = set(name.removeprefix("unseen ").split("+"))
+            for q in np.flatnonzero(asked.facts >= 0):
+                right = asked.labels.label_probabilities(q + 1, 0)[t, q]
+                assert right == (strangers.messages[asked.facts[q]] not in facts)
+        for q, i in np.argwhere(asked.shows):
+            for given in (0, 5, 63):
+                one = case.labels.label_probabilities(i + 1, given)[:, i]
+                other = asked.labels.label_probabilities(q + 1, given)[:, q]
+                np.testing.assert_array_equal(one, other)
+    free = replace(costs, asking=Limits(0.0))
+    records = evaluate(strangers, free, {"solver": QMDP()}, Independent(), Unseen(), 0)
+    assert any(record.episode.n_questions for record in records)
+    assert len(records) == len(strangers.types) * len(strangers.cases)
