@@ -27,11 +27,12 @@ log = logging.getLogger(__name__)
 
 GIB = 1 << 30
 TIE = 1e-9
-"""Values count as equal if their difference, relative to 1 + their size, is smaller than this."""
+"""Values count as equal if their difference, relative to 1 + the absolute value, is smaller than
+this."""
 
 Knowledge = Literal["types", "everyone", "type", "labels"]
-"""The knowledge that the planning agent may have of the user (the experiment builds its problem
-from it):
+"""The knowledge that the planning agent may have of the user. The experiment makes the agent's
+problem from this knowledge:
 
 - ``types``: the learned user types and a prior over them (the paper's setting);
 - ``everyone``: one labeler learned from everybody's labels (the paper's baseline);
@@ -54,8 +55,9 @@ class Policy(Protocol):
         """
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """The values behind the choice: estimated discounted return by the next action. Larger is
-        better. May be empty; some policies evaluate only single messages."""
+        """Returns the values behind the choice: the estimated discounted return for each next
+        action. Larger is better. The result may be empty; some policies evaluate only single
+        messages."""
         ...
 
 
@@ -72,7 +74,7 @@ class Solver(Protocol):
         """Makes a policy for the problem.
 
         Raises:
-            TooLargeError: the tables would not fit; raised before memory is allocated.
+            TooLargeError: the tables would not fit into memory; raised before they are allocated.
         """
 
 
@@ -110,13 +112,14 @@ def best_of(sets: NDArray[np.int64], values: NDArray[np.float64]) -> int:
 
 
 def messages_of(action: Action) -> int:
-    """Bitmask of the messages that an action gives: none for *explain* and for questions."""
+    """Returns the bitmask of the messages that an action gives: 0 for *explain* and for
+    questions."""
     return action.messages if isinstance(action, GiveMessages) else 0
 
 
 def best_action(values: Mapping[Action, float]) -> Action:
-    """The action with the largest value. A question needs a larger value than all messages. Among
-    equal questions the first is chosen; among equal sets of messages, the set of
+    """Returns the action with the largest value. A question needs a larger value than all messages.
+    Among equal questions the first is chosen; among equal sets of messages, the set of
     :func:`best_of`."""
     asked = {a.question: v for a, v in values.items() if isinstance(a, AskQuestion)}
     said = {messages_of(a): v for a, v in values.items() if not isinstance(a, AskQuestion)}
@@ -145,8 +148,8 @@ class CachedPolicy:
         self.decisions: dict[tuple[VisibleState, bytes], tuple[Action, float]] = {}
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`. The policy receives the rounded belief, so the
-        order of two beliefs that differ by rounding does not matter."""
+        """Returns the cached action, or calls the policy. The policy receives the rounded belief,
+        so beliefs that differ only by rounding give the same action."""
         belief = round_belief(belief)
         key = visible, belief.tobytes()
         if key not in self.decisions:
@@ -157,7 +160,7 @@ class CachedPolicy:
         return action
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Returns the values of the policy that decides."""
         return self.policy.values(visible, belief)
 
 
@@ -173,11 +176,11 @@ class LazyPolicy:
         self._policy = cache(plan)
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Chooses the planned policy's action."""
         return self._policy().decide(visible, belief)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Returns the planned policy's values."""
         return self._policy().values(visible, belief)
 
 

@@ -32,7 +32,7 @@ class Bounds:
         lower, upper: bounds of the optimal value.
         known_type: Σ_t prior(t) V*_t, the value if the type were known at the start, with the same
             messages as actions. If messages may be missed or forgotten, the user's knowledge after
-            each action is then known, too.
+            each action would be known, too.
     """
 
     lower: float
@@ -46,24 +46,24 @@ class Bounds:
         return max(self.known_type - self.upper, 0.0), max(self.known_type - self.lower, 0.0)
 
     def suboptimality(self, value: float) -> tuple[float, float]:
-        """The optimum minus a policy's value, as (lower, upper) bounds. An exact value is also a
-        lower bound of the optimum."""
+        """Computes the optimum minus a policy's value, as (lower, upper) bounds. The exact value of
+        a policy is also a lower bound of the optimum."""
         return max(self.lower - value, 0.0), max(self.upper - value, 0.0)
 
 
 DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
-"""Takes at most some tenths of a second for a trace."""
+"""This effort takes at most some tenths of a second for a trace."""
 
 
 def bounds(
     problem: Problem, effort: Effort = DEFAULT, told: Callable[[float], None] | None = None
 ) -> Bounds:
-    """Certified bounds of the optimal value, by HSVI. If its tables exceed the effort's memory, or
-    there are too many messages, the upper bound is the value of known types, and the lower bound
-    the value of plans that ignore answers.
+    """Computes certified bounds of the optimal value by HSVI. If its tables exceed the effort's
+    memory, or there are too many messages, the upper bound is the value of known types. The lower
+    bound is then the best value of a plan that ignores answers.
 
     Args:
-        problem: from the start of the trace.
+        problem: any problem; the bounds are for the start of its trace.
         effort: when the search may stop.
         told: is called regularly with the gap while HSVI searches.
 
@@ -75,18 +75,18 @@ def bounds(
     except TooLargeError:
         if not problem.messages_land:
             raise
-        return _simple_bounds(problem, effort.memory_gib)
+        return _compute_simple_bounds(problem, effort.memory_gib)
     start = problem.start
     known = float(start @ found.tables.model.value[0, : start.size])
     return Bounds(found.lower, found.upper, known)
 
 
-def _simple_bounds(problem: Problem, memory_gib: float) -> Bounds:
+def _compute_simple_bounds(problem: Problem, memory_gib: float) -> Bounds:
     check_memory("knowing the type", known_bytes(problem), memory_gib, "no other solver can")
     process = make_process(problem)
     known = known_values(process)
     sure = known.now(0, 0)
-    # A cheap message for other types delays the cost of a type.
+    # Cheap messages for other types may delay the cost of a type.
     ineffective = (process.relevant >> np.arange(process.n_messages)[:, None] & 1) == 0
     saved = (1 - process.message_discount) * -known.value.min()
     delays = (ineffective & (process.price[:, None] < saved)).sum(axis=0)
@@ -95,15 +95,16 @@ def _simple_bounds(problem: Problem, memory_gib: float) -> Bounds:
 
 
 def best_plan_value(process: Process, known: KnownValues) -> float:
-    """Expected discounted return of the best plan that ignores all answers. The candidates are the
-    optimal plan of each type, and silence."""
+    """Computes the expected discounted return of the best plan that ignores all answers. The
+    candidates are the optimal plan of each type, and the plan without messages."""
     greedy = Greedy(process, known)
-    plans = [_plan(greedy, sure) for sure in np.eye(process.n_states)[: process.n_types]]
-    return max(_plan_value(process, plan) for plan in [*plans, [0] * process.n_steps])
+    plans = [_plan_messages(greedy, sure) for sure in np.eye(process.n_states)[: process.n_types]]
+    return max(_evaluate_plan(process, plan) for plan in [*plans, [0] * process.n_steps])
 
 
-def _plan(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
-    """The sets that the greedy policy gives if no answer changes the belief."""
+def _plan_messages(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
+    """Lists the message set of each step that the greedy policy gives if no answer changes the
+    belief."""
     plan: list[int] = []
     for step in range(greedy.process.n_steps):
         visible = VisibleState(step, sum(plan))
@@ -111,9 +112,9 @@ def _plan(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
     return plan
 
 
-def _plan_value(process: Process, plan: list[int]) -> float:
-    """Expected discounted return of a fixed plan of sets, which ignores answers. The cheapest
-    message of a set comes first."""
+def _evaluate_plan(process: Process, plan: list[int]) -> float:
+    """Computes the expected discounted return of a fixed plan of sets, which ignores answers. The
+    cheapest message of a set comes first."""
     given, value, discount = 0, 0.0, 1.0
     for step, new in enumerate(plan):
         given |= new
@@ -125,8 +126,8 @@ def _plan_value(process: Process, plan: list[int]) -> float:
 
 
 def known_type_value(problem: Problem, memory_gib: float = 8.0) -> float:
-    """Σ_t prior(t) V*_t: the value of a policy that knows the type at the start, and gives only
-    messages with an effect on it.
+    """Computes Σ_t prior(t) V*_t: the value of a policy that knows the type at the start, and gives
+    only messages with an effect on this type.
 
     Raises:
         TooLargeError: the tables exceed ``memory_gib``.

@@ -1,9 +1,9 @@
 """The value of a policy under the model: exact if possible, otherwise simulated.
 
-The exact walk goes forward, one step at a time, through every belief that the policy can reach
-(equal ones merged). It calls the policy once at each belief and adds up costs. A belief before step
-k with messages H was always reached by k times *explain* and one action for each message, so
-earlier costs do not depend on the path. Messages discount only if they always land.
+The exact evaluation lists, step by step, every belief that the policy can reach; equal beliefs are
+merged. It calls the policy once at each belief and sums the costs. A belief before step k with
+messages H was always reached by k times *explain* and one action for each message, so its discount
+does not depend on the path. Messages discount only if they always correct the fact.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from xplain.solvers.process import (
 )
 
 NEGLIGIBLE = 1e-16
-"""Joint probability below which an answer is left out, at the precision EXACT."""
+"""At the precision EXACT, answers with a smaller joint probability are left out."""
 EXACT = 1e-9
-"""A walk is exact if the omitted part cannot change the value by more than this."""
+"""A value is exact if the omitted part cannot change it by more than this."""
 
 Layer = dict[tuple[VisibleState, bytes], NDArray[np.float64]]
-"""Beliefs of one k, multiplied by their probabilities."""
+"""Beliefs before one step, multiplied by their probabilities."""
 
 
 def evaluate(
@@ -51,30 +51,31 @@ def evaluate(
     Args:
         problem: the model, which draws every label again.
         policy: a function of the visible state and the belief.
-        beliefs: maximum number of beliefs in the exact walk.
+        beliefs: maximum number of beliefs in the exact evaluation.
         episodes: number of simulated episodes otherwise.
         seed: seed of the stream of simulated labels.
-        precision: relative precision of an exact value; less likely beliefs are left out.
+        precision: relative precision of an exact value; unlikely beliefs are left out within it.
     """
     cached = CachedPolicy(policy)
-    exact = _walk(make_process(problem), cached, beliefs, precision)
+    exact = _evaluate_exactly(make_process(problem), cached, beliefs, precision)
     return exact or simulate(problem, cached, episodes, seed)
 
 
-def _walk(
+def _evaluate_exactly(
     process: Process, policy: CachedPolicy, limit: int, precision: float
 ) -> PolicyValue | None:
-    """Lists the reachable beliefs by layer; None if there are, or will be, more than ``limit``.
+    """Computes the value exactly over the reachable beliefs, layer by layer. Returns None if there
+    are, or will be, more than ``limit`` beliefs.
 
-    A layer is rarely smaller than the one before. So the limit must have room for a layer of this
+    A layer is rarely smaller than the layer before. So the limit must have room for a layer of this
     size for each remaining step. A policy with a search is slow, so it is called only if the result
     will be used.
     """
-    steps, worst = process.n_steps, _worst(process)
+    steps, worst = process.n_steps, _bound_cost(process)
     budget = precision / (2 * steps * max(worst, 1))
     value, cost, left_out, beliefs = 0.0, 0.0, 0.0, 0
     layer: Layer = {}
-    _add(layer, VisibleState(), process.start)
+    _add_belief(layer, VisibleState(), process.start)
     for k in range(steps):
         later: Layer = {}
         open_ = [(visible, weight) for (visible, _), weight in layer.items()]
@@ -91,7 +92,7 @@ def _walk(
                 return None
             mass = float(weight.sum())
             action = policy.decide(visible, weight / mass)
-            discount = _discount(process, visible)
+            discount = _compute_discount(process, visible)
             if isinstance(action, AskQuestion):
                 cost += mass * process.questions.cost
                 value -= mass * process.questions.cost * discount
@@ -100,11 +101,11 @@ def _walk(
                 for answer in (1, 0):
                     joint = hear_answer(process, weight, said, action.question, answer)
                     if joint.sum() > 0:
-                        _add(asked, after, joint)
+                        _add_belief(asked, after, joint)
                 continue
             new = messages_of(action)
             said = before_step(process, visible.given) | new
-            price, factor = _paid(process, new)
+            price, factor = _price_messages(process, new)
             heard = give_all(process, weight, new)
             zeros = float(heard @ process.explain_cost[k, process.cells.at(said)])
             cost += mass * float(process.price[indices(new)].sum()) + zeros
@@ -115,23 +116,23 @@ def _walk(
                     return None
                 after = VisibleState(k + 1, visible.given | new, visible.asked)
                 for joint in found[0]:
-                    _add(later, after, joint)
+                    _add_belief(later, after, joint)
                 left_out += float(found[1].sum()) * worst
-        layer, faint = _likely(later, budget)
+        layer, faint = _drop_unlikely(later, budget)
         left_out += faint * worst
     if left_out > precision * (1 + abs(value)):
         return None
     return PolicyValue(value, cost, "exact", 0.0, 0.0, beliefs)
 
 
-def _add(layer: Layer, visible: VisibleState, weight: NDArray[np.float64]) -> None:
+def _add_belief(layer: Layer, visible: VisibleState, weight: NDArray[np.float64]) -> None:
     key = visible, round_belief(weight / weight.sum()).tobytes()
     layer[key] = layer.get(key, 0.0) + weight
 
 
-def _likely(layer: Layer, budget: float) -> tuple[Layer, float]:
-    """The layer without the least likely beliefs, whose total probability stays within the
-    budget."""
+def _drop_unlikely(layer: Layer, budget: float) -> tuple[Layer, float]:
+    """Removes the least likely beliefs of a layer, up to the total probability ``budget``. Returns
+    the rest, and the removed probability."""
     keys = list(layer)
     mass = np.array([float(layer[key].sum()) for key in keys])
     order = np.argsort(mass, kind="stable")
@@ -141,21 +142,21 @@ def _likely(layer: Layer, budget: float) -> tuple[Layer, float]:
     return kept, float(total[dropped - 1]) if dropped else 0.0
 
 
-def _discount(process: Process, visible: VisibleState) -> float:
-    """The discount of all actions before this state."""
+def _compute_discount(process: Process, visible: VisibleState) -> float:
+    """Computes the discount of all actions before this state."""
     messages = visible.given.bit_count()
     return float(process.message_discount**messages * process.discount**visible.step)
 
 
-def _paid(process: Process, messages: int) -> tuple[float, float]:
+def _price_messages(process: Process, messages: int) -> tuple[float, float]:
     """Returns the discounted price of messages given cheapest first, and their total discount."""
     price, discount = set_prices(process, np.array([messages], np.int64))
     return float(price[0]), float(discount[0])
 
 
-def _worst(process: Process) -> float:
-    """An upper bound of any policy's cost: every label 0, every message at each step, and every
-    question."""
+def _bound_cost(process: Process) -> float:
+    """Computes an upper bound of any policy's cost: every label 0, every message at each step, and
+    every question."""
     steps, questions = process.n_steps, process.questions
     often = 1 if process.jump is None else steps
     zeros = process.explain_cost.max(axis=1).sum()
@@ -163,7 +164,7 @@ def _worst(process: Process) -> float:
 
 
 def simulate(problem: Problem, policy: CachedPolicy, episodes: int, seed: int) -> PolicyValue:
-    """The policy's worth as a mean over simulated users, with its standard error.
+    """Estimates the policy's value as a mean over simulated users, with its standard error.
 
     It averages the expected loss of each decision relative to known states, not the costs of the
     drawn labels. Let W(k, v, b) = Σ_s b_s V(k, v, s). The loss is the immediate cost plus the
@@ -181,7 +182,7 @@ def simulate(problem: Problem, policy: CachedPolicy, episodes: int, seed: int) -
         while visible.step < process.n_steps:
             k, said = visible.step, before_step(process, visible.given)
             action = policy.decide(visible, belief)
-            scale = np.array([_discount(process, visible), 1.0])
+            scale = np.array([_compute_discount(process, visible), 1.0])
             if isinstance(action, AskQuestion):
                 # A question does not change the expected W.
                 losses[:, episode] += scale * process.questions.cost
@@ -194,7 +195,7 @@ def simulate(problem: Problem, policy: CachedPolicy, episodes: int, seed: int) -
             new = messages_of(action)
             heard = give_all(process, belief, new)
             for i, (each, known) in enumerate(models):
-                price, factor = _paid(each, new)
+                price, factor = _price_messages(each, new)
                 after = factor * (heard @ known.explained(k, said | new)) - price
                 losses[i, episode] += scale[i] * (belief @ known.now(k, said) - after)
             state = rng.choice(len(heard), p=heard / heard.sum())

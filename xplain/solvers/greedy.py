@@ -7,7 +7,7 @@ Q(b, a) = E[Q*(k, v, s, a)], with Q* from exact dynamic programming (:mod:`xplai
 - *baseline* (the paper): one labeler learned from all labels;
 - *conformant* (the paper's user study): pays for the labels 0 of all types, so that the explanation
   suits all of them;
-- *oracle* (the paper): the true type's labeler; the regret is relative to it;
+- *oracle* (the paper): the true type's labeler; the regret is relative to the oracle's cost;
 - *clairvoyant*: the true labels, the lower bound of every cost.
 """
 
@@ -49,20 +49,20 @@ class Greedy:
 
     Attributes:
         process: the model.
-        known: its values for known states.
+        known: the model's values for known states.
     """
 
     process: Process
     known: KnownValues
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Chooses messages one after the other; returns them, or *explain* if there are none."""
         process, chosen = self.process, 0
         said, useful = before_step(process, visible.given), matters(process, belief)
         while True:
             margin = 0.0 if process.jump is None else PATIENCE * (1 - belief.max())
             messages = indices(useful & ~(said | chosen))
-            values = self._values(visible.step, said | chosen, belief, messages, margin)
+            values = self._compute_values(visible.step, said | chosen, belief, messages, margin)
             new = best_of(np.array([0, *(1 << j for j in messages)]), values)
             if not new:
                 return give(chosen)
@@ -73,11 +73,11 @@ class Greedy:
         """Returns the values of *explain* and of each single message."""
         said = before_step(self.process, visible.given)
         messages = indices(matters(self.process, belief) & ~said)
-        values = self._values(visible.step, said, belief, messages)
+        values = self._compute_values(visible.step, said, belief, messages)
         actions: list[Action] = [EXPLAIN, *(GiveMessages(1 << j) for j in messages)]
         return dict(zip(actions, values.tolist(), strict=True))
 
-    def _values(
+    def _compute_values(
         self,
         step: int,
         said: int,
@@ -85,7 +85,7 @@ class Greedy:
         messages: list[int],
         margin: float = 0.0,
     ) -> NDArray[np.float64]:
-        """The values of *explain* and of each of these messages."""
+        """Computes the values of *explain* and of each of these messages."""
         process, known = self.process, self.known
         values, now = np.empty(len(messages) + 1), known.value_cells.at(said)
         lands = process.jump is None  # then both tables are read at the same cells
@@ -100,10 +100,10 @@ class Greedy:
 
 
 def greedy_policy(problem: Problem, what: str, memory_gib: float) -> Greedy:
-    """The greedy policy of a problem.
+    """Makes the greedy policy of a problem.
 
     Raises:
-        TooLargeError: its tables would exceed ``memory_gib``.
+        TooLargeError: the tables would exceed ``memory_gib``.
     """
     check_memory(what, known_bytes(problem), memory_gib, "qhr plans without tables")
     process = make_process(problem)
@@ -129,8 +129,8 @@ class QMDP:
 @checks("solver")
 @dataclass(frozen=True)
 class Baseline:
-    """One labeler for all. For a problem with several types it is the mixture of their labelers,
-    weighted by the prior.
+    """Plans with one labeler for all users. For a problem with several types, this labeler is the
+    mixture of the types' labelers, weighted by the prior.
 
     Args:
         memory_gib: maximum memory of its tables.
@@ -147,8 +147,9 @@ class Baseline:
 @checks("solver")
 @dataclass(frozen=True)
 class Conformant:
-    """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all user types, neither weighted
-    by a belief nor divided by their number M (the paper's user study; docs/choices.md, slip 3).
+    """Plans with the cost C_inexp Σ_t Σ_i (1 − P[t, i, H]) of *explain*. This is the sum over all
+    user types, neither weighted by a belief nor divided by their number M (the paper's user study;
+    docs/choices.md, slip 3).
 
     Args:
         memory_gib: maximum memory of its tables.
@@ -170,10 +171,10 @@ class Conformant:
 def one_labeler(
     problem: Problem, shares: NDArray[np.float64], what: str, memory_gib: float
 ) -> FixedBelief:
-    """Makes QMDP's policy for one type in the place of all. Each of its labels has the probability
-    for a user who is drawn anew by ``shares`` [N]. If more than DENSE messages matter, a table over
-    all of their sets is too large. QMDP then uses ``shares`` as its permanent belief, and plans
-    later steps for each type alone."""
+    """Makes QMDP's policy for one type that replaces all types. Each of its labels has the
+    probability for a user who is drawn again by ``shares`` [N]. If more than DENSE messages matter,
+    a table over all message sets is too large. QMDP then uses ``shares`` as its permanent belief,
+    and plans later steps for each type alone."""
     if problem.messages_land and len(problem.messages_with_effect) > DENSE:
         return FixedBelief(greedy_policy(problem, what, memory_gib), lambda _: shares)
     one = problem.mixture(shares)
@@ -183,10 +184,10 @@ def one_labeler(
 @checks("solver")
 @dataclass(frozen=True)
 class KnownType:
-    """Knows the type: the oracle, or with true labels the clairvoyant.
+    """Plans with the known type: the oracle, or with true labels the clairvoyant.
 
     Args:
-        knows: "type" or "labels"; the experiment gives the problem that belongs to it.
+        knows: "type" or "labels"; the experiment makes the problem for this knowledge.
         memory_gib: maximum memory of the tables [steps, 2^messages, types].
     """
 
@@ -213,11 +214,11 @@ class FixedBelief:
     belief_of: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Chooses the policy's action at the other belief."""
         return self.policy.decide(visible, self.belief_of(belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Returns the policy's values at the other belief."""
         return self.policy.values(visible, self.belief_of(belief))
 
 
@@ -229,5 +230,5 @@ def certain_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
         InputError: the belief is not certain of one type.
     """
     if belief.max() < 1 - 1e-9:  # a sum of probabilities is 1 up to rounding
-        raise InputError("belief", belief.tolist(), "this solver is told the type: 1 on one")
+        raise InputError("belief", belief.tolist(), "1 for one type, because this solver knows it")
     return belief

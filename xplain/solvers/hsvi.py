@@ -1,13 +1,13 @@
 """The certified solver: a search that bounds the optimal value from both sides, and its policy.
 
-The search is HSVI (Smith & Simmons 2004) on a finite graph of beliefs. Each belief that it visits
-has an upper and a lower bound of the optimal value. Trials from the start tighten the bounds until
-the gap at the start is small enough. Upper bounds come from the values of known states, from upper
-bounds at other beliefs (sawtooth), and from the best action. Lower bounds come from plans that
-ignore answers, from alpha vectors of other beliefs, and from the best action. Beliefs after
-unlikely answers keep wide bounds, and the least likely answers are treated as one.
+The search is HSVI (Smith & Simmons 2004) on a finite graph of beliefs. Each visited belief has an
+upper and a lower bound of the optimal value. Trials from the start improve the bounds until the gap
+at the start is small enough. Upper bounds come from the values of known states, from upper bounds
+at other beliefs (sawtooth), and from the best action. Lower bounds come from plans that ignore
+answers, from alpha vectors of other beliefs, and from the best action. Beliefs after unlikely
+answers keep wide bounds, and the least likely answers are treated as one.
 
-The bounds are those of the optimal expected *discounted* return under the model. At a belief that
+The bounds are bounds of the optimal expected *discounted* return under the model. At a belief that
 the search has opened, the policy takes the action with the best lower bound. At other beliefs
 (after unlikely answers, or with users unlike the model) it runs a short search from there.
 """
@@ -64,9 +64,9 @@ from xplain.solvers.process import (
 log = logging.getLogger(__name__)
 
 CHUNK = 100_000
-"""The work between two checks of the clock and for Ctrl-C: a few hundredths of a second."""
+"""The work between two checks of the time and of Ctrl-C: a few hundredths of a second."""
 COARSER = 2
-"""Each time that a gap is closed, the search goes on with a gap smaller by this factor."""
+"""Each time that the search reaches its gap, the next gap is smaller by this factor."""
 GROWTH = 1.2
 """All nodes are backed up after their number has grown by this factor."""
 TAIL = 0.6
@@ -83,10 +83,10 @@ class Effort:
     """The limits of a search: it stops at the first one that it reaches.
 
     Attributes:
-        gap: the gap, upper − lower, to be closed.
-        nodes: the number of beliefs to open (the result is the same on every machine).
-        seconds: the time (the result depends on the machine).
-        memory_gib: the memory.
+        gap: the gap, upper − lower, that is small enough.
+        nodes: the largest number of beliefs to open (the result is the same on every machine).
+        seconds: the largest time (the result depends on the machine).
+        memory_gib: the largest memory.
     """
 
     gap: Gap = 1e-3
@@ -129,7 +129,7 @@ class Searched:
 
     Attributes:
         process: the model.
-        tables: the same, laid out for the kernel.
+        tables: the model in the kernel's layout.
         kept: the messages of the tables, in order.
         store: the nodes.
     """
@@ -163,7 +163,7 @@ class Searched:
 
 @dataclass(frozen=True)
 class CertifiedPolicy:
-    """Acts on certified lower bounds.
+    """Takes the action with the largest certified lower bound.
 
     Attributes:
         found: the result of the search from the start.
@@ -184,7 +184,7 @@ class CertifiedPolicy:
         return self.found.upper
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Chooses the action with the largest certified lower bound."""
         return best_action(self.values(visible, belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
@@ -195,7 +195,7 @@ class CertifiedPolicy:
         place = visible.step, compress(given, self.found.kept)
         nodes = self._opened.get(place, np.empty(0, np.int64))
         equal = np.abs(store.belief[nodes] - belief).max(axis=1, initial=0) < SAME
-        equal &= (store.asked[nodes] == _words(self.found.tables, visible.asked)).all(axis=1)
+        equal &= (store.asked[nodes] == _split_words(self.found.tables, visible.asked)).all(axis=1)
         if equal.any():
             nodes = nodes[equal]
             return self.found.values(int(nodes[store.nodes["lower"][nodes].argmax()]))
@@ -215,10 +215,11 @@ class CertifiedPolicy:
 def search(
     problem: Problem, effort: Effort, told: Callable[[float], None] | None = None
 ) -> Searched:
-    """Searches from the start of an explanation, within the effort. Ctrl-C stops it at any time.
+    """Searches from the start of an explanation, within the effort. Ctrl-C stops the search at any
+    time.
 
     Args:
-        problem: of any kind.
+        problem: a problem of any kind.
         effort: the limits of the search.
         told: is called with the gap from time to time.
 
@@ -226,8 +227,8 @@ def search(
         TooLargeError: the tables would need too much memory, or too many messages matter.
     """
     tell_when_compiling()
-    process, tables, kept = _tables(problem, effort.memory_gib)
-    nothing = Searched(process, tables, kept, _store(tables, process.n_states))
+    process, tables, kept = _make_tables(problem, effort.memory_gib)
+    nothing = Searched(process, tables, kept, _allocate_store(tables, process.n_states))
     return _Search(nothing, VisibleState(), process.start, effort, told).run()
 
 
@@ -244,10 +245,10 @@ class _Search:
     ) -> None:
         self.began, self.effort, self.told = time.perf_counter(), effort, told
         self.process, self.tables, self.kept = known.process, known.tables, known.kept
-        self.store, self.answers = _store(self.tables, len(belief)), 256
+        self.store, self.answers = _allocate_store(self.tables, len(belief)), 256
         self._make_root(visible, belief)
         self.backed_up = 1  # number of nodes when all were backed up last
-        # Coarse before fine: a trial for the final gap would refine actions that are excluded later
+        # The first gap is large: trials for the final gap would refine actions excluded later.
         self.asked = max(float(effort.gap), self.gap / COARSER)
 
     def _make_root(self, visible: VisibleState, belief: NDArray[np.float64]) -> None:
@@ -260,7 +261,7 @@ class _Search:
         lower = min(values.max(), upper)
         self.store.nodes[ROOT] = upper, lower, step, given, kernel.NONE, 0, kernel.SILENCE
         self.store.belief[ROOT], self.store.alpha[ROOT] = belief, plans[values.argmax()]
-        self.store.asked[ROOT] = _words(self.tables, visible.asked)
+        self.store.asked[ROOT] = _split_words(self.tables, visible.asked)
         self.store.used[NODES] = 1
 
     @property
@@ -274,7 +275,7 @@ class _Search:
         effort, tail_gap = self.effort, self.effort.gap * TAIL / self.process.n_steps
         limits = effort.nodes, CHUNK
         while True:
-            scratch = _scratch(self.tables, self.store, self.answers)
+            scratch = _allocate_scratch(self.tables, self.store, self.answers)
             where = self.tables, self.store, scratch
             status = kernel.sample(*where, NOTHING, 0.0, self.asked, tail_gap, *limits)
             if status == FULL and self._grow():
@@ -294,7 +295,8 @@ class _Search:
         return Searched(self.process, self.tables, self.kept, self.store)
 
     def _back_up_all(self, scratch: Scratch) -> None:
-        """Backs up all nodes, later steps first, and within a step those after more questions."""
+        """Backs up all nodes: later steps first, and within a step the nodes after more questions
+        first."""
         self.backed_up = int(self.store.used[NODES])
         nodes = self.store.nodes[: self.backed_up]
         asked = np.bitwise_count(self.store.asked[: self.backed_up]).sum(axis=1)
@@ -307,17 +309,17 @@ class _Search:
         if 2 * sum(array.nbytes for array in self.store) > self.effort.memory_gib * GIB:
             log.warning("the search stops at solver.memory_gib=%g", self.effort.memory_gib)
             return False
-        self.store, self.answers = _grown(self.store), 2 * self.answers
+        self.store, self.answers = _enlarge(self.store), 2 * self.answers
         return True
 
 
-def _words(tables: Tables, asked: int) -> NDArray[np.int64]:
+def _split_words(tables: Tables, asked: int) -> NDArray[np.int64]:
     """Splits a bitmask of questions into integers of WORD bits, the first questions first."""
     words = range(-(-len(tables.model.asked_answered) // WORD))
     return np.array([asked >> WORD * w & (1 << WORD) - 1 for w in words], np.int64)
 
 
-def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple[int, ...]]:
+def _make_tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple[int, ...]]:
     """Makes the process, its tables for the kernel, and the messages with an effect, the cheapest
     first."""
     kept = weighable(problem, "certified")
@@ -352,7 +354,7 @@ def _tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple
     return process, tables, kept
 
 
-def _store(tables: Tables, states: int) -> Store:
+def _allocate_store(tables: Tables, states: int) -> Store:
     """Allocates an empty store for a few thousand nodes."""
     nodes = 1 << 12 if states <= 64 else 1 << 10
     sets, words = len(tables.price), -(-len(tables.model.asked_answered) // WORD)
@@ -394,14 +396,14 @@ GROWS = {
 """The arrays that grow together, by their position in ``store.used``."""
 
 
-def _grown(store: Store) -> Store:
+def _enlarge(store: Store) -> Store:
     """Returns the store with twice the size of all arrays that are half full."""
     arrays: dict[str, Any] = store._asdict()
     short = {k for k, names in GROWS.items() if 2 * store.used[k] >= len(arrays[names[0]])}
     for kind in short or set(GROWS):
         for name in GROWS[kind]:
             array = arrays[name]
-            # Of the published arrays only the numbers must be 0 at first.
+            # Only the numbers of published bounds must be 0 at first.
             make = np.zeros if name == "published" else np.empty
             arrays[name] = make((2 * len(array), *array.shape[1:]), array.dtype)
             arrays[name][: store.used[kind]] = array[: store.used[kind]]
@@ -410,7 +412,7 @@ def _grown(store: Store) -> Store:
     return Store(**arrays)
 
 
-def _scratch(tables: Tables, store: Store, answers: int) -> Scratch:
+def _allocate_scratch(tables: Tables, store: Store, answers: int) -> Scratch:
     states, words = store.belief.shape[1], store.asked.shape[1]
     levels = len(tables.model.explain_cost) + tables.model.most + 1
     return Scratch(

@@ -1,7 +1,8 @@
-"""The compiled search of :mod:`xplain.solvers.hsvi`: sample, back up, share.
+"""The compiled search of :mod:`xplain.solvers.hsvi`: it samples beliefs, backs up bounds, and
+shares bounds.
 
-``tables.width`` is 0 if messages may be missed or forgotten: then they change the hidden state, and
-branches for this case move beliefs and average values over it.
+``tables.width`` is 0 if messages may be missed or forgotten. Messages then change the hidden state:
+branches for this case update beliefs, and average values over the next state.
 
 A node is a belief at (k, v) before a step's messages. Between two *explain* actions only questions
 bring information, so an action is either a set of messages (the cheapest first) followed by
@@ -42,7 +43,7 @@ NODE = np.dtype(
         ("lower", np.float64),
         ("step", np.int64),  # k
         ("given", np.int64),  # v
-        ("first_action", np.int64),  # NONE until it is opened
+        ("first_action", np.int64),  # NONE until the node is opened
         ("n_actions", np.int64),
         ("earned_by", np.int64),  # the action of another node's alpha vector; SILENCE for none
     ]
@@ -52,15 +53,16 @@ ACTION = np.dtype(
         ("messages", np.int64),  # the set given, then *explain*; ~q to ask question q
         ("upper", np.float64),
         ("lower", np.float64),
-        ("base", np.float64),  # its expected immediate reward
+        ("base", np.float64),  # the expected immediate reward
         ("later", np.float64),  # the discount of all later rewards
-        ("tail_upper", np.float64),  # of the answers that are treated as one
+        ("tail_upper", np.float64),  # value of the answers that are treated as one
         ("tail_lower", np.float64),
-        ("first_answer", np.int64),  # NONE until it is expanded
+        ("first_answer", np.int64),  # NONE until the action is expanded
         ("n_answers", np.int64),
     ]
 )
-ANSWER = np.dtype([("weight", np.float64), ("node", np.int64)])  # discounted; NONE is the tail
+# Weights are discounted; the node of the tail is NONE.
+ANSWER = np.dtype([("weight", np.float64), ("node", np.int64)])
 PLACE = np.dtype([("first_set", np.int64), ("n_sets", np.int64), ("row", np.int64)])
 NODES, ACTIONS, ANSWERS, SETS, PLACES, OPENED, WORK, HASHED = range(8)
 """Positions in ``store.used``: the number of used elements of each array, of opened nodes (OPENED),
@@ -84,7 +86,8 @@ WORD = 62
 DONE, WORKING, FULL = 0, 1, 2
 """The results of :func:`sample`."""
 CLOSED, NO_ROOM = -1, -2
-"""The results of :func:`_settle` that are no action: the gap is small enough; the store is full."""
+"""The results of :func:`_choose_action` that are no action: the node's gap is small enough; the
+store is full."""
 NEWS = 0.01
 """A bound is published if it improved by more than this share of the gap."""
 
@@ -94,7 +97,7 @@ class Tables(NamedTuple):
 
     Attributes:
         model: the process of these messages; the cell of (v, s) is s + v · width.
-        width: S if messages land; 0 if they may be missed.
+        width: S if messages always correct the fact; 0 if they may be missed.
         plans: [U, m + 1, cells] the values of plans that ignore all answers. They bound the optimum
             from below. The last plan gives no message.
         floor: [m + 1] a lower bound of every policy's value in every state.
@@ -168,7 +171,7 @@ class Scratch(NamedTuple):
         asked: [words] bits of questions, as in the store.
         ways: [m + 1, S] likelihoods of each number of 1s.
         under: [2^n, S] as in the store, for all sets.
-        news: [Q] how informative each question is.
+        news: [Q] the information of each question's answer.
         cells: [S] the cells at which tables of questions are read.
         path, taken, gaps: [levels] the nodes of a trial, the actions taken, and the nodes' gaps
             before the trial.
@@ -191,16 +194,17 @@ class Scratch(NamedTuple):
 
 @kernel
 def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
-    """Backs up nodes, after tightening them by the bounds that their places have published. Then
-    runs trials from the root until its gap is at most ``gap``, ``opened`` nodes are opened, or
-    ``work`` more work was done.
+    """Backs up nodes, after their bounds are improved by the published bounds of their places. Then
+    runs trials from the root until the root's gap is at most ``gap``, ``opened`` nodes are opened,
+    or ``work`` more work was done.
 
     Args:
         tables, store, scratch: the data, the results so far, and scratch memory.
         order: the nodes to back up, later steps first.
-        least: the improvement that is published when they are backed up (:func:`_publish`).
+        least: the least improvement that is published when these nodes are backed up
+            (:func:`_publish`).
         gap, opened, work: the limits of the trials.
-        tail_gap: see :func:`_expand`.
+        tail_gap: the gap that unlikely answers to one action may cause (:func:`_expand_action`).
 
     Returns:
         DONE, WORKING (call again), or FULL (grow the store and the scratch, call again).
@@ -210,7 +214,7 @@ def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  
     for index in order:
         node = store.nodes[index]
         upper, lower = node.upper, node.lower
-        _tighten(tables, store, index)
+        _improve_bounds(tables, store, index)
         for a in range(node.first_action, node.first_action + node.n_actions):
             if store.actions[a].first_answer >= 0:
                 _back_up(store, index, a)
@@ -222,19 +226,20 @@ def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  
             status = WORKING
             break
         found = store.used[OPENED] + store.used[ANSWERS]
-        last = _walk_down(tables, store, scratch, gap, tail_gap)
-        moved = _walk_up(tables, store, scratch, last, NEWS * gap)
+        last = _run_trial(tables, store, scratch, gap, tail_gap)
+        moved = _back_up_trial(tables, store, scratch, last, NEWS * gap)
         if scratch.taken[last] == NO_ROOM:
             status = FULL
             break
         if not moved and found == store.used[OPENED] + store.used[ANSWERS]:
-            break  # rounding is all that is left
+            break  # only rounding is left
     return status
 
 
 @kernel
 def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[no-untyped-def]
-    """Computes the optimal plan of each known type, and its value for all types. Messages land.
+    """Computes the optimal plan of each known type, and its value for all types. Messages must
+    always correct the fact.
 
     Args:
         known, explain, cost: V, and Q and cost of *explain*, as in the model.
@@ -261,15 +266,15 @@ def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[n
 
 
 @part
-def _walk_down(tables, store, scratch, gap, tail_gap):  # type: ignore[no-untyped-def]
-    """Runs one trial. At each node it takes the action with the best upper bound, then the answer
-    whose gap exceeds the allowed gap most, weighted by probability. Returns the last level
-    visited."""
+def _run_trial(tables, store, scratch, gap, tail_gap):  # type: ignore[no-untyped-def]
+    """Runs one trial from the root. At each node, the trial takes the action with the best upper
+    bound, then the answer whose gap exceeds the allowed gap most, weighted by probability. Returns
+    the last visited level."""
     level, index, allowed = 0, ROOT, gap
     while True:
         node = store.nodes[index]
         scratch.path[level], scratch.gaps[level] = index, node.upper - node.lower
-        a = _settle(tables, store, scratch, index, allowed, tail_gap)
+        a = _choose_action(tables, store, scratch, index, allowed, tail_gap)
         scratch.taken[level] = a
         if a < 0:
             break
@@ -291,8 +296,8 @@ def _walk_down(tables, store, scratch, gap, tail_gap):  # type: ignore[no-untype
 
 
 @part
-def _walk_up(tables, store, scratch, last, least):  # type: ignore[no-untyped-def]
-    """Backs up the nodes of a trial, and publishes improved bounds. Returns whether a bound
+def _back_up_trial(tables, store, scratch, last, least):  # type: ignore[no-untyped-def]
+    """Backs up the nodes of a trial, and publishes improved bounds. Returns True if a bound
     changed."""
     moved = False
     for level in range(last, -1, -1):
@@ -309,14 +314,14 @@ def _walk_up(tables, store, scratch, last, least):  # type: ignore[no-untyped-de
 
 
 @part
-def _settle(tables, store, scratch, index, allowed, tail_gap):  # type: ignore[no-untyped-def]
-    """Opens a node, and expands its best action until the best action is an expanded one. Returns
-    that action; CLOSED if the node's gap is small enough, NO_ROOM if the store is full."""
+def _choose_action(tables, store, scratch, index, allowed, tail_gap):  # type: ignore[no-untyped-def]
+    """Opens a node, and expands its best action until the best action is already expanded. Returns
+    this action; CLOSED if the node's gap is small enough, NO_ROOM if the store is full."""
     node, chosen = store.nodes[index], np.int64(CLOSED)
-    if node.first_action < 0 and not _open(tables, store, scratch, index):
+    if node.first_action < 0 and not _open_node(tables, store, scratch, index):
         chosen = np.int64(NO_ROOM)
     else:
-        _tighten(tables, store, index)
+        _improve_bounds(tables, store, index)
         while node.upper - node.lower > allowed + ROUNDING:
             best = node.first_action
             for a in range(best, best + node.n_actions):
@@ -327,8 +332,8 @@ def _settle(tables, store, scratch, index, allowed, tail_gap):  # type: ignore[n
                 break
             last = node.step == len(tables.model.explain_cost) - 1
             if last and store.actions[best].messages >= 0:
-                break  # nothing comes after it
-            if not _expand(tables, store, scratch, index, best, tail_gap):
+                break  # the action ends the explanation
+            if not _expand_action(tables, store, scratch, index, best, tail_gap):
                 chosen = np.int64(NO_ROOM)
                 break
             _back_up(store, index, best)
@@ -359,15 +364,17 @@ def _back_up(store, index, a):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, error_model="numpy")
-def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
-    """Tightens a node's bounds by the bounds that were published at its place."""
+def _improve_bounds(tables, store, index):  # type: ignore[no-untyped-def]
+    """Improves a node's bounds by the bounds that were published at its place."""
     node, belief = store.nodes[index], store.belief[index]
     row = store.places[node.step, node.given].row
     for i in range(min(store.published[row, 0], KEPT) if row >= 0 else 0):
         value = min(_dot(belief, store.vector[row, i]), node.upper)
         if value > node.lower and _have_same_questions(store, index, store.source[row, i, 0]):
             messages, begin = store.by[row, i], node.first_action
-            if begin < 0 or _credit(store, begin, begin + node.n_actions, messages, value):
+            if begin < 0 or _raise_lower_bound(
+                store, begin, begin + node.n_actions, messages, value
+            ):
                 node.lower, node.earned_by = value, messages
                 _copy(store.vector[row, i], store.alpha[index])
     known = tables.model.value[node.step]
@@ -387,14 +394,15 @@ def _tighten(tables, store, index):  # type: ignore[no-untyped-def]
 
 
 @part
-def _credit(store, begin, end, messages, value):  # type: ignore[no-untyped-def]
-    """Raises the lower bound of one of these actions to a value that it is known to earn, so that
-    the policy takes it. Returns False if the action is not among them."""
+def _raise_lower_bound(store, begin, end, messages, value):  # type: ignore[no-untyped-def]
+    """Raises an action's lower bound to a value that the action is known to earn, so that the
+    policy takes the action. Returns False if the node's actions, ``begin`` to ``end``, do not
+    include it."""
     found = False
     for a in range(begin, end):
         action = store.actions[a]
         if action.messages == messages:
-            action.upper = max(action.upper, value)  # below it by rounding alone
+            action.upper = max(action.upper, value)  # smaller only by rounding
             action.lower = max(action.lower, value)
             found = True
     return found
@@ -449,7 +457,7 @@ def _make_alpha(tables, store, scratch, index, a):  # type: ignore[no-untyped-de
     else:
         shown |= action.messages if tables.width > 0 else 0
         if tables.width == 0:
-            _give_all(tables, action.messages, belief)
+            _give_messages(tables, action.messages, belief)
         for s in range(len(alpha)):
             alpha[s] = -tables.model.explain_cost[step, shown * tables.width + s]
     for o in range(action.first_answer, action.first_answer + action.n_answers):
@@ -478,7 +486,7 @@ def _make_alpha(tables, store, scratch, index, a):  # type: ignore[no-untyped-de
 
 
 @njit(nogil=True, error_model="numpy")
-def _open(tables, store, scratch, index):  # type: ignore[no-untyped-def]
+def _open_node(tables, store, scratch, index):  # type: ignore[no-untyped-def]
     """Lists the actions that may be optimal at a node. Returns False if the store is full."""
     node, belief = store.nodes[index], store.belief[index]
     place = store.places[node.step, node.given]
@@ -490,16 +498,16 @@ def _open(tables, store, scratch, index):  # type: ignore[no-untyped-def]
     best, end, lower = -np.inf, begin, node.lower
     for c in range(place.first_set, place.first_set + place.n_sets):
         upper = _dot(belief, store.over[c])
-        # The best is kept even where rounding puts it below the lower bound.
+        # The best action is kept, even if rounding makes its bound less than the lower bound.
         if upper > best or not _is_below(upper, lower):
             action = store.actions[end]
             action.messages, action.upper = store.sets[c], upper
             action.base, action.later = _dot(belief, store.base[c]), tables.model.discount
             action.later *= tables.factor[store.sets[c]]
             action.lower = _dot(belief, store.under[c])
-            if tables.width > 0:  # then no answer changes what a plan expects of this belief
+            if tables.width > 0:  # then the expected value of a plan does not depend on answers
                 shown = node.given | action.messages
-                plan = _best_plan(tables, belief, node.step + 1, shown)
+                plan = _find_best_plan(tables, belief, node.step + 1, shown)
                 row = tables.plans[plan, node.step + 1]
                 ahead = action.base + action.later * _dot_cells(tables, belief, row, shown)
                 action.lower = max(action.lower, ahead)
@@ -510,10 +518,10 @@ def _open(tables, store, scratch, index):  # type: ignore[no-untyped-def]
     said = best
     if len(tables.model.asked_answered) > 0:
         most = _dot_cells(tables, belief, tables.model.value[node.step], node.given)
-        plan = _best_plan(tables, belief, node.step, node.given)
+        plan = _find_best_plan(tables, belief, node.step, node.given)
         least = _dot_cells(tables, belief, tables.plans[plan, node.step], node.given)
         most -= tables.model.question_cost
-        most += HAIR * (1.0 - most)  # bounds from elsewhere may be above it by rounding
+        most += HAIR * (1.0 - most)  # other bounds may be larger by rounding
         if not _is_below(most, lower):
             _rank_questions(tables, store, scratch, index)
             for q in range(len(tables.model.asked_answered)):
@@ -524,13 +532,13 @@ def _open(tables, store, scratch, index):  # type: ignore[no-untyped-def]
                     action.upper, action.lower = most, min(least - tables.model.question_cost, most)
                     end += 1
                     best = max(best, most)
-    _credit(store, begin, end, node.earned_by, node.lower)
+    _raise_lower_bound(store, begin, end, node.earned_by, node.lower)
     for a in range(begin, end):
         lower = max(lower, store.actions[a].lower)
     kept = begin
     for a in range(begin, end):
         action = store.actions[a]
-        # Some messages, or none, are always among them, because a node may have no questions left.
+        # The best set of messages is always kept, because a node may have no questions left.
         spoken = action.messages >= 0 and action.upper == said
         if not _is_below(action.upper, lower) or action.upper == best or spoken:
             store.actions[kept] = action
@@ -599,7 +607,7 @@ def _is_dominated(over, under):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, error_model="numpy")
-def _expand(tables, store, scratch, index, a, gap):  # type: ignore[no-untyped-def]
+def _expand_action(tables, store, scratch, index, a, gap):  # type: ignore[no-untyped-def]
     """Makes the nodes of the answers to an action. Unlikely answers are left out while this widens
     the gap by at most ``gap``. Returns False if the store or the scratch memory is full."""
     node, action, belief = store.nodes[index], store.actions[a], scratch.belief
@@ -617,7 +625,7 @@ def _expand(tables, store, scratch, index, a, gap):  # type: ignore[no-untyped-d
             like[0, s] = 1.0 - like[1, s]
     else:
         if tables.width == 0:
-            _give_all(tables, messages, belief)
+            _give_messages(tables, messages, belief)
             given = np.int64(0)
         else:
             given |= messages
@@ -679,7 +687,7 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
         like[0, s] = 1.0 if belief[s] > 0.0 else 0.0
         scratch.tail[s] = 0.0
     for i in range(step + 1):
-        size = _count_kind(tables, step, i, first, belief)
+        size = _count_equal_labels(tables, step, i, first, belief)
         if size == 0 or count < 0:
             continue
         for s in range(states):
@@ -707,9 +715,9 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
 
 
 @part
-def _count_kind(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
-    """Counts the labels of a step with the same column as label i. Returns 0 if i is not the first
-    of these labels, or if all possible states answer it alike."""
+def _count_equal_labels(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
+    """Counts the labels of a step that have the same column as label i. Returns 0 if i is not the
+    first of these labels, or if all possible states answer label i alike."""
     size, news, one = 0, False, -1
     for s in range(len(belief)):
         if belief[s] > 0.0:
@@ -730,7 +738,7 @@ def _count_kind(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
 
 @part
 def _rank_questions(tables, store, scratch, index):  # type: ignore[no-untyped-def]
-    """Computes in ``scratch.news`` [Q] how informative each question is that may be asked at a
+    """Computes in ``scratch.news`` [Q] the information of each question that may be asked at a
     node."""
     node, asked = store.nodes[index], store.asked[index]
     left = tables.model.most
@@ -748,8 +756,8 @@ def _rank_questions(tables, store, scratch, index):  # type: ignore[no-untyped-d
 
 @part
 def _get_node(tables, store, step, given, belief, asked):  # type: ignore[no-untyped-def]
-    """Returns the node of a belief. A new node is made with its first bounds."""
-    slot = _find(store, step, given, belief, asked)
+    """Returns the node of a belief. If there is none, makes a node with its first bounds."""
+    slot = _find_slot(store, step, given, belief, asked)
     index = np.int64(store.table[slot])
     if index < 0:
         index = store.used[NODES]
@@ -761,17 +769,17 @@ def _get_node(tables, store, step, given, belief, asked):  # type: ignore[no-unt
         node.earned_by = SILENCE
         _copy(belief, store.belief[index])
         _copy(asked, store.asked[index])
-        plan = _best_plan(tables, belief, step, given)
+        plan = _find_best_plan(tables, belief, step, given)
         for s in range(len(belief)):
             store.alpha[index, s] = tables.plans[plan, step, given * tables.width + s]
         node.upper = _dot_cells(tables, belief, tables.model.value[step], given)
         node.lower = min(_dot(belief, store.alpha[index]), node.upper)
-        _tighten(tables, store, index)
+        _improve_bounds(tables, store, index)
     return index
 
 
 @njit(nogil=True, error_model="numpy")
-def _best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def]
+def _find_best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def]
     """Returns the plan with the largest value at (k, v) and a belief."""
     best, most = 0, -np.inf
     for u in range(len(tables.plans)):
@@ -782,7 +790,7 @@ def _best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, error_model="numpy")
-def _find(store, step, given, belief, asked):  # type: ignore[no-untyped-def]
+def _find_slot(store, step, given, belief, asked):  # type: ignore[no-untyped-def]
     """Returns the slot of this belief's node, or the free slot where the node belongs."""
     mask = uint64(len(store.table) - 1)
     h = uint64(step) * GOLDEN ^ uint64(given)
@@ -810,17 +818,17 @@ def _find(store, step, given, belief, asked):  # type: ignore[no-untyped-def]
 
 @part
 def _rehash(store):  # type: ignore[no-untyped-def]
-    """Enters the nodes that are missing in the hash table, after the store has grown."""
+    """Adds the missing nodes to the hash table, after the store has grown."""
     while store.used[HASHED] < store.used[NODES]:
         index = store.used[HASHED]
         node = store.nodes[index]
-        slot = _find(store, node.step, node.given, store.belief[index], store.asked[index])
+        slot = _find_slot(store, node.step, node.given, store.belief[index], store.asked[index])
         store.table[slot] = index
         store.used[HASHED] += 1
 
 
 @part
-def _give_all(tables, messages, belief):  # type: ignore[no-untyped-def]
+def _give_messages(tables, messages, belief):  # type: ignore[no-untyped-def]
     """Updates a belief: these messages are given."""
     left = messages
     while left:

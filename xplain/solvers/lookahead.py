@@ -33,7 +33,7 @@ from xplain.solvers.process import (
 from xplain.solvers.voi import with_questions
 
 NEGLIGIBLE = 1e-9
-"""Less likely answers keep the value of a known state."""
+"""After less likely answers, the value of the known state is used."""
 KEPT = 16
 """Maximum number of bitmasks of messages whose subsets are cached."""
 Sets = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
@@ -46,8 +46,8 @@ discounts."""
 class Lookahead:
     """Args:
     candidates: number of sets of messages evaluated at a decision.
-    answers: maximum number of distinguishable answers for each; a set with more keeps its QMDP
-        score.
+    answers: maximum number of distinguishable answers for each set; a set with more answers keeps
+        its QMDP score.
     memory_gib: maximum memory of the tables of known types and of all sets of messages.
     """
 
@@ -86,16 +86,16 @@ class Expectimax:
     kept: dict[int, Sets] = field(default_factory=dict)
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Chooses the action with the largest value."""
         return best_action(self.values(visible, belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """The values of the evaluated sets, in descending order of QMDP's score. A set whose score
-        is below a found value cannot be better."""
+        """Returns the values of the evaluated sets, in descending order of QMDP's score. A set
+        whose score is below a found value cannot be better."""
         process, step = self.process, visible.step
         said = before_step(process, visible.given)
         messages = self.messages & matters(process, belief) & ~said
-        sets, added, prices, discounts = self._sets(messages)
+        sets, added, prices, discounts = self._list_sets(messages)
         explained = self.known.explain[step].take(process.cells.at(said) + added)
         if process.jump is None:
             scores = discounts * (explained @ belief) - prices
@@ -110,14 +110,14 @@ class Expectimax:
                 break
             if step + 1 < process.n_steps:
                 after = belief if process.jump is None else heard[i]
-                later = self._later(step, said | int(sets[i]), after)
+                later = self._evaluate_later(step, said | int(sets[i]), after)
                 value = min(value, float(discounts[i]) * later - float(prices[i]))
             found[give(int(sets[i]))] = value
             best = max(best, value)
         return found
 
-    def _sets(self, messages: int) -> Sets:
-        """The subsets of these messages."""
+    def _list_sets(self, messages: int) -> Sets:
+        """Lists the subsets of these messages, with their cells, prices and discounts."""
         found = self.kept.get(messages)
         if found is None:
             if len(self.kept) == KEPT:
@@ -127,7 +127,7 @@ class Expectimax:
             found = self.kept[messages] = sets, added, *set_prices(self.process, sets)
         return found
 
-    def _later(self, step: int, said: int, belief: NDArray[np.float64]) -> float:
+    def _evaluate_later(self, step: int, said: int, belief: NDArray[np.float64]) -> float:
         """Computes the value of *explain* if QMDP decides after the answers; inf if there are too
         many answers."""
         process, known = self.process, self.known

@@ -14,16 +14,17 @@ chosen by UCB1:
 
 Rewards of *explain* are exact expectations under a node's belief, not the drawn labels. A rollout's
 return is the value of known states minus the losses of QMDP's decisions. Both have the same means
-as plain simulations, with less noise. Among untried actions of a node, QMDP's comes first, because
-the others are often many and useless. A decision searches, takes the action with the best value,
-and searches again after each message until that action is *explain*. So a decision that is restored
-in the middle continues in the same way.
+as plain simulations, with less noise. Among a node's untried actions, QMDP's action comes first,
+because the other actions are often many and useless. A decision searches, takes the action with the
+best value, and searches again after each message until that action is *explain*. So a decision that
+is restored in the middle continues in the same way.
 
 ``backup="max"`` is MaxUCT (Keller & Helmert 2013): the value of a node is that of its best action,
 not the mean over all tries. Exploration and first rollouts then do not affect the values; a mean
-includes them for long. The value of a history at depth d is the mean of its rollouts, not QMDP's
-value: that is too high, and paths of messages reach depth d earlier than paths of labels. So a
-search with enough simulations is a step of policy improvement over QMDP, and does not lose to it.
+includes their returns for long. The value of a history at depth d is the mean of its rollouts, not
+QMDP's value. QMDP's value is too high, and paths of messages reach depth d earlier than paths of
+labels. So a search with enough simulations is a step of policy improvement over QMDP, and is not
+worse than QMDP.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ from xplain.solvers.process import (
 )
 from xplain.solvers.search_model import SearchModel
 
-# Positions are the kernel's numbers.
+# The position of each word is its number in the kernel.
 DepthUnit = Literal["steps", "actions"]
 Backup = Literal["mean", "max"]
 CHUNK = 50_000
@@ -87,7 +88,7 @@ QUESTIONS = 4
 FIRST_TABLE = 1 << 12
 """The size of the hash table of nodes at the start of a search."""
 REMEMBERED = 1 << 11
-"""The largest number of observations whose likelihoods a search keeps: so many fit into the
+"""The largest number of observations whose likelihoods a search keeps: this number fits into the
 processor's cache."""
 CODED = 1 << 24
 """The approximate memory for coded labels, in bytes."""
@@ -118,7 +119,7 @@ class POMCP:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation; see :class:`xplain.solvers.base.Solver`."""
         tell_when_compiling()
-        size = 2 * known_bytes(problem) + _tree_bytes(problem, self.simulations)
+        size = 2 * known_bytes(problem) + _estimate_bytes(problem, self.simulations)
         check_memory("pomcp", size, self.memory_gib, "search less, or qhr plans without tables")
         process = make_process(problem)
         known, steps, messages = known_values(process), problem.n_steps, problem.n_messages
@@ -140,7 +141,7 @@ class Search:
 
     Attributes:
         process: the model.
-        model: the same, laid out for the kernel.
+        model: the model in the kernel's layout.
         options: the settings of the kernel.
         simulations: the number of simulations of a search.
         seed: the seed of the run.
@@ -153,10 +154,10 @@ class Search:
     seed: int
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Searches until *explain* or a question is best, and once more after each message."""
         chosen = 0
         while True:
-            action = best_action(self._values(visible, chosen, belief))
+            action = best_action(self._compute_values(visible, chosen, belief))
             if isinstance(action, AskQuestion):
                 return action
             new = messages_of(action)
@@ -166,10 +167,11 @@ class Search:
             belief = give_all(self.process, belief, new)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Returns the estimated return of *explain* and of each message and question tried."""
-        return self._values(visible, 0, belief)
+        """Returns the estimated returns of *explain*, and of each message and question that was
+        tried."""
+        return self._compute_values(visible, 0, belief)
 
-    def _values(
+    def _compute_values(
         self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]
     ) -> dict[Action, float]:
         """Returns the values after these messages were chosen for the step."""
@@ -185,7 +187,8 @@ class Search:
         return {named[a]: value for a, value in values.items()}
 
     def stream(self, visible: VisibleState, said: int, belief: NDArray[np.float64]) -> int:
-        """Derives the seed of a search from the situation alone, not from earlier decisions."""
+        """Derives the seed of a search from the visible state and the belief, not from earlier
+        decisions."""
         digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
         questions = (str(visible.asked),) if visible.asked else ()
         return derive_seed(self.seed, "pomcp", visible.step, said, digest, 0, *questions)
@@ -195,14 +198,14 @@ class Search:
         process, said = self.process, before_step(self.process, visible.given) | chosen
         belief = round_belief(np.ascontiguousarray(belief, dtype=np.float64))
         seed = self.stream(visible, said, belief)
-        budget = max(self.simulations, process.n_messages + 1 + _slots(process))
+        budget = max(self.simulations, process.n_messages + 1 + _count_slots(process))
         tree = make_tree(process, budget, seed)
         tree.nodes[ROOT] = (0, np.nan, 0.0, 0.0, said, 0, 0, 0, 0, 0, 0, visible.step)
         tree.beliefs[ROOT] = belief
         tree.tried[ROOT, -2:] = -1 if chosen else 0, -1
         tree.asked[:] = [visible.asked >> q & 1 for q in range(len(tree.asked))]
         missed = None if process.jump is None else True
-        roots = _roots(1 << budget.bit_length())
+        roots = _compute_roots(1 << budget.bit_length())
         for done in range(0, budget, CHUNK):
             count = min(budget - done, CHUNK)
             simulate(count, self.model, tree, self.options, missed, *roots)
@@ -227,7 +230,7 @@ def search_model(process: Process, known: KnownValues, searches: bool = True) ->
         process.cells.stride,
         known.value,
         known.value_cells.stride,
-        _wanted(process, known) if lands and searches else np.zeros((0, 0), np.int64),
+        _find_wanted(process, known) if lands and searches else np.zeros((0, 0), np.int64),
         process.relevant | questions.relevant,
         jump,
         nothing if process.accept is None else process.accept,
@@ -245,9 +248,9 @@ def search_model(process: Process, known: KnownValues, searches: bool = True) ->
     )
 
 
-def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
+def _find_wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
     """Computes ``wanted`` of :class:`~xplain.solvers.search_model.SearchModel`. Messages must
-    land."""
+    always correct the fact."""
     steps, types = process.n_steps, process.n_types
     wanted = np.zeros(known.explain.shape, np.int64)
     for bit, own in enumerate(process.own.T):
@@ -263,20 +266,20 @@ def _wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
     return wanted
 
 
-def _slots(process: Process) -> int:
-    """Returns the number of questions that a search tries at a belief: a bitmask must have room for
-    all actions."""
+def _count_slots(process: Process) -> int:
+    """Returns the number of questions that a search tries at a belief. A bitmask must have a bit
+    for each action."""
     return min(QUESTIONS, len(process.questions.answered), 61 - process.n_messages)
 
 
 def make_tree(process: Process, simulations: int, seed: int) -> Tree:
     """Allocates a tree for that many simulations; the caller adds the root. The operating system
-    provides memory when a simulation reaches it."""
+    provides the memory only when a simulation uses it."""
     n, steps, states = process.n_messages, process.n_steps, process.n_states
-    slots, questions = _slots(process), len(process.questions.answered)
-    size, actions, entries = simulations + 1, n + 1 + slots, _entries(simulations)
+    slots, questions = _count_slots(process), len(process.questions.answered)
+    size, actions, entries = simulations + 1, n + 1 + slots, _count_entries(simulations)
     remembered = min(entries, REMEMBERED)
-    sets = 1 if process.jump is not None else _coded(n, steps, states)
+    sets = 1 if process.jump is not None else _count_coded(n, steps, states)
     return Tree(
         np.empty(size, NODE),
         np.empty((size + 1) * actions, EDGE),
@@ -301,7 +304,7 @@ def make_tree(process: Process, simulations: int, seed: int) -> Tree:
 
 
 @lru_cache(maxsize=4)
-def _roots(size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _compute_roots(size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Returns sqrt(log v) and 1 / sqrt(v) for v = 0 … size (0 for v = 0)."""
     v = np.maximum(np.arange(size + 1), 1)
     inverse = 1 / np.sqrt(v)
@@ -309,21 +312,21 @@ def _roots(size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.sqrt(np.log(v)), inverse
 
 
-def _entries(simulations: int) -> int:
+def _count_entries(simulations: int) -> int:
     return max(FIRST_TABLE, 1 << (2 * simulations + 2).bit_length())
 
 
-def _coded(messages: int, steps: int, states: int) -> int:
+def _count_coded(messages: int, steps: int, states: int) -> int:
     """Returns the number of message sets whose codes are kept: a power of two."""
     each = steps * (COLUMN.itemsize * states + LABEL.itemsize)
     return 1 << min(max(CODED // each, 16).bit_length() - 1, 12, messages)
 
 
-def _tree_bytes(problem: Problem, simulations: int) -> int:
+def _estimate_bytes(problem: Problem, simulations: int) -> int:
     """Returns the largest memory that a tree can take, in bytes."""
     states, n, steps = problem.start.size, problem.n_messages, problem.n_steps
     node = NODE.itemsize + 8 * (states + 1) + EDGE.itemsize * (n + 1 + QUESTIONS) + 4 * QUESTIONS
-    entries, sets = _entries(simulations), _coded(n, steps, states)
+    entries, sets = _count_entries(simulations), _count_coded(n, steps, states)
     coded = sets * steps * (COLUMN.itemsize * states + LABEL.itemsize)
     remembered = min(entries, REMEMBERED) * 8 * (states + 1)
     return (simulations + 2) * node + ENTRY.itemsize * entries + remembered + coded

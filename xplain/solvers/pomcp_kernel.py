@@ -1,13 +1,13 @@
 """The compiled search of :mod:`xplain.solvers.pomcp`: select, expand, evaluate, back up.
 
-numba compiles this source once for each kind of problem. ``missed`` is None where messages land,
-and True where messages may be missed or forgotten: they then change the hidden state. numba removes
-the branches of a None, so the paper's search does no work for the other kind.
+numba compiles this source once for each kind of problem. ``missed`` is None if messages always
+correct the fact, and True if messages may be missed or forgotten, and so change the hidden state.
+For None numba removes the branches of the other kind, so the paper's search does no work for them.
 
-A label is *informative* if hidden states answer it differently; only these are drawn. Labels with
-the same column P(answer 1 | s) are exchangeable, so an observation is identified by its code
-Σ_i [l_i = 0] · w_i, where w is a 64-bit hash of the label's column. Two different observations get
-the same code with probability 2^-64.
+A label is *informative* if hidden states answer it differently. Only informative labels are drawn.
+Labels with the same column P(answer 1 | s) are exchangeable, so an observation is identified by its
+code Σ_i [l_i = 0] · w_i, where w is a 64-bit hash of the label's column. Two different observations
+get the same code with probability 2^-64.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from xplain.solvers.search_model import NO_NEWS, find_cell, forget, give, rank_q
 NODE = np.dtype(
     [
         ("code", np.uint64),  # code of the labels that led here; v after a message
-        ("leaf", np.float64),  # QMDP's value at the belief, NaN until asked for
+        ("leaf", np.float64),  # QMDP's value at the belief, NaN until computed
         ("value", np.float64),  # value of the best action so far, or of the only rollout
         ("reward", np.float64),  # expected reward of *explain*
         ("given", np.int64),  # v
         ("actions", np.int64),  # bitmask: messages that matter, *explain* (bit n), questions
-        ("untried", np.int64),  # number of these
-        ("edges", np.int32),  # its first edge; 0 until it is visited a second time
+        ("untried", np.int64),  # bitmask of the actions that were not tried
+        ("edges", np.int32),  # the node's first edge; 0 until a second visit
         ("parent", np.int32),  # node before *explain* or a question; ~base after a message
-        ("base", np.int32),  # node where the step began
+        ("base", np.int32),  # node at which the step began
         ("visits", np.int32),
         ("step", np.int32),  # k
     ],
@@ -53,7 +53,7 @@ EDGE = np.dtype(
     [
         ("value", np.float64),  # estimated return; −inf until tried
         ("visits", np.int32),
-        ("child", np.int32),  # after a message, or the last after an answer; 0 until known
+        ("child", np.int32),  # node after the message or the last answer; 0 until known
     ]
 )
 ENTRY = np.dtype([("node", np.int32), ("tag", np.uint32)])
@@ -75,7 +75,7 @@ SETTLED = -1
 CERTAIN = 1 - 1e-6
 """Rollouts treat a state as certain if the belief in it exceeds this."""
 ROUNDING = 1e-12
-"""Values that differ by less than this are equal; the first message of equal ones is taken."""
+"""Values that differ by less than this are equal; the first of several equal messages is taken."""
 
 
 class Options(NamedTuple):
@@ -101,8 +101,8 @@ class Tree(NamedTuple):
         nodes: [R + 1] NODE.
         edges: [(R + 2) · (n + 1 + B)] EDGE, one for each action of a node, side by side. The first
             n + 1 + B edges are never used, so that 0 can mean "no edges yet".
-        beliefs: [R + 1, S] the belief at each node. If messages land, only nodes that begin a step
-            have a belief.
+        beliefs: [R + 1, S] the belief at each node. If messages always correct the fact, only nodes
+            that begin a step have a belief.
         table: [a power of two > 2 R + 2] ENTRY, the hash table of child nodes; node 0 marks a free
             entry. Only the first ``used[MASK] + 1`` entries are in use; their number doubles as
             the tree grows.
@@ -166,8 +166,10 @@ def simulate(simulations, model, tree, options, missed, log_root, inverse_root):
         node, depth, length, is_new = ROOT, 0, 0, False
         while depth < options.depth and not is_new and node != END:
             if tree.nodes[node].edges == UNOPENED:
-                _open(model, tree, missed, node)
-            edge, action = _select(model, tree, options, missed, node, log_root, inverse_root)
+                _open_node(model, tree, missed, node)
+            edge, action = _select_action(
+                model, tree, options, missed, node, log_root, inverse_root
+            )
             move = tree.path[length]
             move.node = node
             move.edge = edge
@@ -177,7 +179,7 @@ def simulate(simulations, model, tree, options, missed, log_root, inverse_root):
             length += 1
             if action <= n:  # a question costs no depth
                 depth += 1 if action == n else options.message_depth
-            node, is_new, state = _expand(model, tree, missed, node, edge, action, state)
+            node, is_new, state = _take_action(model, tree, missed, node, edge, action, state)
         value = _evaluate(model, tree, options, missed, node, is_new, state)
         _back_up(model, tree, options, node, length, value)
 
@@ -195,7 +197,7 @@ def _draw_state(tree, last):  # type: ignore[no-untyped-def]
 
 
 @part
-def _select(model, tree, options, missed, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
+def _select_action(model, tree, options, missed, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
     """Chooses the action to try at an open node; returns its edge and the action. QMDP's action is
     tried first and the others follow in random order. Then UCB1 decides (Auer et al. 2002)."""
     record = tree.nodes[node]
@@ -211,7 +213,7 @@ def _select(model, tree, options, missed, node, log_root, inverse_root):  # type
         record.untried = untried & ~(1 << action)
         return first + count_bits(actions & ((1 << action) - 1)), action
     bonus, best, chosen = options.exploration * log_root[record.visits], -np.inf, uint64(first)
-    # Unsigned, as numba looks at each index whether it counts from the end.
+    # The indices are unsigned: numba checks signed indices, which may count from the end.
     for e in range(uint64(first), uint64(first + count_bits(actions))):
         score = tree.edges[e].value + bonus * inverse_root[uint64(tree.edges[e].visits)]
         if score > best:
@@ -221,10 +223,10 @@ def _select(model, tree, options, missed, node, log_root, inverse_root):  # type
 
 
 @part
-def _expand(model, tree, missed, node, edge, action, state):  # type: ignore[no-untyped-def]
-    """Takes an action and draws what follows for a user in this state. Returns the next node (END
-    after the last *explain*), whether the node is new, and the next state. Sets the belief of a
-    new node."""
+def _take_action(model, tree, missed, node, edge, action, state):  # type: ignore[no-untyped-def]
+    """Takes an action and draws its outcome for a user in this state. Returns the next node (END
+    after the last *explain*), True if the node is new, and the next state. Sets the belief of a new
+    node."""
     record, n = tree.nodes[node], len(model.price)
     step, said, base = np.int64(record.step), record.given, np.int64(record.base)
     question, answer, before = np.int64(-1), False, state
@@ -245,13 +247,13 @@ def _expand(model, tree, missed, node, edge, action, state):  # type: ignore[no-
         answer = next_uniform(tree.counter) < yes
         parent, code = node, splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
     child = np.int64(tree.edges[edge].child)
-    if child != UNVISITED and tree.nodes[child].code == code:  # the last answer, as often
+    if child != UNVISITED and tree.nodes[child].code == code:  # often the last answer
         return child, False, state
-    slot, tag = _find(tree, parent, code)
+    slot, tag = _find_entry(tree, parent, code)
     child = np.int64(tree.table[slot].node)
     is_new = child == UNVISITED
     if is_new:
-        child = _add(tree, slot, tag, parent, code)
+        child = _add_node(tree, slot, tag, parent, code)
         record, belief = tree.nodes[child], tree.beliefs[child]
         record.step, record.given, record.base = step, said, base
         if action >= n or missed is not None:
@@ -272,7 +274,7 @@ def _expand(model, tree, missed, node, edge, action, state):  # type: ignore[no-
         if len(tree.asked) > 0 and action >= n:
             tree.tried[child, tree.tried.shape[1] - 1] = question
             if action > n:
-                _hear_answer(model, question, said, answer, belief)
+                _update_by_answer(model, question, said, answer, belief)
     tree.edges[edge].child = child
     return child, is_new, state
 
@@ -334,7 +336,7 @@ def _back_up(model, tree, options, node, length, value):  # type: ignore[no-unty
         else:
             edge.value += (value - before) / edge.visits
         if to_max:
-            # A node visited once so far holds a rollout's return, not its best action's.
+            # After one visit, a node's value is a rollout's return, not its best action's value.
             if record.visits > 1 and before < record.value:
                 value = max(record.value, edge.value)
             else:
@@ -347,12 +349,12 @@ def _back_up(model, tree, options, node, length, value):  # type: ignore[no-unty
 
 
 @part
-def _find(tree, parent, code):  # type: ignore[no-untyped-def]
+def _find_entry(tree, parent, code):  # type: ignore[no-untyped-def]
     """Finds the entry of a child in the table, or the free entry where it belongs. Returns the slot
-    and the child's tag, by which most other children are ruled out without a look at their nodes.
+    and the child's tag. The tag excludes most other children without reading their nodes.
 
-    The key of a child is (node, labels) after *explain*, and (node where the step began, v) after a
-    message, so all orders of the same messages lead to one node.
+    The key of a child is (node, labels) after *explain*, and (node at which the step began, v)
+    after a message, so all orders of the same messages lead to one node.
     """
     mask = tree.used[MASK]
     h = splitmix64(code + uint64(parent) * GOLDEN)
@@ -371,7 +373,7 @@ def _find(tree, parent, code):  # type: ignore[no-untyped-def]
 
 @part
 def _grow_table(tree):  # type: ignore[no-untyped-def]
-    """Doubles the part of the table that is in use, once it is half full, and enters all children
+    """Doubles the part of the table that is in use, once it is half full, and adds all children
     again. A small table stays in the processor's cache."""
     if 2 * tree.used[NODES] > tree.used[MASK]:
         tree.used[MASK] = 2 * tree.used[MASK] + 1
@@ -379,13 +381,13 @@ def _grow_table(tree):  # type: ignore[no-untyped-def]
             tree.table[slot].node = UNVISITED
         for node in range(1, tree.used[NODES]):
             record = tree.nodes[node]
-            slot, tag = _find(tree, np.int64(record.parent), record.code)
+            slot, tag = _find_entry(tree, np.int64(record.parent), record.code)
             tree.table[slot].node = node
             tree.table[slot].tag = tag
 
 
 @part
-def _add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
+def _add_node(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
     """Adds a node without edges. The caller sets its step, given, base and belief."""
     node = tree.used[NODES]
     tree.used[NODES] += 1
@@ -402,15 +404,15 @@ def _add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
 
 
 @part
-def _open(model, tree, missed, node):  # type: ignore[no-untyped-def]
-    """Gives a node its edges, and computes the expected reward of *explain*. There is one edge for
-    each message that has an effect on a possible state and was not given yet, one for *explain*,
-    and, if a step begins at the node, one for each of the most informative questions."""
+def _open_node(model, tree, missed, node):  # type: ignore[no-untyped-def]
+    """Adds the edges of a node, and computes the expected reward of *explain*. There is one edge
+    for each message that has an effect on a possible state and was not given yet, one for
+    *explain*, and, if a step begins at the node, one for each of the most informative questions."""
     record, n = tree.nodes[node], len(model.price)
     belief = tree.beliefs[record.base if missed is None else node]
     questions = 0
     if len(tree.asked) > 0 and record.base == node:
-        questions = _find_questions(model, tree, node, record.step, record.given, belief)
+        questions = _list_questions(model, tree, node, record.step, record.given, belief)
     record.actions = _find_relevant(model, belief) & ~record.given | ((2 << questions) - 1) << n
     record.untried = record.actions
     record.edges = tree.used[EDGES]
@@ -464,7 +466,7 @@ def _evaluate_qmdp(model, tree, missed, step, messages, belief, patience):  # ty
 
     Returns the maximum, its action (n is *explain*), and Σ_s b(s) V(k, v, s). ``tree.cells`` has
     the cells of v. A message changes the value only in the states that it has an effect on;
-    ``tree.gain`` sums over these. ``patience`` is that of
+    ``tree.gain`` sums over these. ``patience`` is the value in
     :class:`~xplain.solvers.search_model.SearchModel`, or 0.
     """
     best, base, action, likeliest = 0.0, 0.0, len(model.price), 0.0
@@ -523,8 +525,8 @@ def _roll_out(model, tree, missed, step, said, state, belief):  # type: ignore[n
 
     The estimate is the value of the known state minus the expected loss of each decision, which
     arises because the state is unknown. This control variate has the mean of the simulated return
-    and less noise. If messages land, the simulation ends as soon as nothing more can be lost: the
-    state is certain, or no state needs a message.
+    and less noise. If messages always correct the fact, the simulation ends as soon as no later
+    decision can have a loss: the state is certain, or no state needs a message.
     """
     n, steps, value, scale = len(model.price), len(model.explain_cost), 0.0, 1.0
     _find_cells(model.value_stride, tree, said)
@@ -599,7 +601,7 @@ def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped
 @part
 def _update_belief(model, tree, missed, step, said, state, code, belief):  # type: ignore[no-untyped-def]
     """Updates a belief [S] by the labels that were just drawn for a user in this state. The
-    likelihoods of an observation are kept for the next time that it occurs."""
+    likelihoods of an observation are stored for its next occurrence."""
     at = _find_place(model, tree, missed, said)
     count = tree.labels[at, step].informative
     if count > 0:
@@ -628,7 +630,7 @@ def _update_belief(model, tree, missed, step, said, state, code, belief):  # typ
 @part
 def _find_place(model, tree, missed, said):  # type: ignore[no-untyped-def]
     """Returns the place where the labels at v are coded. Message sets with the same hash share a
-    place; the set that is needed now replaces the other one."""
+    place; the set that is needed now replaces the earlier set."""
     shown = said if missed is None else np.int64(0)
     slot = shown
     if slot >= len(tree.coded):
@@ -691,7 +693,7 @@ def _draw_after_step(model, tree, state):  # type: ignore[no-untyped-def]
 
 
 @part
-def _hear_answer(model, question, said, answer, belief):  # type: ignore[no-untyped-def]
+def _update_by_answer(model, question, said, answer, belief):  # type: ignore[no-untyped-def]
     """Updates a belief by the answer to a question."""
     total = 0.0
     for s in range(len(belief)):
@@ -703,11 +705,11 @@ def _hear_answer(model, question, said, answer, belief):  # type: ignore[no-unty
 
 
 @njit(nogil=True)
-def _find_questions(model, tree, node, step, said, belief):  # type: ignore[no-untyped-def]
+def _list_questions(model, tree, node, step, said, belief):  # type: ignore[no-untyped-def]
     """Lists in ``tree.tried`` the most informative questions at a node that begins a step; returns
     their number."""
     count, slots, asked = 0, tree.tried.shape[1] - 2, tree.asked.copy()
-    if tree.tried[ROOT, slots] < 0 and node == ROOT:  # between a step's messages
+    if tree.tried[ROOT, slots] < 0 and node == ROOT:  # the step already has messages
         return 0
     before = node
     while before != ROOT:

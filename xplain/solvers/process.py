@@ -2,28 +2,29 @@
 
 The hidden state is s ∈ {0 … S − 1}; the visible part is v, a bitmask of the relevant messages:
 
-- *messages land* (``jump`` is None): s is the hidden type, S = N, and v = H, all messages given;
+- *messages always correct the fact* (``jump`` is None): s is the hidden type, S = N, and v = H, all
+  messages given;
 - *messages may be missed or forgotten*: s = K · N + t, the user's known facts (a row K of the label
   table) and the hidden type t, S = rows · N; v has the messages of this step.
 
 Tables are flat, [..., cells]. A table is read at x(v, s) = base[s] + Σ_{j ∈ v} stride[j, s]
-(:class:`Cells`). If messages land, a cell is (row of v, t) and ``base[t] = t``; if they may be
-missed, it is s itself and every stride is 0.
+(:class:`Cells`). If messages always correct the fact, a cell is (row of v, t) and ``base[t] = t``.
+If messages may be missed, a cell is s itself and every stride is 0.
 
     give j      pays price[j], discounts by γ' = ``message_discount``; b' = ``give(process, b, j)``:
                 a part accept[s] of b[s] moves to s + jump[j, s] (jump is 0 where nothing changes)
     explain     pays explain_cost[k, x(v, s)], discounts by γ = ``discount``; the evidence is
                 Π_i P(y_i) with P(y_i = 1) = answered[i, x(v, s)] for i ≤ k; then
-                b' = ``forget(process, b)``: each fact known is lost with probability forget[t]
+                b' = ``forget(process, b)``: a known fact is forgotten with probability forget[t]
     ask q       pays questions.cost, never discounts; the evidence is
                 questions.answered[q, x_q(v, s)], x_q by ``questions.cells``
 
-A message is given at most once in a step; if messages land, at most once in the whole explanation.
-A message discounts only if messages land (γ' = γ, the paper): if it could be repeated, each
-repetition would reduce later costs by delaying them. A message is not an action if it is relevant
-to no s with positive belief.
+A message is given at most once in a step; if messages always correct the fact, at most once in the
+whole explanation. A message discounts only in the second case (γ' = γ, the paper): if a message
+could be repeated, each repetition would reduce later costs by delaying them. A message is not an
+action if it is relevant to no s with positive belief.
 
-*Explain* leads to k + 1 with the same v if messages land, otherwise with v = 0
+*Explain* leads to k + 1 with the same v if messages always correct the fact, otherwise with v = 0
 (:func:`before_step`).
 
 With known s labels give no information, and the process is an MDP on (k, v), solved backwards in k
@@ -33,9 +34,9 @@ With known s labels give no information, and the process is an MDP on (k, v), so
     Q(k, v, s, give j) = γ' [α V(k, v + j, s + jump[j, s]) + (1 − α) V(k, v + j, s)] − price[j]
     V(k, v, s) = max { Q(k, v, s, explain), max_{j ∉ v} Q(k, v, s, give j) }
 
-If messages land, the maximum over all sets of messages takes one sweep for each message, most
-expensive first, so that the cheapest message of a best set is given first. If messages may be
-missed, the next state depends on which are accepted.
+If messages always correct the fact, the maximum over all sets of messages takes one pass over the
+table for each message. The most expensive message comes first, so that the cheapest message of a
+best set is given first. If messages may be missed, the next state depends on the accepted messages.
 """
 
 from __future__ import annotations
@@ -57,18 +58,19 @@ from xplain.explanation.problem import Problem
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 KEPT = 1 << 12
-"""Maximum number of bitmasks whose cells are cached, because a walk uses the same ones
+"""Maximum number of bitmasks whose cells are cached, because policies use the same bitmasks
 repeatedly."""
 MAX_MISSED = 10
 """Maximum number of messages whose sets are compared if messages may be missed. Each set then leads
 to another belief."""
 KEPT_ANSWERS, JOINED = 1 << 9, 1 << 6
-"""Maximum number of cached likelihoods, and of answers that one of them lists together."""
+"""Maximum number of cached results of :func:`answer_likelihoods`, and of answers in a joined
+factor."""
 PATIENCE = 0.1
 """If messages may be missed, a message must gain this additional share of its price, times the
-probability that the state is not the most likely one. Such a message gives no information about the
-user, and hides the answer that would. Chosen among 0.05, 0.1, 0.15 and 0.2 on seeds 9700 to
-9745."""
+probability that the state is not the most likely state. A message gives no information about the
+user, and after it the next answer gives less. The share was chosen among 0.05, 0.1, 0.15 and 0.2 on
+seeds 9700 to 9745."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,7 @@ class Cells:
     answers: dict[tuple[int, int, bytes], list[FloatArray]] = field(default_factory=dict)
 
     def at(self, said: int) -> IntArray:
-        """[S] the cells for a bitmask of messages."""
+        """Returns [S] the cells for a bitmask of messages."""
         cells = self.kept.get(said)  # several threads may use a policy
         if cells is None:
             if len(self.kept) == KEPT:
@@ -97,7 +99,7 @@ class Cells:
         return cells
 
     def of_sets(self, sets: IntArray) -> IntArray:
-        """[B, S] the cells for B bitmasks."""
+        """Returns [B, S] the cells for B bitmasks."""
         return self.base + bits_of(sets, len(self.stride)).astype(np.int64) @ self.stride
 
 
@@ -111,7 +113,7 @@ class QuestionTables(NamedTuple):
         relevant: [S] bitmask of the messages that change some answer of s.
         cost: κ.
         most: maximum number of questions, at most Q.
-        first: True if only before the first step.
+        first: True if questions are asked only before the first step.
     """
 
     answered: FloatArray
@@ -124,19 +126,20 @@ class QuestionTables(NamedTuple):
 
 
 class Process(NamedTuple):
-    """m steps, n messages, S hidden states of N hidden types; see above.
+    """The model of a problem: m steps, n messages, S hidden states of N hidden types.
 
     Attributes:
         start: [S] belief before the first step.
         p: [m, cells] P(label 1).
         answered: [m, cells] P(answer 1); the same array as ``p`` if users do not err.
         explain_cost: [m, cells] C_inexp Σ_{i ≤ k} (1 − P), the expected cost of *explain* at k.
-        cells: indices of these three tables.
-        own: [N, r] message of each bit of a type's row, NONE for none. If messages land, the bits
-            of a type ascend in price.
-        relevant: [S] bitmask of the messages that change some label of s, or move it.
-        jump: [n, S], or None if messages land.
-        accept: [S] α, or None.
+        cells: indices of ``p``, ``answered`` and ``explain_cost``.
+        own: [N, r] message of each bit of a type's row, NONE for none. If messages always correct
+            the fact, the bits of a type ascend in price.
+        relevant: [S] bitmask of the messages that change some label of s, or the state s itself.
+        jump: [n, S] number that an accepted message adds to s; None if messages always correct the
+            fact.
+        accept: [S] α; None if messages always correct the fact.
         forget: [N] φ, or None if nothing is ever forgotten.
         price: [n] λ C_e.
         discount, message_discount: γ and γ'.
@@ -184,24 +187,24 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
 
     Args:
         problem: a problem of any kind.
-        dense: if messages land, True makes each type's row cover all messages with an effect on
-            some type, so that a row is a set of them; False makes it cover the type's own messages
-            if these are fewer.
+        dense: used if messages always correct the fact. With True each type's row covers all
+            messages with an effect on some type. With False it covers only messages with an effect
+            on this type, if these are fewer.
 
     Raises:
-        TooLargeError: more than MAX_RELEVANT messages of a row.
+        TooLargeError: more than MAX_RELEVANT messages in a row.
     """
     price = problem.trade_off * problem.message_cost
     limits, asked = problem.questions.limits, problem.questions.table
     if problem.messages_land:
-        table = _by_price(problem.table.select_messages(row_messages(problem, dense)), price)
+        table = _sort_by_price(problem.table.select_messages(row_messages(problem, dense)), price)
         effective = problem.table.effective()
-        cells, question_cells = (_cells_by_row(t, len(price)) for t in (table, asked))
+        cells, question_cells = (_make_row_cells(t, len(price)) for t in (table, asked))
         relevant = np.array([sum(1 << j for j in row) for row in effective], np.int64)
         jump = accept = forget = None
     else:
         table = problem.table
-        jump = _jumps(table, len(price))
+        jump = _compute_jumps(table, len(price))
         cells = question_cells = Cells(np.arange(jump.shape[1]), np.zeros_like(jump))
         relevant = ((jump != 0) << np.arange(len(price))[:, None]).sum(axis=0)
         accept = np.tile(problem.accept, len(table.p[0]))
@@ -225,7 +228,7 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
             asked.answered.reshape(len(asked.p), width),
             asked.p.reshape(len(asked.p), width) >= 0.5,
             question_cells,
-            _answer_changing(asked, problem),
+            _find_answer_messages(asked, problem),
             float(limits.cost),
             min(limits.most, len(asked.p)),
             limits.when == "first",
@@ -234,7 +237,7 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
 
 
 def row_messages(problem: Problem, dense: bool = False) -> list[tuple[int, ...]]:
-    """For each type, the messages of its row, ascending, if messages land."""
+    """Lists the messages of each type's row, ascending. Messages must always correct the fact."""
     own = problem.table.effective()
     union = problem.messages_with_effect
     together = tuple(sorted({j for row in own for j in row}))
@@ -244,7 +247,7 @@ def row_messages(problem: Problem, dense: bool = False) -> list[tuple[int, ...]]
 
 
 def weighable(problem: Problem, what: str) -> tuple[int, ...]:
-    """The messages with an effect, ascending, for solvers that compare sets of them.
+    """Lists the messages with an effect, ascending, for solvers that compare sets of messages.
 
     Raises:
         TooLargeError: too many messages.
@@ -253,29 +256,29 @@ def weighable(problem: Problem, what: str) -> tuple[int, ...]:
     most = MAX_RELEVANT if problem.messages_land else MAX_MISSED
     if len(messages) > most:
         raise TooLargeError(
-            f"{what} weighs sets of messages together: {len(messages)} matter on this trace, at "
-            f"most {most}; solver=qmdp or pomcp gives one after the other"
+            f"{what} compares all sets of messages: {len(messages)} messages matter on this trace, "
+            f"at most {most} are possible; solver=qmdp or pomcp chooses one after the other"
         )
     return messages
 
 
-def _by_price(table: LabelTable, price: FloatArray) -> LabelTable:
-    """The table with the bits of each type ascending in price."""
+def _sort_by_price(table: LabelTable, price: FloatArray) -> LabelTable:
+    """Sorts the bits of each type by ascending price."""
     rows = [sorted(row, key=lambda j: float(price[j])) for row in table.rows]
     return table.select_messages(rows)
 
 
-def _cells_by_row(table: LabelTable, messages: int) -> Cells:
-    """The cells of a table [..., rows · N], if messages land."""
+def _make_row_cells(table: LabelTable, messages: int) -> Cells:
+    """Makes the cells of a table [..., rows · N]. Messages must always correct the fact."""
     stride = np.zeros((messages, table.n_types), np.int64)
     whose, bit = np.nonzero(table.relevant != NONE)
     stride[table.relevant[whose, bit], whose] = table.n_types << bit
     return Cells(np.arange(table.n_types), stride)
 
 
-def _jumps(table: LabelTable, messages: int) -> IntArray:
-    """[n, S] if messages may be missed: the distance from a state without a relevant fact to the
-    state with it."""
+def _compute_jumps(table: LabelTable, messages: int) -> IntArray:
+    """Computes ``jump`` [n, S] if messages may be missed: the number that a message adds to a state
+    without its fact, 0 if the message changes nothing."""
     types, width = table.relevant.shape
     rows = np.arange(1 << width)
     jump = np.zeros((messages, len(rows), types), np.int64)
@@ -285,8 +288,8 @@ def _jumps(table: LabelTable, messages: int) -> IntArray:
     return jump.reshape(messages, len(rows) * types)
 
 
-def _answer_changing(table: LabelTable, problem: Problem) -> IntArray:
-    """[S] bitmask of the messages that change some answer to a question."""
+def _find_answer_messages(table: LabelTable, problem: Problem) -> IntArray:
+    """Computes [S] the bitmask of the messages that change some answer to a question."""
     of_type = np.array([sum(1 << j for j in row) for row in table.effective()], np.int64)
     return np.resize(of_type, problem.start.size)
 
@@ -297,7 +300,8 @@ def before_step(process: Process, given: int) -> int:
 
 
 def matters(process: Process, belief: FloatArray) -> int:
-    """Bitmask of the messages that change a label of some state with positive belief."""
+    """Returns the bitmask of the messages that change a label of some state with positive
+    belief."""
     return int(np.bitwise_or.reduce(process.relevant[belief > 0]))
 
 
@@ -322,7 +326,7 @@ def give_all(process: Process, belief: FloatArray, messages: int) -> FloatArray:
 
 
 def forget(process: Process, belief: FloatArray) -> FloatArray:
-    """Updates beliefs [..., S] at the end of a step: b F."""
+    """Updates beliefs [..., S] at the end of a step, when known facts may be forgotten: b F."""
     return belief if process.forget is None else after_forgetting(belief, process.forget)
 
 
@@ -340,9 +344,9 @@ def expected_after_forgetting(process: Process, values: FloatArray) -> FloatArra
 def answer_likelihoods(
     process: Process, step: int, said: int, possible: IntArray
 ) -> list[FloatArray]:
-    """Lists the distinguishable answers to *explain* at (k, v), as factors: in each, [B, P]
-    P(answer | s) of B answers for P possible states. The result is cached, because many beliefs use
-    it."""
+    """Lists the distinguishable answers to *explain* at (k, v) as factors. Each factor is [B, P]
+    P(answer | s) of B partial answers for P possible states. The result is cached, because many
+    beliefs use it."""
     kept, key = process.cells.answers, (step, said, possible.tobytes())
     factors = kept.get(key)  # several threads may use a policy
     if factors is None:
@@ -403,8 +407,8 @@ def outcomes(
 
 
 def expected_after_giving(process: Process, messages: list[int], values: FloatArray) -> FloatArray:
-    """[F, S] E[v_j(s') | s] after message j was given once, from values [F, S] for each of F
-    messages j."""
+    """Computes [F, S] E[v_j(s') | s] after message j was given once, from values [F, S] for each of
+    F messages j."""
     if process.jump is None or process.accept is None:
         return values
     landed = np.take_along_axis(
@@ -414,7 +418,7 @@ def expected_after_giving(process: Process, messages: list[int], values: FloatAr
 
 
 def all_given(process: Process, belief: FloatArray, messages: list[int]) -> FloatArray:
-    """[2^F, S] the belief after each set of F messages, in the order of
+    """Computes [2^F, S] the belief after each set of F messages, in the order of
     ``message_sets.subsets``."""
     after = belief[None]
     for message in messages:
@@ -423,8 +427,8 @@ def all_given(process: Process, belief: FloatArray, messages: list[int]) -> Floa
 
 
 def set_prices(process: Process, sets: IntArray) -> tuple[FloatArray, FloatArray]:
-    """[B] the discounted price of B sets of messages, cheapest message first, and the discount of
-    each set."""
+    """Computes [B] the discounted price of B sets of messages, cheapest message first, and the
+    discount of each set."""
     price, discount = np.zeros(len(sets)), np.ones(len(sets))
     for j in np.argsort(process.price, kind="stable"):
         has = sets >> j & 1 == 1
@@ -436,7 +440,7 @@ def set_prices(process: Process, sets: IntArray) -> tuple[FloatArray, FloatArray
 def hear_answer(
     process: Process, belief: FloatArray, said: int, question: int, answer: int
 ) -> FloatArray:
-    """[S] joint probabilities of the state and the answer 0 or 1 to a question, at v."""
+    """Computes [S] joint probabilities of the state and the answer 0 or 1 to a question, at v."""
     yes = process.questions.answered[question, process.questions.cells.at(said)]
     return belief * (yes if answer else 1 - yes)
 
@@ -456,11 +460,11 @@ class KnownValues(NamedTuple):
     explain_cells: Cells
 
     def now(self, step: int, said: int) -> FloatArray:
-        """[S] V(k, v, s)."""
+        """Returns [S] V(k, v, s)."""
         return self.value[step, self.value_cells.at(said)]
 
     def explained(self, step: int, said: int) -> FloatArray:
-        """[S] Q(k, v, s, explain)."""
+        """Returns [S] Q(k, v, s, explain)."""
         return self.explain[step, self.explain_cells.at(said)]
 
 
@@ -470,24 +474,25 @@ def known_values(process: Process, without_effect: bool = False) -> KnownValues:
     Args:
         process: the model.
         without_effect: True also allows messages that change nothing for the known type. A policy
-            may give such messages because of other types, and delay its costs with them if messages
-            discount. Then Σ b V is an upper bound of the optimum only if they are allowed.
+            may give such messages because of other types. If messages discount, they delay later
+            costs, and Σ b V is an upper bound of the optimum only if they are allowed.
     """
-    prices = _bit_prices(process, without_effect)
-    solve = _where_messages_land if process.jump is None else _where_messages_are_missed
+    prices = _find_bit_prices(process, without_effect)
+    solve = _solve_certain_messages if process.jump is None else _solve_missed_messages
     return solve(process, prices)
 
 
 def known_bytes(problem: Problem) -> int:
-    """Memory of :func:`~xplain.solvers.process.make_process` and :func:`known_values`, in bytes."""
+    """Returns the memory that :func:`make_process` and :func:`known_values` need, in bytes."""
     steps, rows, types = problem.table.p.shape
     if problem.messages_land:
         return 8 * 4 * (steps + 1) * types << max(map(len, row_messages(problem)))
     return 8 * (steps + 1) * rows * types * (rows + 3)
 
 
-def _bit_prices(process: Process, without_effect: bool) -> FloatArray:
-    """[r, N] price of the message of each bit; inf if there is none, or it changes nothing."""
+def _find_bit_prices(process: Process, without_effect: bool) -> FloatArray:
+    """Computes [r, N] the price of each bit's message; inf if the bit has no message, or the
+    message changes nothing."""
     own, types = process.own.T, np.arange(process.n_types)
     exists = own != NONE
     if not without_effect:
@@ -496,7 +501,7 @@ def _bit_prices(process: Process, without_effect: bool) -> FloatArray:
     return np.where(exists, prices, np.inf)
 
 
-def _where_messages_land(process: Process, prices: FloatArray) -> KnownValues:
+def _solve_certain_messages(process: Process, prices: FloatArray) -> KnownValues:
     value = np.zeros((process.n_steps + 1, process.p.shape[1]))
     explain = np.empty(process.p.shape)
     for k in reversed(range(process.n_steps)):
@@ -510,7 +515,7 @@ def _where_messages_land(process: Process, prices: FloatArray) -> KnownValues:
     return KnownValues(value, explain, process.cells, process.cells)
 
 
-def _where_messages_are_missed(process: Process, prices: FloatArray) -> KnownValues:
+def _solve_missed_messages(process: Process, prices: FloatArray) -> KnownValues:
     """Computes [m + 1, sets of the step, S] values if messages may be missed."""
     states, types, bits = process.n_states, process.n_types, len(prices)
     assert process.accept is not None

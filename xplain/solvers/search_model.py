@@ -23,11 +23,12 @@ class SearchModel(NamedTuple):
         explain_cost, explain: [m, cells] the expected cost and the Q of *explain*.
         stride: [n, S] the strides of these three tables.
         value: [m + 1, value cells] V.
-        value_stride: [n, S] its strides.
+        value_stride: [n, S] the strides of ``value``.
         wanted: [m, value cells] bitmask of the messages that are better in s than *explain*, or
             SETTLED; empty if messages may be missed, and for HSVI.
         relevant: [S] bitmask of the messages that have an effect on s.
-        jump, accept, forget: [n, S], [S] and [N], as in the process; empty if messages land.
+        jump, accept, forget: [n, S], [S] and [N], as in the process. If messages always correct the
+            fact, the first two are empty.
         price: [n] λ C_e.
         asked_answered, likelier: [Q, question cells] P(answer 1); True if label 1 is likelier.
         question_stride: [n, S] the strides of these two tables.
@@ -35,7 +36,7 @@ class SearchModel(NamedTuple):
         question_cost: κ.
         most: the largest number of questions.
         first: True if questions come only before the first step.
-        patience: :data:`~xplain.solvers.process.PATIENCE`; 0 if messages land.
+        patience: :data:`~xplain.solvers.process.PATIENCE`; 0 if messages always correct the fact.
     """
 
     answered: NDArray[np.float64]
@@ -106,18 +107,19 @@ def _entropy(p):  # type: ignore[no-untyped-def]
 
 @kernel
 def rank_questions(answered, likelier, cells, belief, news):  # type: ignore[no-untyped-def]
-    """Computes in ``news`` [Q] the mutual information of each question's answer and the state, in
-    nats; −1 for questions that cannot be asked now.
+    """Computes the mutual information of each question's answer and the state, in nats. The result
+    is written to ``news`` [Q]; it is −1 for questions that cannot be asked now.
 
-    Two questions are alike if label 1 is likelier in the same states. Only the first of them can be
-    asked, and it counts with the largest information among them: the others can be asked after it.
-    A question that all states answer alike is never asked.
+    Two questions are alike if label 1 is likelier in the same states. Only the first of several
+    alike questions can be asked now. Its result is the largest information of these questions,
+    because the other questions can be asked later. A question that all states answer alike is never
+    asked.
 
     Args:
         answered, likelier: [Q, cells] P(answer 1); True if label 1 is likelier.
         cells: [S] the cells at which these tables are read.
         belief: [S].
-        news: [Q] −1 for questions that may not be asked, otherwise 0.
+        news: [Q] before the call, −1 for questions that may not be asked, otherwise 0.
     """
     for q in range(len(news)):
         mean, certain, alike = 0.0, 0.0, True

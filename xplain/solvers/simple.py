@@ -1,13 +1,14 @@
 """Solvers without a search.
 
-- *QHR* takes the set of messages that is best if nothing can be said after the next step: Q(b, a) =
-  −(λ C_e(a) + Σ_{j > k}^{m} Σ_{i ≤ j} C_inexp (1 − P[t, i, H ∪ a])), the expectation over the
-  belief (the paper, "Myopic Approximation: QHR", after Fern et al. 2014). The sum over j begins
+- *QHR* takes the set of messages that is best if no message can be given after the next step:
+  Q(b, a) = −(λ C_e(a) + Σ_{j > k}^{m} Σ_{i ≤ j} C_inexp (1 − P[t, i, H ∪ a])), the expectation over
+  the belief (the paper, "Myopic Approximation: QHR", after Fern et al. 2014). The sum over j begins
   with the prefix that the next *explain* shows. As in the paper nothing is discounted.
 - *Silent* gives no messages: it pays for all labels 0 under the empty message set.
-- *Say all* gives every message before the first step: λ Σ_j C_e(j) plus the remaining labels 0.
-- *Ask first* asks the most informative questions (greedy mutual information), at any cost, before
-  the first step; then it is QMDP.
+- *Say all* gives every message before the first step: λ Σ_j C_e(j) plus the labels that are still
+  0.
+- *Ask first* asks the most informative questions (greedy mutual information) before the first step,
+  independent of κ; then it is QMDP.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from xplain.solvers.voi import telling_questions, with_questions
 
 @dataclass(frozen=True)
 class QHR:
-    """Has no options: a closed form, computed at each decision."""
+    """Computes QHR's closed form at each decision; there are no options."""
 
     knows: Knowledge = "types"
 
@@ -57,15 +58,15 @@ class QHR:
         for k in reversed(range(process.n_steps)):
             later = process.explain_cost[k] + expected_after_forgetting(process, later)
             shown[k] = later
-        policy = QHRPolicy(process, _candidates(process), shown)
+        policy = QHRPolicy(process, _list_candidates(process), shown)
         if not problem.questions:
             return policy
         return with_questions(policy, process, known_values(process), seed)
 
 
-def _candidates(process: Process) -> NDArray[np.int64]:
-    """The sets of messages to compare, ascending: all sets, or those relevant to one state if more
-    than DENSE messages have an effect."""
+def _list_candidates(process: Process) -> NDArray[np.int64]:
+    """Lists the sets of messages to compare, ascending: all sets; or if more than DENSE messages
+    have an effect, the sets of messages that are relevant to one state."""
     together = int(np.bitwise_or.reduce(process.relevant))
     own = [together] if together.bit_count() <= DENSE else np.unique(process.relevant).tolist()
     return np.unique(np.concatenate([subsets(indices(mask)) for mask in own]))
@@ -77,8 +78,8 @@ class QHRPolicy:
 
     Attributes:
         process: the model.
-        sets: the sets to compare, ascending. If these are not all, the best one is added to the
-            chosen set until no addition is better.
+        sets: the sets to compare, ascending. If these are not all sets, the best set is added to
+            the chosen messages until no addition is better.
         shown: [m, cells] the cost of all prefixes from step k on, without further messages.
     """
 
@@ -87,27 +88,27 @@ class QHRPolicy:
     shown: NDArray[np.float64]
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Chooses the set of messages with the largest value."""
         chosen, best = -1, 0
         while best != chosen:
             chosen = best
-            best = best_of(*self._weigh(visible, belief, chosen))
+            best = best_of(*self._evaluate_sets(visible, belief, chosen))
         return give(chosen)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """The values of *explain*, of each single message, and of the chosen set."""
+        """Returns the values of *explain*, of each single message, and of the chosen set."""
         chosen = messages_of(self.decide(visible, belief))
         weighed: dict[int, float] = {}
         for first in (0, chosen):
-            sets, values = self._weigh(visible, belief, first)
+            sets, values = self._evaluate_sets(visible, belief, first)
             weighed |= zip(sets.tolist(), values.tolist(), strict=True)
         return {give(s): v for s, v in weighed.items() if s.bit_count() <= 1 or s == chosen}
 
-    def _weigh(
+    def _evaluate_sets(
         self, visible: VisibleState, belief: NDArray[np.float64], chosen: int
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The sets of messages that may be given and contain the chosen ones, ascending, with their
-        values."""
+        """Lists the sets of messages that may be given and contain the chosen messages, ascending,
+        with their values."""
         process = self.process
         said = before_step(process, visible.given)
         heard = belief[None]
@@ -129,7 +130,7 @@ class Silent:
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """See :class:`xplain.solvers.base.Solver`."""
+        """Makes the policy that gives no message."""
         return OpenLoop(0)
 
 
@@ -140,7 +141,7 @@ class SayAll:
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """See :class:`xplain.solvers.base.Solver`."""
+        """Makes the policy that gives all messages at the first step."""
         return OpenLoop((1 << problem.n_messages) - 1)
 
 
@@ -181,7 +182,8 @@ class AskFirst:
 
 @dataclass(frozen=True)
 class AsksFirst:
-    """Asks the most informative question before the first step, as long as one is informative.
+    """Asks the most informative question before the first step, as long as some question is
+    informative.
 
     Attributes:
         policy: decides on messages.
@@ -192,7 +194,7 @@ class AsksFirst:
     process: Process
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Chooses the most informative question before the first step, then QMDP's messages."""
         if not visible.step and not visible.given:
             questions, _ = telling_questions(self.process, visible, belief, 1)
             if questions:
@@ -200,5 +202,5 @@ class AsksFirst:
         return self.policy.decide(visible, belief)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """QMDP's values of messages; questions have no values."""
+        """Returns QMDP's values of messages; questions have no values."""
         return self.policy.values(visible, belief)

@@ -6,12 +6,12 @@
 becomes known at no cost. V is the return of QMDP's own decisions from a belief, estimated by
 simulation. W(b) = Σ b_s V(k, v, s) is linear in b, and answers do not change its mean. So the
 return of QMDP's decisions is W(b) minus the expected losses: the loss of each decision relative to
-a known state at that step. W is the same on both sides, and the losses vary little, so few
-simulations are enough if all beliefs share their random numbers. If labels are certain, one
-simulation of each state is exact.
+a known state at that step. W cancels in VOI(q), and the losses vary little. So few simulations are
+enough if all beliefs share their random numbers. If labels are certain, one simulation of each
+state is exact.
 
-Only the open questions with the most informative answers (mutual information) are evaluated, as
-chosen by :func:`telling_questions`.
+Only the questions with the most informative answers (mutual information) are evaluated, as chosen
+by :func:`telling_questions`.
 """
 
 from __future__ import annotations
@@ -80,55 +80,61 @@ class VoiPolicy:
     stream: int
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """See :class:`xplain.solvers.base.Policy`."""
-        gains = self._gains(visible, belief)
+        """Chooses the best question if its value is positive, otherwise the policy's action."""
+        gains = self._evaluate_questions(visible, belief)
         best = max(gains, key=lambda q: gains[q], default=0)
         if gains and gains[best] > TIE:
             return AskQuestion(best)
         return self.policy.decide(visible, belief)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Values of messages are the policy's. A question's value is the best of these plus its
-        value of information."""
+        """Returns the policy's values of messages. A question's value is the best message value
+        plus the question's value of information."""
         values = dict(self.policy.values(visible, belief))
         best = max(values.values(), default=0.0)
-        gains = self._gains(visible, belief)
+        gains = self._evaluate_questions(visible, belief)
         return values | {AskQuestion(q): best + gain for q, gain in gains.items()}
 
-    def _gains(self, visible: VisibleState, belief: NDArray[np.float64]) -> dict[int, float]:
-        """The value of each question that was evaluated."""
+    def _evaluate_questions(
+        self, visible: VisibleState, belief: NDArray[np.float64]
+    ) -> dict[int, float]:
+        """Computes the value of information of each question that is evaluated."""
         questions, _ = telling_questions(self.process, visible, belief, LOOKED_INTO)
         if not questions:
             return {}
         said, gains = before_step(self.process, visible.given), dict[int, float]()
         tree = make_tree(self.process, 1, self.stream)
-        now = self._worth(tree, visible.step, said, belief)
+        now = self._estimate_value(tree, visible.step, said, belief)
         for q in questions:
             gains[q] = -now - self.process.questions.cost
             for answer in (1, 0):
                 joint = hear_answer(self.process, belief, said, q, answer)
                 share = float(joint.sum())
                 if share > 0:
-                    gains[q] += share * self._worth(tree, visible.step, said, joint / share)
+                    gains[q] += share * self._estimate_value(
+                        tree, visible.step, said, joint / share
+                    )
         return gains
 
-    def _worth(self, tree: Tree, step: int, said: int, belief: NDArray[np.float64]) -> float:
+    def _estimate_value(
+        self, tree: Tree, step: int, said: int, belief: NDArray[np.float64]
+    ) -> float:
         """Estimates the value of QMDP's decisions from a belief [S]."""
         process, model = self.process, self.model
         # If answers are certain, a simulation has no randomness.
         certain = process.jump is None and not (process.answered % 1).any()
-        states, weights, streams = _spread(belief, 1 if certain else ROLLS)
+        states, weights, streams = _choose_states(belief, 1 if certain else ROLLS)
         seeds = np.array([self.stream + i * SPREAD & WORDS for i in streams], np.uint64)
         missed = None if process.jump is None else True
         return float(roll(model, tree, missed, step, said, belief, states, weights, seeds))
 
 
-def _spread(
+def _choose_states(
     belief: NDArray[np.float64], rolls: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], list[int]]:
-    """States to simulate, their weights, and the numbers of their random streams. Every likely
-    state is simulated equally often. If there are more states than simulations, the simulated
-    states are spread evenly over the belief."""
+    """Chooses the states to simulate, their weights, and the numbers of their random streams. Every
+    likely state is simulated equally often. If there are more states than simulations, the
+    simulated states are spread evenly over the belief."""
     likely = np.flatnonzero(belief > FAINT)
     if rolls > 1 and len(likely) > rolls:
         at = (np.arange(rolls) + 0.5) / rolls
