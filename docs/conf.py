@@ -1,8 +1,8 @@
 """The docs as a site: the Markdown pages, README first, and the public names from their docstrings.
 
-    make docs        build/site/index.html; warnings are errors, also of links that lead nowhere
+    make docs        build/site/index.html; warnings are errors, also for broken links
 
-The sources are the repository's own pages, so that they read the same in a checkout.
+The sources are the repository's pages, which read the same in a checkout.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ SIDEBAR = {
 }
 
 
-def _with_sidebar(app: Sphinx, name: str, source: list[str]) -> None:
+def _add_sidebar(app: Sphinx, name: str, source: list[str]) -> None:
     """Adds a table of contents to README for Sphinx; a checkout does not need one."""
     if name == root_doc:
         for caption, pages in SIDEBAR.items():
@@ -96,24 +96,24 @@ def _with_sidebar(app: Sphinx, name: str, source: list[str]) -> None:
             source[0] += f"\n\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{lines}\n```\n"
 
 
-def _with_index(app: Sphinx, error: Exception | None) -> None:
+def _copy_index(app: Sphinx, error: Exception | None) -> None:
     """Copies the front page to index.html, the name that servers look for."""
     page = Path(app.outdir) / f"{root_doc}.html"
     if error is None and page.exists():
         shutil.copyfile(page, page.with_name("index.html"))
 
 
-def _with_plain_aliases(
+def _shorten_aliases(
     app: Sphinx, kind: str, name: str, what: object, options: object, given: str, returned: str
 ) -> tuple[str, str] | None:
-    """Aliases within unions by their names; None leaves a signature as it is."""
+    """Replaces aliases within unions by their names; None leaves a signature unchanged."""
     if "TypeAliasForwardRef" not in f"{given}{returned}":
         return None
     return ALIAS.sub(r"\1", given), ALIAS.sub(r"\1", returned or "")
 
 
 def setup(app: Sphinx) -> None:
-    """The hooks above."""
-    app.connect("source-read", _with_sidebar)
-    app.connect("autodoc-process-signature", _with_plain_aliases)
-    app.connect("build-finished", _with_index)
+    """Connects the hooks above."""
+    app.connect("source-read", _add_sidebar)
+    app.connect("autodoc-process-signature", _shorten_aliases)
+    app.connect("build-finished", _copy_index)

@@ -1,7 +1,7 @@
 """Writes docs/config.md: every configuration key, from the comments in conf/*.yaml.
 
 python docs/config_reference.py            writes it
-python docs/config_reference.py --check    exit code 1 where it is out of date
+python docs/config_reference.py --check    exit code 1 if it is out of date
 """
 
 from __future__ import annotations
@@ -64,15 +64,15 @@ def main() -> int:
 
 
 def page() -> str:
-    """The whole page."""
+    """Writes the whole page."""
     parts = [
         "# Configuration\n",
         "`python docs/config_reference.py` writes this page from the comments in `conf/`; "
-        "edit those.\n",
+        "edit these comments.\n",
         "Any key can be set on the command line (`python -m xplain lambda=2 solver=qhr`), "
         "`group=choice` selects another file; `+group=...` is never needed. "
         "`python -m xplain --cfg job` prints the configuration of a run. "
-        "Commands have keys of their own: "
+        "These commands have their own keys: "
         f"{', '.join(f'[{name}](#the-command-{name}-conf{name}yaml)' for name in COMMANDS)} and "
         "[study](#the-user-study-confstudyyaml).\n",
         "## The experiment (`conf/config.yaml`)\n",
@@ -105,7 +105,7 @@ def section(file: Path, prefix: str) -> str:
         about.append(f"Class: `{made[1]}`.")
     if parent := parent_of(file):
         if prefix:
-            about.append(f"All other keys are those of `{prefix[:-1]}={parent}`.")
+            about.append(f"All other keys are as in `{prefix[:-1]}={parent}`.")
         rows = [row for row in rows if row.meaning]
     table = "\n".join(
         ["| key | default | meaning |", "|---|---|---|"]
@@ -115,13 +115,13 @@ def section(file: Path, prefix: str) -> str:
 
 
 def parent_of(file: Path) -> str | None:
-    """The choice of the same group that this one changes, if it does."""
+    """Finds the choice of the same group that a file changes; None if it changes none."""
     defaults = yaml.safe_load(file.read_text(encoding="utf-8")).get("defaults", [])
     return next((one for one in defaults if isinstance(one, str) and one != "_self_"), None)
 
 
 def keys(lines: list[str], prefix: str) -> Iterator[Key]:
-    """The keys of a file, by their full path."""
+    """Yields the keys of a file, with their full paths."""
     path: list[tuple[int, str]] = []
     above: list[str] = []
     hidden = block = -1

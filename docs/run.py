@@ -85,7 +85,7 @@ def blocks_of(text: str) -> list[tuple[re.Match[str], list[Piece]]]:
         if FILE.match(fence[0]):
             continue
         if kind == "console":
-            found.append((fence, _session(body)))
+            found.append((fence, _parse_session(body)))
         elif kind == "python":
             found.append((fence, [Piece(code=body)]))
         elif kind == "text" and before == "python":
@@ -95,7 +95,7 @@ def blocks_of(text: str) -> list[tuple[re.Match[str], list[Piece]]]:
     return found
 
 
-def _session(body: str) -> list[Piece]:
+def _parse_session(body: str) -> list[Piece]:
     pieces: list[Piece] = []
     lines = iter(body.splitlines())
     for line in lines:
@@ -135,7 +135,7 @@ def ran(text: str, folder: Path, compare: bool) -> list[tuple[re.Match[str], lis
                 check=False,
             )
             what = piece.command or piece.code
-            # A command may be shown for the line with which it refuses bad input.
+            # The docs may show the line with which a command refuses bad input.
             refused = done.returncode == 2 and not done.stdout
             if done.returncode != 0 and not refused:
                 raise DocsError(f"exit code {done.returncode}: {what}\n{done.stderr}")
@@ -178,7 +178,7 @@ def rewritten(text: str, found: list[tuple[re.Match[str], list[Piece]]]) -> str:
         fence, pieces = found[at]
         if fence[1] == "console":
             body = "\n".join(
-                line for p in pieces for line in (f"$ {p.command}", *_cut(p.shown, p.real))
+                line for p in pieces for line in (f"$ {p.command}", *_leave_out(p.shown, p.real))
             )
             text = text[: fence.start(2)] + body + "\n" + text[fence.end(2) :]
         elif fence[1] == "text":
@@ -187,7 +187,7 @@ def rewritten(text: str, found: list[tuple[re.Match[str], list[Piece]]]) -> str:
     return text
 
 
-def _cut(shown: list[str], real: list[str]) -> list[str]:
+def _leave_out(shown: list[str], real: list[str]) -> list[str]:
     """Returns the real output without the lines that the docs leave out."""
     gaps = [i for i, line in enumerate(shown) if line.strip() == LEFT_OUT]
     if not gaps:

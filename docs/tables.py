@@ -1,13 +1,13 @@
 """Finds tables of measured figures that are older than the defaults and the code that they depend
 on.
 
-    python docs/tables.py                  lists all tables; exit code 1 where a page is not true
-    python docs/tables.py --write          lets the pages say which of their tables are older
-    python docs/tables.py --stamp NAME …   after NAME was made anew: it is current
+    python docs/tables.py                  lists all tables; exit code 1 if a page is wrong
+    python docs/tables.py --write          marks older tables on their pages
+    python docs/tables.py --stamp NAME …   marks NAME as current, after it was made again
 
 A table has measured figures if a third of its cells, without the head, begin with a figure. The
 comment `<!-- table: NAME -->` is above it, and docs/tables.toml describes NAME. docs/stamps.json
-has digests of everything that it depends on: the values of resolved configurations, and the
+has digests of everything that each table depends on: the values of resolved configurations, and the
 reference runs in tests/fixed. They change only if figures may change.
 """
 
@@ -45,7 +45,7 @@ TEXTS = ("message", "belief", "words", "_convert_")
 """Keys inside a component that change no figure."""
 
 Stamp = dict[str, str]
-"""A digest by key of the configurations, and by reference run."""
+"""A digest for each key of the configurations and each reference run."""
 
 
 SINCE = {
@@ -75,10 +75,12 @@ GONE = {
 
 
 def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
-    """The command, in this repository."""
+    """Runs the command in a repository."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="let the pages say what is older")
-    parser.add_argument("--stamp", nargs="+", default=[], metavar="NAME", help="these are current")
+    parser.add_argument("--write", action="store_true", help="mark older tables on their pages")
+    parser.add_argument(
+        "--stamp", nargs="+", default=[], metavar="NAME", help="mark these tables as current"
+    )
     chosen = parser.parse_args(arguments)
     entries = tomllib.loads((root / ENTRIES).read_text(encoding="utf-8"))
     kept = json.loads((root / STAMPS).read_text(encoding="utf-8"))
@@ -146,7 +148,7 @@ def telling(text: str, older: Mapping[str, str]) -> str:
 
 
 def changed(then: Stamp, now: Stamp) -> str:
-    """Lists keys and reference runs that changed, in words; empty if none did."""
+    """Lists keys and reference runs that changed, in words; empty if nothing changed."""
     as_before = {key: digest([value]) for key, value in SINCE.items() if key in now}
     then = as_before | then if then else then
     gone = {(key, digest([value])) for key, value in GONE.items() if key not in now}
@@ -187,11 +189,11 @@ def part(node: Any, patterns: Sequence[str]) -> Any:
 
 
 def resolved(root: Path, words: str) -> Iterator[tuple[str, str]]:
-    """Returns keys (two levels deep) and values of the configurations that a run's or a sweep's
+    """Yields keys (two levels deep) and values of the configurations that a run's or a sweep's
     words compose.
 
     A choice of a group decides the keys of this group; all other keys are the domain's, or the
-    defaults. A key with a given value has it as written.
+    defaults. A given key has its value as written.
     """
     settings = [dict(word.split("=", 1) for word in words.split())]
     if "sweeps" in settings[0]:
@@ -215,7 +217,7 @@ def resolved(root: Path, words: str) -> Iterator[tuple[str, str]]:
 
 
 def jobs(file: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Yields the values that a sweep's jobs set: keys of its file, its parameters, each of its
+    """Returns the values that a sweep's jobs set: keys of its file, its parameters, and each of its
     settings."""
     sweeper = file.get("hydra", {}).get("sweeper", {})
     own = {key: value for key, value in file.items() if key != "hydra"}
@@ -257,7 +259,7 @@ def plain(node: Any) -> Any:
 
 
 def digest(content: Any) -> str:
-    """Eight hex digits."""
+    """Computes a digest of eight hex digits."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
 
 

@@ -1,4 +1,4 @@
-"""The service: a page asks what to say and what comes next, and sends the person's labels."""
+"""The service: a program asks which messages come next, and sends the person's labels."""
 
 import json
 from urllib.request import Request, urlopen
