@@ -1,7 +1,6 @@
-"""Compares sessions that ask with the experiments' loop, also across restarts."""
+"""Compares sessions with the experiments' loop, with and without questions, and as traces grow."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,123 +9,118 @@ from hypothesis import strategies as st
 
 from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
-from xplain.explanation.actions import AskQuestion
-from xplain.explanation.asking import Limits, Question
+from xplain.explanation.asking import Limits, Question, Questions
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import join_steps
-from xplain.explanation.message_sets import indices, mask_of
-from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
+from xplain.explanation.message_sets import mask_of, names_of
+from xplain.explanation.problem import Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.interaction.session import Candidate, Session, Show
-from xplain.solvers.base import messages_of
-from xplain.solvers.greedy import QMDP
+from xplain.solvers.base import CachedPolicy
+from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.hsvi import Certified
+from xplain.solvers.simple import QHR
 from xplain.testing.problems import random_problem, with_questions
 
 TABLE = np.array([[[0.05, 0.95], [0.05, 0.95]], [[0.95, 0.95], [0.95, 0.95]]])
 TYPES = GivenTypes(TABLE, ("fuel",), ("new", "old"))
+LISTENING = [(1.0, 0.0), (1.0, 0.0), (0.6, 0.0), (0.9, 0.2), ("learned", 0.1)]
 
 
 @dataclass(frozen=True)
 class Situation:
-    """A session before its start, and a user's answers [m + Q, 2^n] about transitions and then
-    clips."""
+    """An explainer, the problem that it should plan for, the clips that it may ask about, and a
+    user's answers [m + Q, 2^n] about transitions and then clips."""
 
     explainer: Explainer
-    steps: int
-    clips: tuple[Any, ...]
+    problem: Problem
+    clips: tuple[int, ...]
     answers: np.ndarray
-    rng: np.random.Generator
 
-    def session(self) -> Session:
-        return self.explainer.session(range(self.steps), clips=self.clips)
-
-    def by_hand(self) -> tuple[list[tuple[int, int]], list[int], np.ndarray]:
-        """Questions with their steps, messages, and the last belief of the experiments' loop."""
-        problem = self.session()._talk.problem
-        policy = self.explainer.solver.plan(problem)
-        talk = Dialogue(problem, policy, self.explainer.belief_update)
-        questions, messages = [], []
-        while (k := talk.state.visible.step) < problem.n_steps:
-            action = talk.decide()
-            if isinstance(action, AskQuestion):
-                q, given = action.question, talk.state.visible.given
-                questions.append((k, q))
-                talk.hear(Asked(q), Answered(int(self.answers[self.clips[q], given])))
-                continue
-            messages.append(messages_of(action))
-            talk.hear(Given(messages[-1]))
-            labels = self.answers[: k + 1, talk.state.visible.given]
-            talk.hear(Labelled(tuple(labels.tolist())))
-        return questions, messages, problem.type_belief(talk.state.belief)
-
-    def move(self, session: Session) -> Any:
-        """One move of the session, answered."""
-        move = session.next()
-        assert session.next() == move
-        given = mask_of(session.said, self.explainer.types.messages)
-        if isinstance(move, Question):
-            row = self.clips[move.number]
-            session.answer(int(self.answers[row, given]))
-        elif isinstance(move, Show):
-            session.observe(self.answers[: move.steps, given])
-        return move
-
-    def play(self, session: Session) -> list[Any]:
-        moves = []
+    def play(self) -> tuple[Session, list[tuple[int, int]]]:
+        """A session to its end, and its questions with their steps."""
+        session, asked = self.explainer.session(range(self.problem.n_steps), clips=self.clips), []
         while not session.finished:
-            moves.append(self.move(session))
-        return moves
+            move = session.next()
+            assert session.next() == move
+            given = mask_of(session.said, self.problem.message_names)
+            if isinstance(move, Question):
+                asked.append((session.shown - 1, move.number))
+                session.answer(int(self.answers[self.clips[move.number], given]))
+            else:
+                session.observe(self.answers[: move.steps, given])
+        return session, asked
 
 
 @st.composite
-def situations(draw: st.DrawFn) -> Situation:
+def situations(draw: st.DrawFn, most: int = 3) -> Situation:
+    """At most so many questions; none in one problem of three."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    problem = random_problem(rng, max_steps=4, max_messages=2)
-    assume(problem.p_explicable.any() and problem.habits.never_err)
-    problem = with_questions(rng, problem, most=3)
-    asked = problem.questions
-    table = join_steps([problem.table, asked.table])
-    m, count = problem.n_steps, len(asked)
-    clips = [m + q if rng.random() < 0.7 else int(rng.integers(m)) for q in range(count)]
+    problem = random_problem(rng, max_steps=5, max_messages=3)
+    assume(problem.p_explicable.any() and problem.habits.never_err)  # errors are the belief's
+    m, table, clips, limits = problem.n_steps, problem.table, [], None
+    if most and rng.random() < 0.67:
+        asked = with_questions(rng, problem, most).questions
+        table, limits = join_steps([table, asked.table]), asked.limits
+        clips = [m + q if rng.random() < 0.7 else int(rng.integers(m)) for q in range(len(asked))]
+        shows = np.array(clips)[:, None] == np.arange(m)
+        asked = Questions(table.of_steps(clips), limits, shows)
+        problem = replace(problem, questions=asked)
+    answers = rng.integers(0, 2, (m + len(clips), 1 << problem.n_messages)).astype(np.uint8)
+    listening = LISTENING[rng.integers(len(LISTENING))]
+    solvers = [QMDP()] if listening != (1.0, 0.0) else [QMDP(), QHR(), Conformant()]
+    if clips:
+        # The experiments' questions come after the trace, as do their copies of its transitions.
+        answers[m:] = answers[clips]
+        solvers[1:] = [Certified(gap=0.05, nodes=200)] * (listening == (1.0, 0.0))
     update = (Independent if rng.random() < 0.5 else Persistent)(
-        [0.0, 0.1, "learned"][rng.integers(3)]
+        [0.0, 0.2, "learned"][rng.integers(3)], *listening
     )
-    exact = rng.random() < 0.3
     explainer = Explainer(
         GivenTypes(table, problem.message_names, problem.type_names, problem.prior),
-        Certified(gap=0.05, nodes=200) if exact else QMDP(),
+        solvers[rng.integers(len(solvers))],
         problem.trade_off,
         problem.message_cost,
         problem.inexplicability_cost,
         problem.discount,
         problem.discount_per,
         update,
-        ask=asked.limits,
+        ask=limits,
     )
-    answers = rng.integers(0, 2, (m + count, 1 << problem.n_messages)).astype(np.uint8)
-    # The experiments' questions come after the trace, as do their copies of its transitions.
-    for q, row in enumerate(clips):
-        answers[m + q] = answers[row]
-    return Situation(explainer, m, tuple(clips), answers, rng)
+    problem = problem.with_habits(update.habits(None))
+    return Situation(explainer, problem, tuple(clips), answers)
 
 
 @given(situations())
-@settings(max_examples=60, deadline=None)
-def test_a_session_that_asks_is_the_experiments_loop(situation: Situation) -> None:
-    session, (questions, messages, belief) = situation.session(), situation.by_hand()
-    moves, step, asked = situation.play(session), 0, []
-    for move in moves:
-        asked += [(step, move.number)] if isinstance(move, Question) else []
-        step += isinstance(move, Show)
-    assert asked == questions
-    assert list(session.explained.said) == messages
-    np.testing.assert_array_equal(list(session.belief.values()), belief)
-    problem = session._talk.problem
-    said = sum(float(problem.message_cost[j]) for new in messages for j in indices(new))
-    zeros = sum(int((labels == 0).sum()) for labels in session.explained.answers)
-    price = problem.questions.limits.cost * len(questions)
-    wanted = problem.trade_off * said + problem.inexplicability_cost * zeros + price
-    assert session.cost == pytest.approx(wanted)
+@settings(max_examples=90, deadline=None)
+def test_a_session_is_an_episode_of_the_experiments(situation: Situation) -> None:
+    explainer, problem = situation.explainer, situation.problem
+    policy, user = explainer.solver.plan(problem), SimulatedUser.of(situation.answers)
+    episode = explain(problem, CachedPolicy(policy), user, explainer.beliefs)
+    session, asked = situation.play()
+    assert asked == [(k, q) for k, q, _ in episode.questions.tolist()]
+    assert list(session.explained.said) == episode.messages.tolist()
+    np.testing.assert_array_equal(list(session.belief.values()), episode.beliefs[-1])
+    assert session.cost == pytest.approx(episode.cost)
+
+
+@given(situations(most=0))
+@settings(max_examples=40, deadline=None)
+def test_a_trace_that_grows_is_planned_for_with_all_that_is_known(situation: Situation) -> None:
+    """Each decision is that of a session with the same knowledge from the start."""
+    explainer, problem = situation.explainer, situation.problem
+    session = explainer.session()
+    for k in range(problem.n_steps):
+        session.extend([k])
+        wiser = explainer.session(range(k + 1))
+        before = session.explained
+        for mask, labels in zip(before.said, before.answers, strict=True):
+            wiser.tell(names_of(mask, problem.message_names))
+            wiser.observe(labels)
+        assert wiser.messages() == session.messages()
+        session.observe(situation.answers[: k + 1, mask_of(session.said, problem.message_names)])
+    assert session.finished
 
 
 ASKING = Explainer(TYPES, trade_off=0.5, discount=1.0, ask=Limits(cost=0.01))

@@ -43,16 +43,15 @@ def interactions(draw):
     return problem, table, script
 
 
-@given(interactions())
-@settings(max_examples=60, deadline=None)
-def test_cost_is_definition_2(interaction):
+@given(interactions(), st.sampled_from([Independent(), Persistent()]))
+@settings(max_examples=80, deadline=None)
+def test_cost_is_definition_2_and_beliefs_are_bayes(interaction, way):
+    """The belief is over all labels, or over those that were not given before with the same
+    messages."""
     problem, table, script = interaction
-    episode = explain(
-        problem, CachedPolicy(Scripted(script)), SimulatedUser.of(table), Independent()
-    )
-    total = 0.0
-    zeros = 0
-    given_so_far: set[int] = set()
+    episode = explain(problem, CachedPolicy(Scripted(script)), SimulatedUser.of(table), way)
+    total, zeros, weight = 0.0, 0, problem.prior.copy()
+    given_so_far, seen = set[int](), set[tuple[int, int]]()
     for i in range(problem.n_steps):
         new = {j for j in range(problem.n_messages) if script[i] >> j & 1} - given_so_far
         given_so_far |= new
@@ -61,6 +60,11 @@ def test_cost_is_definition_2(interaction):
         for j in range(i + 1):
             zeros += 1 - int(table[j, mask])
             total += (1 - int(table[j, mask])) * problem.inexplicability_cost
+            if (j, mask) not in seen:
+                p = problem.p_explicable[:, j, mask]
+                weight = weight * (p if table[j, mask] else 1 - p)
+                seen |= {(j, mask)} if way == Persistent() else set()
+        np.testing.assert_allclose(episode.beliefs[i + 1], weight / weight.sum(), rtol=1e-9)
         asked = table[: i + 1, mask].tolist()
         assert episode.labels[i].tolist() == asked + [-1] * (problem.n_steps - i - 1)
         assert episode.messages[i] == sum(1 << j for j in new)
@@ -71,43 +75,6 @@ def test_cost_is_definition_2(interaction):
     assert episode.inexplicability == pytest.approx(zeros * problem.inexplicability_cost)
     assert episode.n_messages == len(given_so_far)
     assert episode.n_inexplicable == zeros
-
-
-@given(interactions())
-@settings(max_examples=40, deadline=None)
-def test_beliefs_are_bayes_over_all_labels_given(interaction):
-    problem, table, script = interaction
-    episode = explain(
-        problem, CachedPolicy(Scripted(script)), SimulatedUser.of(table), Independent()
-    )
-    weight = problem.prior.copy()
-    mask = 0
-    for k in range(problem.n_steps):
-        mask |= script[k]
-        for i in range(k + 1):
-            p = problem.p_explicable[:, i, mask]
-            weight = weight * (p if table[i, mask] else 1 - p)
-        np.testing.assert_allclose(episode.beliefs[k + 1], weight / weight.sum(), rtol=1e-9)
-
-
-@given(interactions())
-@settings(max_examples=40, deadline=None)
-def test_persistent_belief_counts_each_label_of_a_message_set_once(interaction):
-    problem, table, script = interaction
-    episode = explain(
-        problem, CachedPolicy(Scripted(script)), SimulatedUser.of(table), Persistent()
-    )
-    weight = problem.prior.copy()
-    seen: set[tuple[int, int]] = set()
-    mask = 0
-    for k in range(problem.n_steps):
-        mask |= script[k]
-        for i in range(k + 1):
-            if (i, mask) not in seen:
-                seen.add((i, mask))
-                p = problem.p_explicable[:, i, mask]
-                weight = weight * (p if table[i, mask] else 1 - p)
-        np.testing.assert_allclose(episode.beliefs[k + 1], weight / weight.sum(), rtol=1e-9)
 
 
 class Careless(Scripted):

@@ -1,5 +1,8 @@
 """Compares the questionnaire with Bayes' rule and mutual information by their definitions."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -176,3 +179,33 @@ def test_questions_give_no_message_that_does_not_matter(corridor):
         t, told = q.next()
         assert told in subsets(indices(int(h.matters[t])))
         q.answer(0)
+
+
+PROGRAM = """
+import sys
+
+class Refused:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("pandas", "sklearn", "hydra", "omegaconf", "mlflow"):
+            raise ImportError(name)
+
+sys.meta_path.insert(0, Refused())
+import xplain
+
+print([m for m in ("numpy", "numba", "scipy") if m in sys.modules])
+from xplain import Hypotheses, Questionnaire
+
+q = Questionnaire([[1, 1], [0, 1], [1, 0], [0, 0]])
+transition, told = q.next()
+q.answer(0)
+print(q.posterior.sum() + q.none)
+"""
+
+
+def test_the_package_imports_nothing_heavy_and_the_questionnaire_no_more_than_it_needs():
+    """It needs numpy, scipy and numba."""
+    command = [sys.executable, "-c", PROGRAM]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
+    heavy, total = done.stdout.splitlines()
+    assert heavy == "[]"
+    assert float(total) == pytest.approx(1, abs=1e-9)

@@ -1,0 +1,18 @@
+"""Errors that a user can correct."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from xplain.errors import InputError, XplainError
+
+
+@contextmanager
+def refused(said: str, key: str = "", kind: type[XplainError] = InputError) -> Iterator[None]:
+    """Expects an error in one line that says this (a regular expression), about a key that begins
+    so."""
+    with pytest.raises(kind, match=said) as caught:
+        yield
+    assert "\n" not in str(caught.value)
+    assert getattr(caught.value, "key", "").startswith(key)
