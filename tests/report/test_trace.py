@@ -58,7 +58,7 @@ def test_the_picture_says_what_the_robot_says_and_which_episode_it_is(scene: Sce
     one = story(12, "E", 2.5)
     caption = describe_choice(one, 100)
     assert caption == (
-        "trace 12, user of type E: cost 2.5, the median of 100 episodes (the first that costs this)"
+        "trace 12, user of type E: cost 2.5, the median of 100 episodes (the first with this cost)"
     )
     figure = draw_trace(scene, one, caption, SENTENCES, ["type_1", "type_2 (the user's)"])
     FigureCanvasAgg(figure).draw()

@@ -2,9 +2,9 @@
 paper's claims.
 
 A claim is about a *figure* with a 95 % interval, and a *range* that contains the figure if the
-claim is true. It *holds* if the whole interval lies in the range, *does not hold* if all of it lies
-outside, and is *not decided* otherwise. Intervals are over seeds, and each seed has its own data,
-types, labelers and traces. One seed decides nothing.
+claim is true. It *holds* if the whole interval is in the range, *does not hold* if the whole
+interval is outside, and is *not decided* otherwise. Intervals are over seeds, and each seed has its
+own data, types, labelers and traces. With one seed no claim is decided.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from xplain.report.table import Table, cell, interval, number, table_of
 
 ALIKE = 0.1
 """Costs are about equal if they differ by at most this share of QMDP's cost. An oracle's cost is
-linear in λ if its distance to a straight line is at most this share of itself. (In the paper's
+linear in λ if its distance to a straight line is at most this share of the cost. (In the paper's
 four-rooms column the distance is 6 %.)"""
 
 ORDER = (("qmdp", "qhr"), ("pomcp_paper", "qhr"), ("qhr", "baseline"))
@@ -97,7 +97,7 @@ class Claim:
 
 @lru_cache(maxsize=1)
 def claims(summary: Summary) -> list[Claim]:
-    """Every claim that a sweep's solvers allow, tested in each group of columns and domain."""
+    """Tests every claim that a sweep's solvers allow, in each group of columns and domain."""
     _, grouping, _ = compare.layout(summary)
     found = []
     for group, frame in compare.group_episodes(summary, grouping):
@@ -112,7 +112,7 @@ def claims(summary: Summary) -> list[Claim]:
 def claims_of(
     episodes: pd.DataFrame, data_sets: pd.DataFrame, group: str = "", pool: Sequence[str] = ()
 ) -> list[Claim]:
-    """The claims of one group of columns.
+    """Tests the claims of one group of columns.
 
     Args:
         episodes: a row for each episode (:attr:`xplain.report.frame.Summary.episodes`).
@@ -123,9 +123,9 @@ def claims_of(
     found: list[Claim] = []
     domains: Any = episodes.groupby("domain", sort=False)
     for domain, own in domains:
-        tested = [*_orders(own, pool), *_linear(own)]
+        tested = [*_test_orders(own, pool), *_test_linearity(own)]
         if len(data_sets):
-            tested += _types(data_sets[data_sets["domain"] == domain])
+            tested += _test_types(data_sets[data_sets["domain"] == domain])
         found += [Claim(group, domain, *one) for one in tested]
     return found
 
@@ -133,8 +133,8 @@ def claims_of(
 Tested = tuple[str, str, Estimate, Range, str]
 
 
-def _orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested]:
-    """The claims about pairs of solvers, at each λ."""
+def _test_orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested]:
+    """Tests the claims about pairs of solvers, at each λ."""
     on = [*pool, "lambda", "seed", "trace", "type"]
     groups: Any = episodes.groupby("lambda")
     for trade_off, own in groups:
@@ -154,12 +154,12 @@ def _orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested]:
                 figure,
                 found,
                 limits,
-                _parts(both, trade_off),
+                _describe_parts(both, trade_off),
             )
 
 
-def _parts(both: pd.DataFrame, trade_off: float) -> str:
-    """The parts of a difference of costs, in words."""
+def _describe_parts(both: pd.DataFrame, trade_off: float) -> str:
+    """Describes the parts of a difference of costs, in words."""
     apart = {
         name: float((both[name] - both[f"{name}_other"]).mean())
         for name in ("communication", "inexplicability", "true_labels")
@@ -176,12 +176,12 @@ def _parts(both: pd.DataFrame, trade_off: float) -> str:
     )
 
 
-def _linear(episodes: pd.DataFrame) -> Iterator[Tested]:
-    """The claim that the oracle's cost is linear in λ. Each plan's cost is a line in λ, and the
-    optimum is the lowest of these lines. If other plans become better, the optimum falls below the
-    line through its values at the two smallest λ."""
+def _test_linearity(episodes: pd.DataFrame) -> Iterator[Tested]:
+    """Tests the claim that the oracle's cost is linear in λ. Each plan's cost is a line in λ, and
+    the optimum is the lowest of these lines. If other plans become better, the optimum falls below
+    the line through its values at the two smallest λ."""
     one = episodes[episodes["solver"] == episodes["solver"].iloc[0]]
-    below = {name: _below_the_line(one, name) for name in ("oracle", "clairvoyant")}
+    below = {name: _measure_distances(one, name) for name in ("oracle", "clairvoyant")}
     if len(below["oracle"]):
         last = one["lambda"].max()
         figure = f"distance below the line at λ = {last:g}, as a share of the oracle's cost"
@@ -192,9 +192,9 @@ def _linear(episodes: pd.DataFrame) -> Iterator[Tested]:
         yield "the oracle's cost is linear in λ", figure, estimate, (-ALIKE, ALIKE), parts
 
 
-def _below_the_line(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
-    """For each seed, the distance of a cost at the largest λ below the line through its values at
-    the two smallest λ, divided by the mean cost."""
+def _measure_distances(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
+    """Computes for each seed the distance of a cost at the largest λ below the line through its
+    values at the two smallest λ, divided by the mean cost."""
     known = episodes[np.isfinite(episodes[column])]
     costs = known.pivot_table(column, "seed", "lambda").dropna()
     if len(costs.columns) < 3 or not len(costs):
@@ -204,9 +204,9 @@ def _below_the_line(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
     return (costs[first] + slope * (last - first) - costs[last]) / costs[last].mean()
 
 
-def _types(data_sets: pd.DataFrame) -> Iterator[Tested]:
-    """The claim that the types are found in most data sets. Data sets of one seed have the same
-    people."""
+def _test_types(data_sets: pd.DataFrame) -> Iterator[Tested]:
+    """Tests the claim that the types are found in most data sets. Data sets of one seed have the
+    same people."""
     if "adjusted_rand_index" not in data_sets:
         return
     data_sets = data_sets.dropna(subset=["adjusted_rand_index"])
@@ -222,8 +222,8 @@ def _types(data_sets: pd.DataFrame) -> Iterator[Tested]:
 
 
 def claims_table(summary: Summary) -> Table:
-    """A row for each claim, with its figure and verdict in each group of columns. A claim that does
-    not hold also lists the parts of its figure."""
+    """Makes a row for each claim, with its figure and verdict in each group of columns. A claim
+    that does not hold also lists the parts of its figure."""
     rows: dict[tuple[str, str], dict[str, str]] = {}
     for claim in claims(summary):
         heads = {"Domain": title(claim.domain), "Claim": claim.text, "Figure": claim.figure}
@@ -237,8 +237,9 @@ def claims_table(summary: Summary) -> Table:
 
 
 def decomposition(summary: Summary) -> Table:
-    """The parts of each solver's cost. Every job explains each trace to each user four times: with
-    the learned types and labels, with the true ones, as the oracle, and as the clairvoyant."""
+    """Makes a table of the parts of each solver's cost. Every job explains each trace to each user
+    four times: with the learned types and labels, with the true types and labels, as the oracle,
+    and as the clairvoyant."""
     rows = []
     keys = [key for key in ("domain", "solver", *summary.shown) if key != "lambda"]
     for values, frame in compare.group_episodes(summary, [*dict.fromkeys((*keys, "lambda"))]):
@@ -263,8 +264,8 @@ def decomposition(summary: Summary) -> Table:
 
 
 def answer(summary: Summary) -> str:
-    """Sentences with the lowest cost, its distance to the others, and whether it is decided; for
-    Table 1, the verdicts on the paper's claims; "" if nothing competes."""
+    """Returns sentences with the lowest cost, its distance to the others, and whether it is
+    decided; for Table 1, the verdicts on the paper's claims; "" if nothing competes."""
     if not summary.results or not summary.is_table1:
         return compare.least_cost(summary)
     if summary.seeds == 1:
@@ -280,9 +281,11 @@ def answer(summary: Summary) -> str:
 
 
 def list_undecided(summary: Summary) -> Table:
-    """Lists the undecided differences to the best, or Table 1's undecided claims, with the number
-    of seeds that would decide each, and the minutes for these seeds."""
-    found = _undecided_claims(summary) if summary.is_table1 else compare.find_undecided(summary)
+    """Lists the undecided differences to the lowest cost, or Table 1's undecided claims. Each row
+    has the number of seeds that would decide the difference, and the minutes for these seeds."""
+    found = (
+        _find_undecided_claims(summary) if summary.is_table1 else compare.find_undecided(summary)
+    )
     rows = []
     for heads, gap, shown in found:
         seeds, minutes = compare.effort(summary, gap)
@@ -296,7 +299,7 @@ def list_undecided(summary: Summary) -> Table:
     return table_of(rows, max(1, len(rows[0]) - 3) if rows else 1, caption)
 
 
-def _undecided_claims(summary: Summary) -> Iterator[compare.Undecided]:
+def _find_undecided_claims(summary: Summary) -> Iterator[compare.Undecided]:
     for claim in claims(summary):
         if claim.verdict == "not decided":
             heads = {"Types and labels": claim.group} if claim.group else {}

@@ -1,5 +1,5 @@
-"""Compares what was swept: one estimate for each combination of swept values, the lowest cost on
-each problem, and the number of seeds that would decide an undecided difference.
+"""Compares the jobs of a sweep: one estimate for each combination of swept values, the lowest cost
+on each problem, and the number of seeds that would decide an undecided difference.
 
 A sweep's keys are its dimensions. Seeds are replicates, never a dimension. A key is averaged over
 only if the sweep's file says so (``pool``).
@@ -47,8 +47,8 @@ MOST_SEEDS = 1000
 
 
 def estimate(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate:
-    """Mean of a column of episodes with its interval over replicates, cut at the bounds of the
-    mean; NaN if no episode has it."""
+    """Estimates the mean of a column of episodes. The interval is over replicates, and is cut at
+    the bounds of the mean. The estimate is NaN if no episode has a value."""
     known = frame.dropna(subset=[column])
     if not len(known):
         return UNKNOWN
@@ -56,8 +56,8 @@ def estimate(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate:
 
 
 def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate:
-    """The cost of the oracle or the clairvoyant. It is the same in every job of a problem, so each
-    trace and user counts once."""
+    """Estimates the cost of the oracle or the clairvoyant. This cost is the same in every job of a
+    problem, so each trace and user counts once."""
     problem = [*summary.pool, "seed", "trace", "type"]
     return estimate(summary, frame.dropna(subset=[name]).drop_duplicates(problem), name)
 
@@ -65,7 +65,8 @@ def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate:
 def group_episodes(
     summary: Summary, keys: Sequence[str]
 ) -> list[tuple[dict[str, Value], pd.DataFrame]]:
-    """Yields (values, episodes) for every combination of these keys, in the order of the values."""
+    """Returns (values, episodes) for every combination of these keys, in the order of the
+    values."""
     if not keys:
         return [({}, summary.episodes)]
     order = {key: {value: i for i, value in enumerate(summary.values(key))} for key in keys}
@@ -77,7 +78,7 @@ def group_episodes(
 
 
 def select_rows(frame: pd.DataFrame, values: Mapping[str, Value]) -> pd.DataFrame:
-    """The rows with these values."""
+    """Selects the rows with these values."""
     for key, value in values.items():
         frame = frame[frame[key] == value]
     return frame
@@ -97,7 +98,7 @@ def pair_episodes(
     Args:
         frame: episodes.
         by: columns that distinguish ways.
-        one, two: their values in the two ways.
+        one, two: values of these columns in the two ways.
         on: columns that are equal in a pair.
     """
     left, right = (select_rows(frame, dict(zip(by, way, strict=True))) for way in (one, two))
@@ -108,8 +109,8 @@ def pair_episodes(
 def difference(
     summary: Summary, frame: pd.DataFrame, by: Sequence[str], one: Way, two: Way
 ) -> Estimate:
-    """Cost of one way minus that of another, on the same traces and users; NaN if they share
-    none."""
+    """Estimates the cost of one way minus the cost of another way, on the same traces and users;
+    NaN if the two ways share none."""
     both = pair_episodes(frame, by, one, two, [*summary.pool, "seed", "trace", "type"])
     if not len(both):
         return UNKNOWN
@@ -121,11 +122,11 @@ class Ranked:
     """One way to solve a problem, ranked among others.
 
     Attributes:
-        way: its values.
+        way: values of the swept keys.
         name: readable name.
         estimate: estimate of the sweep's measure.
         cost: mean cost.
-        behind: its cost minus the best one's on the same traces and users.
+        behind: cost minus the best way's cost, on the same traces and users.
     """
 
     way: Way
@@ -136,13 +137,13 @@ class Ranked:
 
     @property
     def is_decided(self) -> bool:
-        """True if the interval of its difference to the best excludes 0."""
+        """True if the interval of the difference to the best way excludes 0."""
         return self.behind.low > 0
 
 
 def select_shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
-    """The episodes on traces and users that every way in the frame has. If jobs are missing, means
-    over all episodes would compare different problems."""
+    """Selects the episodes on traces and users that every way in the frame has. If jobs are
+    missing, means over all episodes would compare different problems."""
     known = frame.dropna(subset=[summary.measure.name])
     ways = known.groupby([*by], sort=False).ngroup()
     problem = [known[key] for key in (*summary.pool, "seed", "trace", "type")]
@@ -150,8 +151,8 @@ def select_shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> p
 
 
 def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ranked]:
-    """Ways to solve the problem of these episodes, by ascending cost; none if they share no trace
-    and user."""
+    """Ranks the ways to solve the problem of these episodes by ascending cost. Returns no way if
+    the ways share no trace and user."""
     frame = select_shared(summary, frame, by)
     groups: Any = frame.groupby([*by], sort=False)
     measure = summary.measure.name
@@ -180,8 +181,9 @@ def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
 
 
 def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
-    """Keys of the table's rows, of its groups of columns, and of its columns. Rows are problems,
-    columns are ways to solve them; numeric keys of a problem vary from row to row."""
+    """Chooses the keys of the table's rows, of its groups of columns, and of its columns. Rows are
+    problems, and columns are ways to solve the problems. Numeric keys of a problem vary from row to
+    row."""
     groups, across = list[str](), list[str]()
     for key in sorted(summary.ways, key=lambda key: key != "solver"):
         if len(across) < 2 and prod(len(summary.values(k)) for k in (*across, key)) <= WIDEST:
@@ -195,20 +197,21 @@ def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
 
 
 def main_key(summary: Summary, keys: Sequence[str]) -> str | None:
-    """The numeric key with most values, λ before others; None if there is none."""
+    """Returns the numeric key with most values, λ before others; None if there is none."""
     numbers = [k for k in keys if sum(isinstance(v, float) for v in summary.values(k)) > 1]
     return max(numbers, key=lambda k: (len(summary.values(k)), k == "lambda"), default=None)
 
 
 def table(summary: Summary) -> Table:
-    """Every combination of swept values, except for the keys that the sweep pools: rows are
-    problems, columns are ways after the references' costs, and the paper's values are in
-    parentheses. If only problems or only ways were swept, each has a row with its measures."""
+    """Makes the table of all combinations of swept values, without the keys that the sweep pools.
+    Rows are problems. Columns are the references' costs, then the ways to solve the problems, with
+    the paper's values in parentheses. If only problems or only ways were swept, each has a row with
+    its measures."""
     down, grouping, across = layout(summary)
     if not across or not (down or grouping):
-        return _list(summary, down or across, bool(across))
+        return _list_combinations(summary, down or across, bool(across))
     measure, rows = summary.measure.name, list[dict[tuple[str, str], str]]()
-    known = [name for name in _references(summary) if summary.episodes[name].notna().any()]
+    known = [name for name in _list_references(summary) if summary.episodes[name].notna().any()]
     is_beside = is_beside_paper(summary)
     groups, ways = (
         [own for own, _ in group_episodes(summary, keys)] for keys in (grouping, across)
@@ -222,7 +225,7 @@ def table(summary: Summary) -> Table:
             mark = NO_REFERENCE if is_unreliable(own) else ""
             for name in known:
                 place = ("" if name == "clairvoyant" else title, TITLES[name])
-                after = _after(mark if name == "oracle" else "", published.get(name))
+                after = _join_marks(mark if name == "oracle" else "", published.get(name))
                 row[place] = cell(reference(summary, own, name), after, "", bool(grouping))
             found = {one.way: one for one in rank_ways(summary, own, across)}
             best = next(iter(found.values()), None)
@@ -232,18 +235,19 @@ def table(summary: Summary) -> Table:
                 shown = estimate(summary, alone, measure) if one is None else one.estimate
                 cost = alone["cost"].mean() if one is None else one.cost
                 below = "" if grouping or measure == "cost" else f"cost {number(cost)}"
-                after = _after(_mark(summary, one, best), published.get(solver))
+                after = _join_marks(_choose_mark(summary, one, best), published.get(solver))
                 row[title, label(way)] = cell(shown, after, below, bool(grouping))
         rows.append(row)
-    about = f"{summary.measure.title}: {_common(summary)}"
-    caption = _caption(summary, True) + " In parentheses the paper's values." * is_beside
+    about = f"{summary.measure.title}: {_list_common(summary)}"
+    caption = _make_caption(summary, True) + " In parentheses the paper's values." * is_beside
     return table_of(rows, len(down), caption, about)
 
 
-def _list(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
-    """A row for each combination with its measures; competing ones are marked, the best first."""
+def _list_combinations(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
+    """Makes a row for each combination, with its measures. Competing combinations are marked, the
+    best first."""
     questions = ["questions"] if summary.episodes["questions"].any() else []
-    measures = [summary.measure.name, "cost", *_references(summary)]
+    measures = [summary.measure.name, "cost", *_list_references(summary)]
     shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *questions])
     frame = summary.episodes
     order = rank_ways(summary, frame, keys) if compete else []
@@ -261,11 +265,11 @@ def _list(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
         for name in shown:
             words = [mark] if name in ("regret", "oracle") else []
             if name == summary.measure.name and order:
-                words.append(_mark(summary, found.get(way), order[0]))
+                words.append(_choose_mark(summary, found.get(way), order[0]))
             row[TITLES[name]] = cell(estimate(summary, own, name), " ".join(filter(None, words)))
         rows.append(row)
     start = f"{summary.measure.title}: " if compete else ""
-    return table_of(rows, len(keys), _caption(summary, compete), start + _common(summary))
+    return table_of(rows, len(keys), _make_caption(summary, compete), start + _list_common(summary))
 
 
 def is_beside_paper(summary: Summary) -> bool:
@@ -274,12 +278,12 @@ def is_beside_paper(summary: Summary) -> bool:
     return summary.is_table1 and summary.measure.name == "regret"
 
 
-def _references(summary: Summary) -> list[str]:
+def _list_references(summary: Summary) -> list[str]:
     """Columns of references, the clairvoyant first because it costs least."""
     return ["clairvoyant", *(["oracle"] if summary.measure.name == "regret" else [])]
 
 
-def _mark(summary: Summary, one: Ranked | None, best: Ranked | None) -> str:
+def _choose_mark(summary: Summary, one: Ranked | None, best: Ranked | None) -> str:
     if one is None or best is None or not summary.measure.fair:
         return ""
     if round(one.estimate.mean - best.estimate.mean, 9) == 0:
@@ -287,30 +291,30 @@ def _mark(summary: Summary, one: Ranked | None, best: Ranked | None) -> str:
     return "" if one.is_decided else TIE
 
 
-def _after(mark: str, published: float | None) -> str:
-    """The marks, and the paper's value in parentheses."""
+def _join_marks(mark: str, published: float | None) -> str:
+    """Joins the marks, and the paper's value in parentheses."""
     return " ".join(filter(None, [mark, "" if published is None else f"({published:.2f})"]))
 
 
 def heading(key: str) -> str:
-    """The heading of a key's column or axis."""
+    """Returns the heading of a key's column or axis."""
     return {"lambda": "λ", "domain": "Domain", "solver": "Solver"}.get(key, key)
 
 
 def plain_text(value: Value) -> str:
-    """A value in command-line form."""
+    """Formats a value in command-line form."""
     return value if isinstance(value, str) else f"{value:.10g}"
 
 
 def value_title(key: str, value: Value) -> str:
-    """A readable form of a value."""
+    """Returns a readable form of a value."""
     text = plain_text(value)
     return paper.title(text) if key in ("domain", "solver") else text
 
 
 def label(values: Mapping[str, Value]) -> str:
-    """A readable form of values with their keys: ``λ = 0.5``, but ``QMDP`` and ``Four rooms``. A
-    job without any of the keys is called the default."""
+    """Returns a readable form of values with their keys: ``λ = 0.5``, but ``QMDP`` and ``Four
+    rooms``. A job without any of the keys is called the default."""
     found = [
         value_title(key, value)
         if key in ("domain", "solver")
@@ -321,7 +325,7 @@ def label(values: Mapping[str, Value]) -> str:
     return ", ".join(found) or ("defaults" if values else "")
 
 
-def _common(summary: Summary) -> str:
+def _list_common(summary: Summary) -> str:
     """Lists the values that all compared runs share, if a reader needs them."""
     keys = [key for key in ("domain", "solver", "lambda") if key not in summary.shown]
     parts = [label({key: own[0]}) for key in keys if len(own := summary.values(key)) == 1]
@@ -329,7 +333,7 @@ def _common(summary: Summary) -> str:
     return ", ".join([*parts, count_things(traces, "trace"), count_things(summary.seeds, "seed")])
 
 
-def _caption(summary: Summary, is_marked: bool) -> str:
+def _make_caption(summary: Summary, is_marked: bool) -> str:
     """Explains how to read the table."""
     frame, measure = summary.episodes, summary.measure
     text, is_marked = [measure.why], is_marked and measure.fair
@@ -338,8 +342,9 @@ def _caption(summary: Summary, is_marked: bool) -> str:
     text += [] if several else ["One trace and one seed: no intervals."]
     if is_marked:
         text.append(
-            f"{BEST} costs least in its row. {TIE} is not distinguishable from it: the interval of "
-            "the difference on the same traces and users contains 0."
+            f"{BEST} marks the lowest cost of a row. {TIE} marks costs that are not "
+            "distinguishable from the lowest: the interval of the difference on the same traces "
+            "and users contains 0."
         )
     if measure.name == "regret":
         keys = [*dict.fromkeys((*summary.shown, "solver"))]
@@ -356,8 +361,8 @@ def _caption(summary: Summary, is_marked: bool) -> str:
 
 
 def least_cost(summary: Summary) -> str:
-    """One or two sentences with the lowest cost, its distance to the others, and whether it is
-    decided; "" if nothing competes."""
+    """Returns one or two sentences with the lowest cost, its distance to the others, and whether it
+    is decided; "" if nothing competes."""
     found = verdicts(summary)
     if not found:
         return ""
@@ -372,7 +377,7 @@ def least_cost(summary: Summary) -> str:
         word = "Decided" if second.is_decided else "Not decided"
         return (
             f"{text}, {number(gap.mean)} less than {second.name}. {word}: 95 % interval of the "
-            f"difference {number(gap.low)} … {number(gap.high)}.{_few(summary)}"
+            f"difference {number(gap.low)} … {number(gap.high)}.{_warn_if_few(summary)}"
         )
     won = Counter(order[0].name for _, order in found)
     decided = Counter(order[0].name for _, order in found if order[1].is_decided)
@@ -380,10 +385,10 @@ def least_cost(summary: Summary) -> str:
         f"{name} in {times} of {len(found)} problems ({decided[name]} decided)"
         for name, times in won.most_common()
     ]
-    return f"Least cost: {'; '.join(parts)}.{_few(summary)}"
+    return f"Least cost: {'; '.join(parts)}.{_warn_if_few(summary)}"
 
 
-def _few(summary: Summary) -> str:
+def _warn_if_few(summary: Summary) -> str:
     amount = int(summary.episodes[summary.replicate].nunique())
     counted = count_things(amount, summary.replicate)
     few = f" With only {counted}, only large differences can be decided."
@@ -391,12 +396,13 @@ def _few(summary: Summary) -> str:
 
 
 def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
-    """The smallest number of seeds whose interval excludes 0 in four of five sweeps, assuming the
-    mean and variance of these seeds; None if these are unknown.
+    """Returns the smallest number of seeds whose interval excludes 0 in four of five sweeps,
+    assuming the mean and variance of these seeds. Returns None if the mean or variance is unknown,
+    or if the number is above MOST_SEEDS.
 
     Args:
         gap: a difference with its 95 % interval over seeds.
-        seeds: their number.
+        seeds: number of seeds in ``gap``.
     """
     from scipy.special import stdtrit
 
@@ -427,7 +433,7 @@ Undecided = tuple[dict[str, str], Estimate, str]
 
 
 def find_undecided(summary: Summary) -> Iterator[Undecided]:
-    """The differences to the best solver or setting with an undecided sign."""
+    """Finds the differences to the best solver or setting with an undecided sign."""
     for values, (best, *others) in verdicts(summary):
         heads = {heading(key): value_title(key, own) for key, own in values.items()}
         for other in others:
@@ -437,7 +443,7 @@ def find_undecided(summary: Summary) -> Iterator[Undecided]:
 
 
 def regret_csv(summary: Summary) -> str:
-    """One row for each combination of the swept values, never pooled; six decimals.
+    """Makes a CSV text with one row for each combination of the swept values, never pooled.
 
     Columns: ``solver``, ``lambda``, every other swept key by its full name; then for each measure
     the mean, the low and high end of the 95 % interval, and n, the number of seeds (with one seed:
@@ -453,12 +459,12 @@ def regret_csv(summary: Summary) -> str:
             row |= {f"{name}_{end}": value for end, value in ends}
             row[f"{name}_n"] = int(frame.dropna(subset=[name])[summary.replicate].nunique())
         rows.append(row)
-    return _csv(pd.DataFrame(rows))
+    return _format_csv(pd.DataFrame(rows))
 
 
 def differences_csv(summary: Summary) -> str:
-    """Cost of one way to solve a problem minus that of another, paired on the same traces and
-    users: one row for each problem and pair; six decimals.
+    """Makes a CSV text with the cost of one way to solve a problem minus the cost of another way,
+    on the same traces and users. Each problem and pair of ways has a row.
 
     Columns: the swept keys of the problem; ``method`` and ``minus``, the two ways; mean, low and
     high end of the 95 % interval.
@@ -479,11 +485,13 @@ def differences_csv(summary: Summary) -> str:
             if not math.isnan(found.mean):
                 pair = {"method": ways[method], "minus": ways[other]}
                 rows.append({k: plain_text(v) for k, v in values.items()} | pair | vars(found))
-    return _csv(pd.DataFrame(rows, columns=[*posed, "method", "minus", "mean", "low", "high"]))
+    return _format_csv(
+        pd.DataFrame(rows, columns=[*posed, "method", "minus", "mean", "low", "high"])
+    )
 
 
-def _csv(frame: pd.DataFrame) -> str:
-    """Writes six decimals, never a negative zero; empty for NaN."""
+def _format_csv(frame: pd.DataFrame) -> str:
+    """Formats numbers with six decimals, never a negative zero; NaN becomes empty."""
     numbers = frame.select_dtypes("float").round(6) + 0.0
     plain = frame.assign(**{str(name): numbers[name] for name in numbers})
     return str(plain.to_csv(index=False, float_format="%.6f", lineterminator="\n"))

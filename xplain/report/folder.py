@@ -27,9 +27,9 @@ class Listed:
 
     Attributes:
         label: readable name, in MLflow and in messages.
-        overrides: overrides from which Hydra makes its configuration.
-        values: the swept keys and their values in its configuration, as text.
-        fingerprint: fingerprint of its result.
+        overrides: overrides from which Hydra makes the job's configuration.
+        values: the swept keys and their values in the job's configuration, as text.
+        fingerprint: fingerprint of the job's result.
     """
 
     label: str
@@ -46,18 +46,20 @@ class SweepFolder:
 
     @cached_property
     def about(self) -> dict[str, Any]:
-        """The content of its file: its command, its jobs, and the settings of its report.
+        """The content of the sweep's file: the command, the jobs, and the settings of the report.
 
         Raises:
-            OSError: there is no such file.
-            InputError: it is damaged.
+            OSError: the file is missing.
+            InputError: the file is damaged.
         """
         path = self.path / SWEEP
         with suppress(ValueError, AttributeError):
             content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             if {"command", "results"} <= content.keys() and isinstance(content["jobs"], list):
                 return content
-        raise InputError("sweep", str(path), "is damaged; the command of the sweep writes it again")
+        raise InputError(
+            "sweep", str(path), "a file that is not damaged; the sweep's command repairs it"
+        )
 
     @cached_property
     def jobs(self) -> tuple[Listed, ...]:
@@ -67,19 +69,19 @@ class SweepFolder:
         )
 
     def of(self, job: Listed) -> Path:
-        """Path of the job's own folder, whether it exists or not."""
+        """Returns path of the job's own folder, whether it exists or not."""
         return self.path / "jobs" / job.fingerprint
 
     def address(self, job: Listed) -> Path:
-        """The folder of the job's result, whether it exists or not."""
+        """Returns the folder of the job's result, whether it exists or not."""
         return self.path / str(self.about["results"]) / job.fingerprint
 
     def state(self, job: Listed) -> Literal["waiting", "finished", "failed"]:
-        """The state of the job."""
+        """Returns the state of the job."""
         if (self.address(job) / RESULTS).exists():
             return "finished"
         return "failed" if (self.of(job) / FAILURE).exists() else "waiting"
 
     def error(self, job: Listed) -> str:
-        """The reason of the job's failure, in one line."""
+        """Reads the reason of the job's failure, in one line."""
         return str(json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))["error"])

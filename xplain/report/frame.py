@@ -1,8 +1,8 @@
 """A sweep's results as one table of episodes, and the measure that compares its jobs.
 
 Ways to solve the same problem are ordered by their costs on the same traces and users. A regret
-gives the same order only if all of them have the same oracle, because the oracle's labelers are
-learned from each job's labels with each job's method.
+gives the same order only if all jobs have the same oracle. Oracles differ if jobs learn labelers
+from other labels or with other methods.
 
 Nothing here depends on the duration of a job, on the order in which jobs ended, or on the launcher:
 the same jobs give the same bytes.
@@ -35,7 +35,7 @@ ORDER = (
     "silent",
     "say_all",
 )
-"""The paper's columns come first, others after them by name."""
+"""Order of the solvers' columns: the paper's solvers come first. Other solvers follow by name."""
 
 Value = float | str
 """Value of a swept key: a number if all its values are numbers; "" for a job that lacks the key."""
@@ -51,12 +51,12 @@ PROBLEM = (
     "inexplicability_cost",
     "ask.cost",
 )
-"""Keys that define the traces, the users and the costs. Costs are never compared between their
-values."""
+"""Keys that define the traces, the users and the costs. Costs are never compared between different
+values of these keys."""
 
 CONDITIONS = (*PROBLEM, "observers", "queries", "points")
-"""Keys that define the problem. All others choose how it is solved, so their values can be better
-or worse."""
+"""Keys that define the problem. All other keys choose the method, so one value can be better than
+another."""
 
 REFERENCES = {"regret": "oracle", "above_floor": "clairvoyant", "cost": None}
 """Measures by their names in keys, with the reference whose cost is subtracted."""
@@ -75,18 +75,18 @@ TITLES = {
 
 NEGATIVE = (
     "A regret below 0 is no error. The oracle knows the type, but plans with learned labels. If "
-    "these are wrong, the oracle can cost more than a solver that does not know the type."
+    "learned labels are wrong, the oracle can cost more than a solver that does not know the type."
 )
 
 RIGHT = 0.98
-"""Minimum share of new labels that labelers must predict correctly. Below it the oracle's cost is
-no reference, because the paper's oracle has right labels."""
+"""Minimum share of new labels that labelers must predict correctly. Below this share the oracle's
+cost is no reference, because the paper's oracle has right labels."""
 
 NO_REFERENCE = "†"
-"""Mark of an oracle's cost that is no reference, and of regrets to it."""
+"""Mark of an oracle's cost that is no reference, and of regrets to this oracle."""
 
 _WHY = {
-    "regret": "Regret is cost minus the oracle's on the same trace and user.",
+    "regret": "Regret is cost minus the oracle's cost on the same trace and user.",
     "above_floor": "The clairvoyant knows the true labels: nothing can cost less.",
     "cost": "",
 }
@@ -105,8 +105,8 @@ def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> 
     """Warns about an oracle that is no reference, and about a regret below 0; "" without either.
 
     Args:
-        learning: figures of the learning stage, the smallest of the shown ones.
-        regret: the mean regret, or the smallest of the shown ones.
+        learning: figures of the learning stage; for several jobs, the smallest figures.
+        regret: the mean regret; for several jobs, the smallest.
     """
     share = learning.get("fresh_accuracy", 1.0)
     no_reference = (
@@ -124,8 +124,8 @@ class Measure:
 
     Attributes:
         name: ``regret``, ``above_floor`` (cost minus the clairvoyant's) or ``cost``.
-        fair: True if it orders ways to solve a problem as their costs do.
-        why: sentences that define it and say why it is not the regret.
+        fair: True if the measure orders ways to solve a problem as their costs do.
+        why: sentences that define the measure, and say why it is not the regret.
     """
 
     name: str
@@ -148,10 +148,10 @@ class Summary:
 
     Args:
         folder: folder of the sweep.
-        measure: the measure that compares its jobs; None chooses a fair one.
+        measure: the measure that compares the jobs; None chooses a measure that is fair to all.
 
     Raises:
-        OSError, InputError: this is no sweep's folder, or there is no such measure.
+        OSError, InputError: the folder has no sweep, or the measure is unknown.
     """
 
     def __init__(self, folder: Path, measure: str | None = None) -> None:
@@ -186,7 +186,8 @@ class Summary:
         return {key for key, own in texts.items() if all(map(is_number, own))}
 
     def values_of(self, job: Listed, results: Results) -> dict[str, Value]:
-        """The swept values of a job, always including ``domain``, ``solver`` and ``lambda``."""
+        """Returns the swept values of a job, always including ``domain``, ``solver`` and
+        ``lambda``."""
         texts = {key: job.values.get(key, "") for key in self.keys}
         values: dict[str, Value] = {
             k: float(t) if t and k in self._numbers else t for k, t in texts.items()
@@ -200,15 +201,15 @@ class Summary:
 
         Columns: the swept keys, domain, solver, lambda, seed, trace, type; the episode's cost and
         its parts; the references' costs on the same trace and user; regret, above_floor;
-        fresh_accuracy, the share of new labels that the job's labelers get right.
+        fresh_accuracy, the share of new labels that the job's labelers predict correctly.
         """
-        frame = pd.DataFrame([row for own in self.results for row in self._rows(*own)])
+        frame = pd.DataFrame([row for own in self.results for row in self._list_rows(*own)])
         if len(frame):
             frame["regret"] = frame["cost"] - frame["oracle"]
             frame["above_floor"] = frame["cost"] - frame["clairvoyant"]
         return frame
 
-    def _rows(self, job: Listed, results: Results) -> Iterator[dict[str, Any]]:
+    def _list_rows(self, job: Listed, results: Results) -> Iterator[dict[str, Any]]:
         swept = self.values_of(job, results)
         costs = {(e.solver, e.trace, e.type): e.cost for e in results.episodes}
         for episode in results.episodes:
@@ -262,7 +263,7 @@ class Summary:
         return ["domain", *keys]
 
     def values(self, key: str) -> list[Value]:
-        """The values of a swept key, ``solver`` or ``lambda`` in the finished jobs: numbers
+        """Lists the values of a swept key, ``solver`` or ``lambda`` in the finished jobs: numbers
         ascending, solvers in the paper's order, other texts in the sweep's order."""
         found: list[Any] = list(dict.fromkeys(self.episodes[key])) if len(self.episodes) else []
         if key == "solver":
@@ -273,8 +274,8 @@ class Summary:
 
     @cached_property
     def shown(self) -> list[str]:
-        """The dimensions of tables and plots: the swept keys without pooled ones, and without those
-        whose value follows from an earlier key."""
+        """The dimensions of tables and plots: the swept keys that are not pooled, and whose values
+        do not follow from an earlier key."""
         keys = [k for k in self.keys if len(self.values(k)) > 1 and k not in self.pool]
         frame = self.episodes
         return [
@@ -301,8 +302,8 @@ class Summary:
     @cached_property
     def measure(self) -> Measure:
         """The paper's regret if all compared jobs have the same oracle. Otherwise the cost above
-        the clairvoyant's, or the cost if plans discount differently and so have different
-        clairvoyants."""
+        the clairvoyant's cost. If jobs discount differently, their clairvoyants differ, and the
+        measure is the cost itself."""
         same = self.keys if self.is_table1 else [k for k in self.keys if is_in(k, PROBLEM)]
         shared = [*(key for key in same if key != "solver"), "seed", "trace", "type"]
         fair = {n: column is None or self._is_shared(shared, column) for n, column in _PAIRS}
@@ -310,7 +311,7 @@ class Summary:
         earlier = list(REFERENCES)[: list(REFERENCES).index(name)]
         why = [_WHY[name], *(_UNFAIR[own] for own in earlier if not fair[own])]
         if not fair[name]:
-            why.append("Not a fair comparison: the reference differs between what is compared.")
+            why.append("Not a fair comparison: the reference differs between the compared jobs.")
         return Measure(name, fair[name], " ".join(filter(None, why)))
 
     def _is_shared(self, by: list[str], column: str) -> bool:
@@ -344,7 +345,7 @@ def is_number(text: str) -> bool:
 
 
 def rank(solver: str) -> int:
-    """Position of a solver's column: the paper's first, others after them."""
+    """Returns the position of a solver's column: the paper's solvers first, then the others."""
     return ORDER.index(solver) if solver in ORDER else len(ORDER)
 
 

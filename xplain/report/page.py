@@ -46,15 +46,15 @@ LEARNING = {
 
 
 def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Path]:
-    """Writes everything below ``<sweep>/report`` from the finished jobs, unless a whole report of
-    the same content is there.
+    """Writes everything below ``<sweep>/report`` from the finished jobs, unless a complete report
+    with the same content exists.
 
     Args:
         folder: folder of the sweep.
-        measure: see :class:`xplain.report.frame.Summary`.
+        measure: the measure that compares the jobs; None chooses a measure that is fair to all.
 
     Raises:
-        OSError, InputError, ValueError: this is no sweep's folder, or it cannot be written.
+        OSError, InputError, ValueError: the folder has no sweep, or cannot be written.
     """
     summary = Summary(folder, measure)
     report = folder / REPORT
@@ -82,9 +82,9 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
 
 
 def digest_content(summary: Summary) -> str:
-    """A digest of all that decides a report: the sweep with its results and failures, the measure,
-    this package, and the libraries that calculate and draw."""
-    template = Path(__file__).with_name("page.html")  # the version of the code covers the modules
+    """Computes a digest of all that decides a report: the sweep with its results and failures, the
+    measure, this package, and the libraries that calculate and draw."""
+    template = Path(__file__).with_name("page.html")  # code_version covers only modules
     results = [summary.folder.address(job) / RESULTS for job, _ in summary.results]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in (template, *results)))
     versions = [code_version(), library_versions(), matplotlib.__version__]
@@ -94,7 +94,7 @@ def digest_content(summary: Summary) -> str:
 
 
 def page(summary: Summary, tables: dict[str, Table], report: Path, made_of: str) -> str:
-    """HTML of the whole page, with its content inside; its pictures are also files.
+    """Makes the HTML of the whole page, which contains all pictures; the pictures are also files.
 
     Args:
         summary, tables: of the sweep.
@@ -112,7 +112,7 @@ def page(summary: Summary, tables: dict[str, Table], report: Path, made_of: str)
         summary=summary,
         made_of=made_of,
         beside_paper=is_beside_paper(summary),
-        heading=_heading(summary),
+        heading=_make_heading(summary),
         answer=claims.answer(summary),
         code=f"{about['code']} (commit {commit}{dirty})",
         size=f"{len(summary.results)} of {len(summary.jobs)} jobs, {len(summary.episodes):,} "
@@ -132,7 +132,7 @@ def draw(summary: Summary, report: Path) -> dict[str, dict[str, str]]:
         name: (f"{TITLES[own]} against {key}", plots.against_main_key(summary, own))
         for name, own in measures.items()
     }
-    caption = "belief in the user's true type, mean over the episodes that last so long"
+    caption = "belief in the user's true type, mean over the episodes with this step"
     drawn["belief"] = caption, plots.belief_over_steps(summary)
     caption = "disagreements of labels within clusters; rings mark the numbers of types chosen"
     drawn["disagreements"] = caption, plots.elbows(summary)
@@ -145,8 +145,8 @@ def draw(summary: Summary, report: Path) -> dict[str, dict[str, str]]:
 
 
 def example(summary: Summary, domain: Any, report: Path) -> dict[str, Any]:
-    """One explanation of a domain: its picture, the sentences of its messages, and the command that
-    shows it as a page. It uses λ = 1 or the middle λ, and the first solver."""
+    """Draws one explanation of a domain, with λ = 1 or the middle λ, and the first solver. Returns
+    the picture, the sentences of the messages, and the command that shows it as a page."""
     own = [one for one in summary.results if one[1].domain == domain]
     trade_offs = sorted({results.trade_off for _, results in own})
     middle = 1.0 if 1.0 in trade_offs else trade_offs[len(trade_offs) // 2]
@@ -166,12 +166,12 @@ def example(summary: Summary, domain: Any, report: Path) -> dict[str, Any]:
 
 
 def address(path: Path) -> str:
-    """An SVG as a ``data:`` address."""
+    """Encodes an SVG as a ``data:`` address."""
     return f"data:image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def learning_table(summary: Summary) -> Table:
-    """A row for each setting: how well types and labels were learned."""
+    """Makes a row for each setting: how well types and labels were learned."""
     found, rows = summary.data_sets, []
     names = [name for name in LEARNING if name in found and found[name].notna().any()]
     groups: Any = found.groupby(summary.settings, sort=False)
@@ -187,7 +187,7 @@ def learning_table(summary: Summary) -> Table:
     return table_of(rows if names else [], len(summary.settings), caption)
 
 
-def _heading(summary: Summary) -> str:
+def _make_heading(summary: Summary) -> str:
     if summary.is_table1:
         return "Personalized explanations: costs and regrets"
     swept = [heading(key).lower() for key in summary.shown]

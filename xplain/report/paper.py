@@ -1,4 +1,4 @@
-"""The paper's published values (Table 1; cut to two decimals there) and its names."""
+"""The paper's published values (Table 1, which cuts them to two decimals), and readable names."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ NAMES = {
     "four_rooms": "Four rooms",
     "rescue": "Disaster rescue",
 }
-"""Readable names of solvers and domains. The paper's POMCP looks two steps ahead and backs up
-means, so its values are compared with ``pomcp_paper``, not with our tuned search."""
+"""Readable names of solvers and domains. The paper's POMCP searches to depth 2 and backs up means,
+so its values are compared with ``pomcp_paper``, not with our tuned search."""
 
 GROUPS = {
     "truth": "True types and labels",
@@ -33,19 +33,19 @@ GROUPS = {
 
 
 def title(key: str) -> str:
-    """Readable name of a solver or domain."""
+    """Returns readable name of a solver or domain."""
     name, _, rest = key.partition(" ")
     return " ".join(filter(None, [NAMES.get(name, name), rest]))
 
 
 def group_title(group: Mapping[str, Any], label: str) -> str:
-    """Name of a group of columns: that of the labeler if only labelers were swept."""
+    """Returns the name of a group of columns: the labeler's name if only labelers were swept."""
     return GROUPS.get(group.get("labeler", ""), label) if len(group) == 1 else label
 
 
 @cache
 def table1() -> dict[tuple[str, float], dict[str, float]]:
-    """``{(domain, λ): {"oracle": cost, solver: regret, …}}``."""
+    """Reads Table 1 as ``{(domain, λ): {"oracle": cost, solver: regret, …}}``."""
     text = files("xplain.report").joinpath("table1.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(text.splitlines())
     return {

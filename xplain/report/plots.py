@@ -1,7 +1,7 @@
 """Plots: one function draws lines with intervals in panels, from a table of points.
 
 Axes are labelled; colours, markers and line styles differ for colour-blind people and printers.
-Figures are made without pyplot, which keeps each of them until it is closed.
+Figures are made without pyplot, which keeps every figure until the figure is closed.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ AXES = {
     "ask.cost": "κ, cost of a question (ask.cost)",
     "points": "labels an observer (points)",
 }
-"""Labels of axes by key; any other key has its name."""
+"""Labels of axes by key; the label of any other key is the key itself."""
 
 MOST_PANELS = 24
 
@@ -75,11 +75,12 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "svg.hashsalt": "xplain",
 }
-"""Style of plots. It is set only while one is drawn, so a program's own figures do not change."""
+"""Style of plots. It is set only while a plot is drawn, so a program's own figures do not
+change."""
 
 
 def series_style(index: int) -> dict[str, Any]:
-    """Colour, marker and line of the series with this index."""
+    """Returns colour, marker and line of the series with this index."""
     return {
         "color": COLOURS[index % len(COLOURS)],
         "marker": MARKERS[index % len(MARKERS)],
@@ -96,8 +97,9 @@ def draw(
     Args:
         points: a row for each point, with panel, line, x (numbers, or texts of the axis) and mean;
             optionally low and high, and ``hollow``, the height of a hollow marker (or NaN).
-        x_label, y_label: labels of the axes. per_row: panels in a row; they have one scale. hollow:
-        meaning of hollow markers.
+        x_label, y_label: labels of the axes.
+        per_row: number of panels in a row; the panels of a row have one scale.
+        hollow: meaning of hollow markers.
     """
     points = points.reindex(columns=[*["panel", "line", "x", "mean", "low", "high", "hollow"]])
     panels, lines = (list(dict.fromkeys(points[key])) for key in ("panel", "line"))
@@ -140,7 +142,7 @@ def draw(
             axes.xaxis.set_major_locator(MaxNLocator(6, integer=all(t == int(t) for t in ticks)))
         if is_negative:
             axes.axhline(0, color="#222222", lw=0.8)
-    if not is_negative:  # once all are drawn: a limit ends the scaling of a row
+    if not is_negative:  # after all lines, because a limit ends the scaling of a row
         for axes in every[::columns]:
             axes.set_ylim(0, 1.04 * axes.get_ylim()[1])
     for row in range(rows):
@@ -163,13 +165,13 @@ def plot_keys(summary: Summary) -> tuple[str | None, list[str], list[str]]:
     keys = [*down, *grouping, *across]
     x = main_key(summary, keys) or next(iter([*down[-1:], *across, *grouping]), None)
     lines, panels = ([k for k in own if k != x] for own in (across, [*down, *grouping]))
-    if not lines and panels and panels[-1] != "domain":  # tasks differ in scale: a panel each
+    if not lines and panels and panels[-1] != "domain":  # tasks differ in scale
         lines = [panels.pop()]
     return x, lines, panels
 
 
-def _panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.DataFrame]]:
-    """(name, episodes) of each panel."""
+def _list_panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.DataFrame]]:
+    """Lists (name, episodes) of each panel."""
     _, grouping, _ = layout(summary)
     found = []
     for values, frame in group_episodes(summary, keys)[:MOST_PANELS]:
@@ -180,20 +182,20 @@ def _panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.DataFra
     return found
 
 
-def _per_row(summary: Summary, keys: Sequence[str]) -> int:
-    """Number of panels with a common scale: a row for each domain."""
+def _count_per_row(summary: Summary, keys: Sequence[str]) -> int:
+    """Counts the panels of a row, which have one scale: a row for each domain."""
     counts = [len(summary.values(key)) for key in keys if key != "domain"]
     return min(4, int(np.prod(counts))) if counts else 1 + (len(keys) == 0)
 
 
 def against_main_key(summary: Summary, measure: str) -> Figure | None:
-    """Draws a measure against the main swept key, with intervals and in Table 1 the paper's values;
-    None if nothing was swept, or no episode has the measure."""
+    """Draws a measure against the main swept key, with intervals and in Table 1 the paper's values.
+    Returns None if nothing was swept, or no episode has the measure."""
     x, lines, panels = plot_keys(summary)
     if x is None or not summary.episodes[measure].notna().any():
         return None
     rows = []
-    for panel, frame in _panels(summary, panels):
+    for panel, frame in _list_panels(summary, panels):
         for line, _ in group_episodes(summary, lines):
             for at in summary.values(x):
                 own = select_rows(select_rows(frame, line), {x: at})
@@ -206,7 +208,7 @@ def against_main_key(summary: Summary, measure: str) -> Figure | None:
                     names = {"panel": panel, "line": label(line), "x": tick, "hollow": paper}
                     rows.append(names | vars(found))
     frame = pd.DataFrame(rows).astype({"hollow": float})
-    return draw(frame, AXES.get(x, heading(x)), TITLES[measure], _per_row(summary, panels))
+    return draw(frame, AXES.get(x, heading(x)), TITLES[measure], _count_per_row(summary, panels))
 
 
 def belief_over_steps(summary: Summary) -> Figure | None:
@@ -218,7 +220,7 @@ def belief_over_steps(summary: Summary) -> Figure | None:
         values = summary.values(x)
         fixed = {x: 1.0 if x == "lambda" and 1.0 in values else values[len(values) // 2]}
     steps, rows = select_rows(summary.steps, fixed), []
-    for panel, frame in _panels(summary, panels):
+    for panel, frame in _list_panels(summary, panels):
         at = {key: frame[key].iloc[0] for key in panels}
         for line, _ in group_episodes(summary, lines):
             own = select_rows(select_rows(steps, at), line)
@@ -230,7 +232,7 @@ def belief_over_steps(summary: Summary) -> Figure | None:
     if not rows:
         return None
     words = ", ".join(filter(None, ["belief in the true type", label(fixed)]))
-    return draw(pd.DataFrame(rows), "steps explained", words, _per_row(summary, panels))
+    return draw(pd.DataFrame(rows), "steps explained", words, _count_per_row(summary, panels))
 
 
 def elbows(summary: Summary) -> Figure | None:
@@ -281,7 +283,7 @@ def posterior(probability: Mapping[int, float], found: int) -> Figure:
 
 def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> Figure:
     """Draws the share of labels 1 with a message minus the share without it, with a panel for each
-    type; nothing if one of the two was never asked."""
+    type. There is no point if one of the two shares is unknown."""
     given = bits_of(dataset.message_set, dataset.n_messages).astype(bool)
     own = pd.DataFrame({"panel": np.array(names)[clustering.assignment[dataset.observer]]})
     own["label"], gains = dataset.label, []
@@ -310,9 +312,9 @@ def save(figure: Figure, path: Path) -> None:
     """Writes a figure atomically, in the format of the path's suffix.
 
     Raises:
-        OSError: with the path.
+        OSError: the file cannot be written; the error names the path.
     """
-    # Without dates and random ids the same figure is the same file.
+    # Without dates and random ids the same figure gives the same file.
     metadata = {"Date": None} if path.suffix == ".svg" else None
     with open_atomic(path, "wb") as file:
         figure.savefig(file, format=path.suffix[1:], metadata=metadata)

@@ -22,8 +22,9 @@ from xplain.report.table import Table
 
 
 def compute_ratios(summary: Summary) -> Table:
-    """A row for each problem, a column for each way to explain; the last rows are geometric means
-    over the kinds of people. A ratio above 1 means that another way of the sweep costs less."""
+    """Makes a row for each problem, a column for each way to explain; the last rows are geometric
+    means over the kinds of people. A ratio above 1 means that another way of the sweep costs
+    less."""
     by, posed = summary.ways or ["solver"], summary.posed
     names = {tuple(values.values()): label(values) for values, _ in group_episodes(summary, by)}
     rows = list[dict[str, str]]()
@@ -48,5 +49,8 @@ def compute_ratios(summary: Summary) -> Table:
         named = iter(rest)
         words = {key: "all" if key.startswith("explainee") else next(named) for key in heads}
         rows.append({**words, **{way: f"{np.exp(np.mean(one)):.2f}" for way, one in own.items()}})
-    caption = "Cost over that of the best other way for the same people, with its 95 % interval."
+    caption = (
+        "Cost divided by the cost of the best other way for the same people, with its 95 % "
+        "interval."
+    )
     return Table(pd.DataFrame(rows).fillna(""), len(heads), caption)

@@ -28,7 +28,7 @@ EVERY = 10.0
 
 
 def stages() -> Stages:
-    """The display that suits the current standard error."""
+    """Returns the display that suits the current standard error."""
     return TerminalStages() if is_terminal(sys.stderr) else Stages()
 
 
@@ -41,7 +41,7 @@ class Stages(Progress):
 
     @contextmanager
     def stage(self, what: str, count: int | None = None) -> Iterator[None]:
-        """See :class:`xplain.experiment.progress.Progress`."""
+        """Logs the name of the first open stage if it takes long."""
         timer = threading.Timer(EVERY, log.info, ("%s …", what))
         timer.daemon = True
         if not self._open:
@@ -55,13 +55,13 @@ class Stages(Progress):
             timer.cancel()
 
     def note(self, text: str, done: int | None = None) -> None:
-        """See :class:`xplain.experiment.progress.Progress`."""
+        """Logs a text about the newest open stage, but only every ten seconds."""
         if self._open and text and time.monotonic() - self._said > EVERY:
             self._said = time.monotonic()
             log.info("%s: %s", self._open[-1], text)
 
     def compiling(self, kernel: str) -> None:
-        """Shows that a kernel is compiled; "" ends it."""
+        """Logs that a kernel is compiled; "" logs nothing."""
         self.note(kernel and f"compiling {kernel} (once; later runs load it)")
 
 
@@ -85,8 +85,8 @@ class TerminalStages(Stages):
 
     @contextmanager
     def stage(self, what: str, count: int | None = None) -> Iterator[None]:
-        """See :class:`xplain.experiment.progress.Progress`."""
-        with nullcontext() if self._tasks else self._moving():
+        """Shows a progress line while the stage is open."""
+        with nullcontext() if self._tasks else self._show_lines():
             self._tasks.append(self._bars.add_task(what, total=count, note="", kernel=""))
             try:
                 yield
@@ -94,22 +94,22 @@ class TerminalStages(Stages):
                 self._bars.remove_task(self._tasks.pop())
 
     def note(self, text: str, done: int | None = None) -> None:
-        """See :class:`xplain.experiment.progress.Progress`."""
+        """Shows a text, and the number of finished items, in the newest progress line."""
         if self._tasks:
             self._bars.update(self._tasks[-1], completed=done, note=text)
 
     def compiling(self, kernel: str) -> None:
-        """See :class:`Stages`."""
+        """Shows that a kernel is compiled; "" removes this text."""
         if self._tasks:
             text = kernel and f" compiling {kernel} (once)"
             self._bars.update(self._tasks[-1], kernel=text)
 
     @contextmanager
-    def _moving(self) -> Iterator[None]:
+    def _show_lines(self) -> Iterator[None]:
         """Starts the progress lines; log lines appear above them."""
         logged = logging.getLogger().handlers
         own = [h for h in logged if isinstance(h, logging.StreamHandler) and h.stream is sys.stderr]
-        with self._bars:  # from here on sys.stderr belongs to rich
+        with self._bars:  # rich replaces sys.stderr from here on
             streams = [(handler, handler.setStream(sys.stderr)) for handler in own]
             try:
                 yield

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 BEST, TIE = "*", "≈"
 
 CUT = 0.01
-"""Two halves of an interval that differ by more than this are shown separately; numbers have two
-decimals."""
+"""If the two halves of an interval differ by more than this, both ends are shown. (Numbers have two
+decimals.)"""
 
 _TEX = str.maketrans(
     {"λ": r"$\lambda$", "−": "$-$", "±": r"$\pm$", "≈": r"$\approx$", "†": r"$\dagger$"}
@@ -29,10 +29,10 @@ class Table:
     """Row headings and numbers as texts.
 
     Attributes:
-        frame: texts; it has two levels of columns if they are in groups.
+        frame: texts; columns in groups have two levels.
         left: number of columns with row headings.
-        caption: explains how to read it.
-        about: settings that all of it has in common.
+        caption: explains how to read the table.
+        about: settings that all rows share.
     """
 
     frame: pd.DataFrame
@@ -51,7 +51,7 @@ class Table:
         return found
 
     def markdown(self) -> str:
-        """The table in Markdown, with ``about`` and its caption."""
+        """Formats the table in Markdown, with ``about`` and its caption."""
         names: list[Any] = list(self.frame)
         heads = [own if isinstance(own, str) else " ".join(filter(None, own)) for own in names]
         lines = [heads, *self.frame.to_numpy().tolist()]
@@ -64,7 +64,7 @@ class Table:
         return "\n\n".join(filter(None, parts)).replace("*", r"\*") + "\n"
 
     def latex(self) -> str:
-        """The table for a paper (booktabs); other texts are comments."""
+        """Formats the table for a paper (booktabs); other texts are comments."""
         columns = "l" * self.left + "r" * (self.frame.shape[1] - self.left)
         flat = self.sparse.replace("\n", " ", regex=True)
         text = flat.to_latex(index=False, column_format=columns, escape=True).translate(_TEX)
@@ -72,8 +72,8 @@ class Table:
         return "\n".join([r"% \usepackage{booktabs}", f"{text}% {said}", ""])
 
     def html(self) -> str:
-        """The table as HTML, without its other texts. The HTML class gives the number of heading
-        columns."""
+        """Formats the table as HTML, without its other texts. The HTML class gives the number of
+        heading columns."""
         kind = f"left{self.left}"
         # pandas would write a line break as a backslash and a letter.
         lines = self.sparse.replace("\n", "\u2028", regex=True)
@@ -81,7 +81,7 @@ class Table:
         return str(text).replace("\u2028", "<br>")
 
     def text(self) -> Group:
-        """The table for the terminal: one table for each group of columns, all with the row
+        """Formats the table for the terminal: one table for each group of columns, all with the row
         headings."""
         from rich.console import Group
         from rich.table import Table as Shown
@@ -109,8 +109,8 @@ def table_of(
     caption: str = "",
     about: str = "",
 ) -> Table:
-    """Makes a table from rows by the heads of their columns: texts, or pairs (group, head). A
-    single group is left out."""
+    """Makes a table from rows. The keys of a row are the headings of its columns: texts, or pairs
+    (group, heading). The name of a single group is left out."""
     frame = pd.DataFrame(rows, dtype=object).fillna("")
     if rows and isinstance(next(iter(rows[0])), tuple):
         columns = pd.MultiIndex.from_tuples([*frame])
@@ -120,7 +120,7 @@ def table_of(
 
 
 def cell(estimate: Estimate, after: str = "", below: str = "", split: bool = False) -> str:
-    """A mean with its interval: ``0.52 ± 0.21 *``; "" without an estimate.
+    """Formats a mean with its interval: ``0.52 ± 0.21 *``; "" without an estimate.
 
     Args:
         estimate: estimate of a measure.
@@ -136,7 +136,7 @@ def cell(estimate: Estimate, after: str = "", below: str = "", split: bool = Fal
 
 
 def half(estimate: Estimate) -> str:
-    """Half of the interval, such as ``± 0.21``; both ends if a bound cuts one half."""
+    """Formats half of the interval, such as ``± 0.21``; both ends if a bound cuts one half."""
     above = estimate.high - estimate.mean
     if above - (estimate.mean - estimate.low) > CUT:
         return interval(estimate)
@@ -144,16 +144,16 @@ def half(estimate: Estimate) -> str:
 
 
 def number(value: float) -> str:
-    """Two decimals, never a negative zero; empty for NaN."""
+    """Formats a number with two decimals, never a negative zero; NaN becomes empty."""
     return "" if math.isnan(value) else f"{value:z.2f}"
 
 
 def interval(estimate: Estimate) -> str:
-    """The ends of the interval; "" if unknown."""
+    """Formats the ends of the interval; "" if unknown."""
     known = not math.isnan(estimate.low)
     return f"[{number(estimate.low)}, {number(estimate.high)}]" if known else ""
 
 
 def count_things(amount: int, what: str) -> str:
-    """``no message``, ``1 message``, ``2 messages``."""
+    """Formats an amount: ``no message``, ``1 message``, ``2 messages``."""
     return f"{amount or 'no'} {what}{'' if amount == 1 else 's'}"

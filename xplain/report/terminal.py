@@ -1,4 +1,4 @@
-"""The results of a run, and a sweep's table, on the terminal."""
+"""Prints the results of a run, and the table of a sweep, on the terminal."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def print_sweep(summary: Summary) -> None:
     below = ((answer(summary), WIDTH), (more if count else "", WIDTH), (own.caption, WIDTH))
     for text, width in ((own.about, needed), (shown, needed), *below):
         if text:
-            _console(width, markup=False).print(text)
+            _make_console(width, markup=False).print(text)
 
 
 def print_summary(results: Results) -> None:
-    """Prints the run's figures as a table on standard output, with the paper's."""
-    console = _console()
-    console.print(_headline(results))
-    as_paper = results.choices["explainee"] == "exact" and not _asks(results)
+    """Prints the run's figures as a table on standard output, beside the paper's values."""
+    console = _make_console()
+    console.print(_make_headline(results))
+    as_paper = results.choices["explainee"] == "exact" and not _describe_questions(results)
     setting = results.choices["domain"], results.trade_off
     published = table1().get(setting, {}) if as_paper else {}
     regret = None if results.solver == "oracle" else published.get(results.solver)
@@ -66,11 +66,11 @@ def print_summary(results: Results) -> None:
         mark = f" {NO_REFERENCE}" if is_marked and name in ("oracle_cost", "regret") else ""
         figure, value = known[name], paper.get(name)
         row = {"measure": TITLES[name] + mark, "mean": f"{figure.mean:.3f}"}
-        row["95 % interval"] = _interval(figure)
+        row["95 % interval"] = _format_interval(figure)
         row |= {"paper": "" if value is None else f"{value:.2f}"} if published else {}
         rows.append(row)
     console.print(table_of(rows, 1).text())
-    if said := _of_no_type(results):
+    if said := _compare_for_no_type(results):
         console.print(said)
     if "regret" in known and (
         warning := warning_about_oracle(results.learning, known["regret"].mean)
@@ -80,18 +80,18 @@ def print_summary(results: Results) -> None:
 
 def print_certificates(bounds: Mapping[str, float]) -> None:
     """Prints the certified figures on standard output; nothing if none were requested."""
-    for line in _bounds(bounds):
-        _console().print(line)
+    for line in _list_bounds(bounds):
+        _make_console().print(line)
 
 
-def _console(width: int = WIDTH, **look: bool) -> Console:
-    """A console with the width of the terminal, if there is one."""
+def _make_console(width: int = WIDTH, **look: bool) -> Console:
+    """Makes a console with the width of the terminal, if there is one."""
     return Console(highlight=False, width=None if is_terminal(sys.stdout) else width, **look)  # type: ignore[arg-type]
 
 
-def _of_no_type(results: Results) -> str:
-    """Compares the costs of the solver's explanations and of simpler ones, for users whom no found
-    type fits. "" if the belief has only the found types."""
+def _compare_for_no_type(results: Results) -> str:
+    """Compares the costs of the solver's explanations and of simpler explanations, for users whom
+    no found type fits. Returns "" if the belief has only the found types."""
     cost: dict[str, dict[tuple[int, str], float]] = {}
     for one in results.episodes:
         cost.setdefault(one.solver, {})[one.trace, one.type] = one.cost
@@ -105,19 +105,19 @@ def _of_no_type(results: Results) -> str:
     mean = {name: fmean(found[user] for user in users) for name, found in cost.items()
             if name in ("solver", "say_all", "conformant")}  # fmt: skip
     return (
-        f"{said}; for them the solver costs {mean['solver']:.2f}, saying everything "
+        f"{said}; for these users the solver costs {mean['solver']:.2f}, giving all messages "
         f"{mean['say_all']:.2f}, and one explanation for all types {mean['conformant']:.2f}"
     )
 
 
-def _asks(results: Results) -> str:
-    """The kind of questions; "" without questions."""
+def _describe_questions(results: Results) -> str:
+    """Describes the kind of questions; "" without questions."""
     choice = results.choices["ask"]
     return "" if choice == "never" else f"ask={choice}, κ = {results.config['ask']['cost']:g}"
 
 
-def _headline(results: Results) -> str:
-    """Two lines: the settings of the run, and the learned types."""
+def _make_headline(results: Results) -> str:
+    """Makes two lines: the settings of the run, and the learned types."""
     users = results.choices["explainee"]
     what = [
         results.domain,
@@ -126,7 +126,7 @@ def _headline(results: Results) -> str:
         f"{count_things(results.config['traces'], 'trace')} × "
         f"{count_things(len(results.types.true), 'type')}",
         "" if users == "exact" else f"explainee={users}",
-        _asks(results),
+        _describe_questions(results),
         f"seed {results.seed}",
     ]
     known = results.learning
@@ -145,22 +145,22 @@ def _headline(results: Results) -> str:
     return f"{' · '.join(filter(None, what))}\n{''.join(learned)}"
 
 
-def _interval(figure: Figure) -> str:
+def _format_interval(figure: Figure) -> str:
     if figure.low is None:
         return "one trace"
     return f"{figure.low:.3f} … {figure.high:.3f}"
 
 
-def _bounds(bounds: Mapping[str, float]) -> list[str]:
-    """Lines with the certificates and the policy's cost under the learned model, each with its
-    name."""
+def _list_bounds(bounds: Mapping[str, float]) -> list[str]:
+    """Lists lines with the certificates, and with the policy's cost under the learned model."""
     if not bounds:
         return []
     traces = count_things(int(bounds["traces"]), "trace")
     lines = [
         f"certificates, {traces}, discounted returns under the learned model:",
         f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; "
-        f"expected value of perfect information {_range(bounds, 'value_of_perfect_information')}",
+        "expected value of perfect information "
+        f"{_format_range(bounds, 'value_of_perfect_information')}",
     ]
     if bounds.get("fresh_labels") == 0:
         lines.append(
@@ -169,15 +169,15 @@ def _bounds(bounds: Mapping[str, float]) -> list[str]:
         )
     if "policy_value" in bounds:
         lines += [
-            f"  this policy {bounds['policy_value']:.4f} ({_how_known(bounds)}), suboptimality "
-            f"{_range(bounds, 'price_of_approximation')}",
+            f"  this policy {bounds['policy_value']:.4f} ({_describe_precision(bounds)}), "
+            f"suboptimality {_format_range(bounds, 'price_of_approximation')}",
             f"expected cost of this policy under the learned model, undiscounted, {traces}: "
             f"{bounds['policy_cost']:.3f}",
         ]
     return lines
 
 
-def _how_known(bounds: Mapping[str, float]) -> str:
+def _describe_precision(bounds: Mapping[str, float]) -> str:
     if bounds["policy_value_exact"] == 1:
         return "exact"
     half = bounds["policy_value_high"] - bounds["policy_value"]
@@ -185,5 +185,5 @@ def _how_known(bounds: Mapping[str, float]) -> str:
     return f"± {half:.4f}" + (BY_CHANCE if beyond else "")
 
 
-def _range(bounds: Mapping[str, float], name: str) -> str:
+def _format_range(bounds: Mapping[str, float], name: str) -> str:
     return f"{bounds[f'{name}_low']:.4f} … {bounds[f'{name}_high']:.4f}"

@@ -27,7 +27,7 @@ Story = Mapping[str, Any]
 
 ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
 CELL = 0.46
-"""Size of a cell in inches, on a map with more rows or columns than LARGE."""
+"""Size of a cell in inches, on a map with more columns than LARGE."""
 LARGE = 11
 LONG = 30
 """Letters of an item's name above which the legend has one column."""
@@ -36,7 +36,8 @@ LISTED = 14
 LETTERS = 92
 """Letters in a line below the steps."""
 LINE, LETTER = 0.18, 0.082
-"""Inches of such a line, and of a letter in the name of a transition."""
+"""Height of a line below the steps, and width of a letter in the name of a transition, in
+inches."""
 TYPES = 8
 """Maximum number of learned types in the plot of the belief: the most likely ones at the end."""
 ASKED = "#7A3F8F"
@@ -44,13 +45,13 @@ EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
 
 
 def stories(folder: Path, solver: str) -> list[Story]:
-    """The episodes of one solver ("solver", "oracle" or "clairvoyant") in a run's folder."""
+    """Reads the episodes of one solver ("solver", "oracle" or "clairvoyant") in a run's folder."""
     lines = (folder / EPISODES).read_text(encoding="utf-8").splitlines()
     return [json.loads(line) for line in lines if f'"solver": "{solver}"' in line]
 
 
 def typical(found: Sequence[Story]) -> Story:
-    """The first episode with the median cost (for an even number, the lower middle)."""
+    """Returns the first episode with the median cost (for an even number, the lower middle)."""
     median = median_low(story["cost"] for story in found)
     return next(story for story in found if math.isclose(story["cost"], median, abs_tol=1e-9))
 
@@ -59,7 +60,7 @@ def describe_choice(story: Story, episodes: int) -> str:
     """Describes which of a run's episodes :func:`typical` chose, and by which rule."""
     return (
         f"trace {story['trace']}, user of type {story['type']}: cost {story['cost']:g}, the median "
-        f"of {count_things(episodes, 'episode')} (the first that costs this)"
+        f"of {count_things(episodes, 'episode')} (the first with this cost)"
     )
 
 
@@ -124,7 +125,7 @@ def draw_trace(
 
 
 def list_said(story: Story, sentences: Mapping[str, str]) -> str:
-    """The robot's messages and questions with their steps, in lines."""
+    """Lists the robot's messages and questions with their steps, in lines."""
     found = []
     for k, step in enumerate(story["steps"], 1):
         for one in step.get("questions", ()):
@@ -162,7 +163,7 @@ def draw_map(axes: Axes, scene: Scene, positions: Sequence[Sequence[int]]) -> No
     for (row, column), steps in visits.items():
         numbers = ",".join(str(step) for step in steps if step > 0)
         axes.text(column + 0.44, row + 0.4, numbers, ha="right", fontsize=7, color="#222222")
-    # Rows and columns have the numbers of the phrases; lines are between cells.
+    # Rows and columns have the same numbers as in the phrases; lines are between cells.
     axes.set(
         xlim=(-0.5, scene.columns - 0.5),
         ylim=(scene.rows - 0.5, -0.5),
@@ -232,6 +233,6 @@ def _draw_belief(axes: Axes, story: Story, types: Sequence[str]) -> None:
         colour, style = COLOURS[index % len(COLOURS)], STYLES[index % len(STYLES)]
         line, at = [belief[t] for belief in beliefs], [0.5, *range(1, len(beliefs))]
         axes.plot(at, line, color=colour, ls=style, lw=1.6, label=types[t])
-    axes.set(ylim=(-0.02, 1.02), ylabel="belief after it", xlim=(0.5, len(beliefs) - 0.5))
+    axes.set(ylim=(-0.02, 1.02), ylabel="belief after the step", xlim=(0.5, len(beliefs) - 0.5))
     axes.set_xticks(range(1, len(beliefs)))
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.02, 1))
