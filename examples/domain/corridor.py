@@ -21,7 +21,7 @@ class Corridor:
     scene = None  # no map
 
     def model(self, values):
-        """The task of a person who believes these values: [states, actions, outcomes]."""
+        """Makes the task of a person who believes these values: [states, actions, outcomes]."""
         successor = np.clip(CELLS[:, None, None] + [[-1], [1]], 0, 7)
         reward = np.full(successor.shape, -1.0)
         for name, cell in (("wet", 5), ("stairs", 2), ("lock", 0)):
@@ -29,8 +29,8 @@ class Corridor:
         return MDP(successor, np.ones(successor.shape), reward, 0.95, np.isin(CELLS, (0, 7)))
 
     def describe(self, transition):
-        """A transition (state, action, next state) in words."""
+        """Describes a transition (state, action, next state) in words."""
         return f"drives {self.actions[transition[1]]} to cell {transition[2]}"
 
     def position(self, state):
-        """None: there is no map."""
+        """Returns None, because there is no map."""

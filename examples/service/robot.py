@@ -2,7 +2,7 @@
 
     python examples/service/robot.py http://127.0.0.1:8000
 
-It needs nothing but Python. ``react`` replaces the robot's own speech and buttons.
+The program needs nothing but Python. Replace ``react`` by the robot's own speech and buttons.
 """
 
 import asyncio
@@ -12,7 +12,7 @@ from urllib.request import Request, urlopen
 
 
 async def call(url: str, content: dict | None = None) -> dict:
-    """One request; asked again until the service has answered, as it counts a number once."""
+    """Repeats a request until the service answers. The service counts each numbered answer once."""
     body = None if content is None else json.dumps(content).encode()
     request = Request(url, body, {"Content-Type": "application/json"})
     while True:
@@ -24,13 +24,13 @@ async def call(url: str, content: dict | None = None) -> dict:
 
 
 async def react(sentences: list[str], steps: int) -> list[int]:
-    """Says the sentences, shows the first steps, and hears for each whether it makes sense."""
+    """Says the sentences and shows the first steps. Returns the person's labels of these steps."""
     print("robot:", " ".join(sentences) or "(nothing)", f"| steps shown: {steps}")
     return [1] * steps
 
 
 async def explain(service: str, person: str, trace: list[int]) -> dict:
-    """Explains a trace of which the second half becomes known only on the way."""
+    """Explains a trace whose second half becomes known only during the explanation."""
     half = len(trace) // 2
     begun = await call(f"{service}/sessions", {"person": person, "trace": trace[:half]})
     session, now = f"{service}/sessions/{begun['id']}", begun["next"]

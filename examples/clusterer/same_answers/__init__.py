@@ -15,7 +15,7 @@ class SameAnswers(Clusterer):
     """Attributes:
     tolerance: share of the common questions that two observers of one type may answer
         differently, in [0, 1).
-    common: minimum number of questions that they must have in common.
+    common: minimum number of questions that two observers of one type must have in common.
     """
 
     tolerance: float = 0.0

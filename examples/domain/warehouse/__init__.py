@@ -9,13 +9,14 @@ from xplain import MDP, InputError, Item, Parameter, Scene
 
 BLOCK = 3  # cells from one crossing of aisles to the next
 MOVES = {"up": (-1, 0), "down": (1, 0), "left": (0, -1), "right": (0, 1)}
-KINDS = ("wet", "lane", "wet", "lane", "charger")  # of the facts, in turn
+KINDS = ("wet", "lane", "wet", "lane", "charger")  # kinds of the facts, in turn
 BACK = {"right": "left", "down": "up"}
 
 
 class Warehouse:
     """A state is a cell of an aisle; the dispatch, the last crossing, ends the task. Each fact is
-    about the two cells between two crossings. The robot's value of each fact is 0: none is true."""
+    about the two cells between two crossings. The robot's value of each parameter is 0: the
+    incorrect beliefs are not true."""
 
     name = "warehouse"
     actions = tuple(MOVES)
@@ -24,7 +25,7 @@ class Warehouse:
     def __init__(self, facts: int, layout: int, wet: float, against: float, charge: float) -> None:
         if not isinstance(facts, int) or not 2 <= facts <= 62:
             raise InputError("domain.facts", facts, "a whole number from 2 to 62")
-        high, wide = 2, 2  # crossings of the smallest map with so many stretches
+        high, wide = 2, 2  # crossings of the smallest map with enough stretches
         while high * (wide - 1) + (high - 1) * wide < facts:
             high, wide = (high, wide + 1) if wide == high else (high + 1, wide)
         self.size = BLOCK * (high - 1) + 1, BLOCK * (wide - 1) + 1
@@ -56,12 +57,12 @@ class Warehouse:
 
     @staticmethod
     def step(cell: tuple[int, ...], way: str, count: int = 1) -> tuple[int, int]:
-        """Returns the cell this number of cells ahead."""
+        """Returns the cell that is ``count`` cells ahead."""
         return cell[0] + count * MOVES[way][0], cell[1] + count * MOVES[way][1]
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The task of a person who believes these values: each drive costs 1, plus the costs that
-        they believe in."""
+        """Makes the task of a person who believes these values: each drive costs 1, plus the costs
+        that the person believes in."""
         shape = (len(self.cells), len(MOVES), 1)  # states, actions, outcomes of an action
         successor, reward = np.empty(shape, np.int64), np.full(shape, -1.0)
         about = {cell: name for name, (_, cells) in self.stretches.items() for cell in cells}
@@ -83,7 +84,7 @@ class Warehouse:
         return f"drives {self.actions[action]} {where} {self.cells[after]}"
 
     def position(self, state: int) -> tuple[int, ...]:
-        """The cell on the map."""
+        """Returns the cell on the map."""
         return self.cells[state]
 
     @property

@@ -1,6 +1,6 @@
-"""A classifier in which the most similar examples vote: those that differ in the fewest columns.
+"""A classifier in which the most similar examples vote: examples that differ in the fewest columns.
 
-Any classifier of scikit-learn's shape can be a labeler. This one is written out in full.
+Any classifier with scikit-learn's interface can be a labeler. This classifier is a full example.
 """
 
 import numpy as np
@@ -12,14 +12,15 @@ from xplain import InputError
 
 class HammingNeighbours(ClassifierMixin, BaseEstimator):
     """Args:
-    neighbours: number of examples that vote; examples as near as the last one vote, too.
+    neighbours: number of examples that vote. Examples at the distance of the last of these also
+        vote.
     """
 
     def __init__(self, neighbours: int = 3) -> None:
         self.neighbours = neighbours
 
     def fit(self, x: NDArray[np.float32], y: NDArray[np.uint8]) -> "HammingNeighbours":
-        """Remembers the examples [P, columns] and their labels [P]."""
+        """Stores the examples [P, columns] and their labels [P]."""
         if self.neighbours < 1:
             raise InputError("labeler.classifier.neighbours", self.neighbours, "a number ≥ 1")
         self.classes_, self.label_ = np.unique(y, return_inverse=True)
@@ -27,7 +28,8 @@ class HammingNeighbours(ClassifierMixin, BaseEstimator):
         return self
 
     def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Shares of the votes, [Q, classes]; an example d columns away has 4^−d of a vote."""
+        """Computes shares of the votes, [Q, classes]; an example that differs in d columns has 4^−d
+        votes."""
         shares = np.empty((len(x), len(self.classes_)))
         for q, row in enumerate(np.asarray(x)):
             differs = (self.x_ != row).sum(axis=1)
@@ -37,5 +39,5 @@ class HammingNeighbours(ClassifierMixin, BaseEstimator):
         return shares / shares.sum(axis=1, keepdims=True)
 
     def predict(self, x: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """The label with most votes, [Q]."""
+        """Returns the label with most votes, [Q]."""
         return self.classes_[self.predict_proba(x).argmax(axis=1)]

@@ -31,14 +31,14 @@ class FollowUp:
         while (left := size - len(asked.labels)) > 0:
             trace, nothing = silent.draw(setting, min(left, self.trace_length), rng)
             labels = answer(observer, trace, nothing)
-            asked = _and(asked, trace, nothing, labels)
+            asked = _append(asked, trace, nothing, labels)
             again = np.repeat(trace[labels == 0], len(single), axis=0)[: left - len(trace)]
             if len(again):
                 messages = np.resize(single, len(again))
-                asked = _and(asked, again, messages, answer(observer, again, messages))
+                asked = _append(asked, again, messages, answer(observer, again, messages))
         return asked
 
 
-def _and(asked: Answered, *more: np.ndarray) -> Answered:
+def _append(asked: Answered, *more: np.ndarray) -> Answered:
     before = asked.transitions, asked.message_sets, asked.labels
     return Answered(*(np.concatenate(pair) for pair in zip(before, more, strict=True)))

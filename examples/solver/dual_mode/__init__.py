@@ -36,7 +36,8 @@ class DualMode:
 
 @dataclass(frozen=True)
 class DualModePolicy:
-    """The greedy policy at a belief of 1 on the most likely state (the first of equals)."""
+    """Asks at an uncertain belief. Otherwise it is the greedy policy at a belief of 1 in the most
+    likely state (the first of several)."""
 
     greedy: Greedy
     entropy: float
@@ -47,11 +48,11 @@ class DualModePolicy:
             questions, _ = telling_questions(self.greedy.process, visible, belief, most=1)
             if questions:
                 return AskQuestion(questions[0])
-        return self.greedy.decide(visible, self._sure(belief))
+        return self.greedy.decide(visible, self._assume_most_likely(belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """The most likely state's values."""
-        return self.greedy.values(visible, self._sure(belief))
+        """Returns the most likely state's values."""
+        return self.greedy.values(visible, self._assume_most_likely(belief))
 
-    def _sure(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _assume_most_likely(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.eye(len(belief))[belief.argmax()]

@@ -1,4 +1,4 @@
-"""Dual mode asks where a question pays."""
+"""Dual mode asks if a question lowers the cost."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ from xplain.solvers.evaluate import evaluate
 @pytest.mark.parametrize("error", [0.0, 0.1])
 @pytest.mark.parametrize("accept", [1.0, 0.7])
 def test_it_asks_whatever_users_are_like(error: float, accept: float) -> None:
-    """Each type needs a message of its own. A question for a hundredth tells them apart."""
+    """Each type needs another message. A question with cost 0.01 identifies the type."""
     p = np.full((2, 3, 4), 0.05)
     p[0, :, 1::2], p[1, :, 2:] = 0.95, 0.95
     problem = Problem(p, np.full(2, 0.5), discount=1.0)

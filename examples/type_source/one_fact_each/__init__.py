@@ -1,5 +1,5 @@
-"""One user type for each fact, which its people believe incorrectly; and optionally a newcomer, who
-believes all facts incorrectly."""
+"""Makes one user type for each fact: people who believe this fact incorrectly. Optionally adds a
+newcomer, who believes all facts incorrectly."""
 
 from dataclasses import dataclass
 
@@ -20,6 +20,6 @@ class OneFactEach:
         """Makes types with the names of their incorrect facts. Nothing is random."""
         wrong = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
         if self.newcomer and len(wrong) < 2:
-            raise InputError("users.newcomer", True, "false where the domain has one parameter")
+            raise InputError("users.newcomer", True, "false if the domain has one parameter")
         each = [UserType(name, {name: value}) for name, value in wrong.items()]
         return (*each, UserType("newcomer", wrong)) if self.newcomer else tuple(each)
