@@ -292,5 +292,5 @@ def test_in_the_middle_a_search_finds_what_certified_does(seed: int) -> None:
 @pytest.mark.parametrize("solver", [Lookahead(), Certified()], ids=lambda s: type(s).__name__)
 def test_too_many_messages_together_are_refused_in_one_line(solver: Solver) -> None:
     many = Problem(np.random.default_rng(0).random((1, 2, 1 << 11)), np.full(11, 0.1), discount=1.0)
-    with pytest.raises(TooLargeError, match="sets of messages together: 11 matter"):
+    with pytest.raises(TooLargeError, match="all sets of messages: 11 messages matter"):
         solver.plan(many.with_habits(habits_of(0.0, 0.9, 0.0)))
