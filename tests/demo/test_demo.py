@@ -108,7 +108,7 @@ def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path, flags):
     name = "mine.html" if flags else "demo.html"
     assert (code, out, err) == (0, f"{name}\n", "")
     text = (tmp_path / name).read_text(encoding="utf-8")
-    assert "of the first 5, the one" in text
+    assert "of the first 5: here the type" in text
     assert "const D = {" in text
     assert '"user": "B"' in text
 

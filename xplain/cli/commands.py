@@ -20,9 +20,9 @@ class Command(click.Command):
     """A command.
 
     Attributes:
-        meaning: its description in one line.
-        config: name of its file in conf/, or "".
-        text: its help, before the names of its subcommands and its file.
+        meaning: description in one line.
+        config: name of the command's file in conf/, or "".
+        text: help, before the names of the subcommands and the file.
     """
 
     meaning: str
@@ -30,7 +30,7 @@ class Command(click.Command):
     text: str
 
     def get_help(self, ctx: click.Context) -> str:
-        """The docstring of its function, its subcommands, and its file in conf/."""
+        """Returns the docstring of the function, the subcommands, and the file in conf/."""
         from xplain.experiment.config import CONF
 
         parts = [self.text, "\n".join(lines_of(str(self.name)))]
@@ -44,14 +44,14 @@ COMMANDS: dict[str, Command] = {}
 
 
 def command(name: str, meaning: str, config: str = "", of: str = "", **settings: Any) -> Decorator:
-    """Makes a function a command.
+    """Registers a function as a command.
 
     Args:
         name: name on the command line.
-        meaning: its description in one line.
-        config: name of its file in conf/, if any.
-        of: study or collect, for a function that both share. The function receives it as its first
-            argument, and it replaces NAME in the help.
+        meaning: description in one line.
+        config: name of the command's file in conf/, if any.
+        of: study or collect, for a function that both share. The function receives this word as its
+            first argument, and the word replaces NAME in the help.
         settings: settings of click's parser.
     """
 

@@ -25,11 +25,11 @@ xplain: personalized explanations of a robot's decisions, as experiments.
   xplain solver=pomcp domain=rescue lambda=1.5     one run
   xplain -m solver=qmdp,pomcp lambda=0.5,1,2       all combinations
   xplain sweeps=table1                             a prepared sweep
-  xplain COMMAND ...                               see below; each has --help
+  xplain COMMAND ...                               a command below; each has --help
 
 {commands}
 
-All keys with their defaults and choices: xplain --hydra-help, docs/config.md. Of a run: --cfg job.
+All keys with defaults and choices: xplain --hydra-help, docs/config.md. Keys of a run: --cfg job.
 `python -m xplain` is the same as `xplain`.
 """
 
@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Runs the command. An error that the user can correct is one line, with exit code 2.
 
     Args:
-        arguments: of the command line; None takes those of the process.
+        arguments: words of the command line; None takes the words of this process.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     _tell(given, "loading …")
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> None:
             print(f"xplain {__version__}")
         else:
             name, rest = split(given)
-            _experiment(given) if name is None else _command(name, rest)
+            _run_experiment(given) if name is None else _run_command(name, rest)
 
 
 def _tell(given: list[str], what: str) -> None:
@@ -68,7 +68,7 @@ def _tell(given: list[str], what: str) -> None:
         print(what, end="\r", file=sys.stderr, flush=True)
 
 
-def _command(name: str, words: list[str]) -> None:
+def _run_command(name: str, words: list[str]) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         said = COMMANDS[name].main(words, f"xplain {name}", standalone_mode=False)
@@ -79,11 +79,11 @@ def _command(name: str, words: list[str]) -> None:
         print(json.dumps(said))
 
 
-def _experiment(words: list[str]) -> None:
+def _run_experiment(words: list[str]) -> None:
     """Runs the experiment or a sweep with Hydra's command line.
 
     Raises:
-        XplainError: a flag that Hydra does not have, or in a wrong place.
+        XplainError: Hydra does not have a flag, or a flag is in a wrong place.
         SystemExit: 1 if jobs of a sweep failed.
     """
     with leave_at_once():
@@ -99,7 +99,7 @@ def _experiment(words: list[str]) -> None:
             )
     turns = [kind for kind, _ in groupby("=" in w and not w.startswith("-") for w in words)]
     if turns.count(True) > 1:
-        raise XplainError("-m and other flags stand before all keys, or after all of them")
+        raise XplainError("-m and other flags must be before all keys, or after all keys")
     require_names(words)
     _tell(words, "composing …")
     # Otherwise MLflow tries an unavailable server for minutes.
@@ -110,10 +110,10 @@ def _experiment(words: list[str]) -> None:
 
 
 def split(words: list[str]) -> tuple[str | None, list[str]]:
-    """The command (None is the experiment) and the words after it.
+    """Splits words into the command (None is the experiment) and the words after it.
 
     Raises:
-        InputError: an unknown command.
+        InputError: the command is unknown.
     """
     for length in (2, 1):
         name = " ".join(words[:length])

@@ -23,14 +23,13 @@ log = logging.getLogger(__name__)
 def discover(words: list[str]) -> dict[str, Any]:
     """Finds the user types in people's labels: ``xplain discover data=FILE``.
 
-    The rules for this file are those of :mod:`xplain.learning.data.label_file`. The folder
-    ``output`` receives
+    :mod:`xplain.learning.data.label_file` describes this file. The folder ``output`` receives
 
     - ``types.npz``: the types and their labelers, as :class:`xplain.learning.saved.LearnedTypes`
       loads them (for ``xplain.Explainer``);
     - ``assignment.csv``: the type of each observer;
-    - ``predictions.csv``, with ``predict=FILE``: the rows of FILE, and ``p``, the probability of
-      the answer 1 of that observer;
+    - ``predictions.csv``, with ``predict=FILE``: the rows of FILE, and ``p``, the probability that
+      the observer answers 1;
     - ``summary.json``: the figures of each type, and the method that found it;
     - ``curve.png`` (disagreements by number of types) or ``posterior.png`` (probability of each
       number of types), depending on the method; ``messages.png``: the effect of each message on
@@ -40,7 +39,7 @@ def discover(words: list[str]) -> dict[str, Any]:
     The last line on standard output is one JSON object: ``n_types``, ``assignment`` {observer:
     type}, ``method``, ``rule``, ``held_out`` (how well held-out labels are predicted with and
     without types, in nats per label; null if ``held_out=false``), ``held_out_log_likelihood`` (the
-    same with types alone), ``seconds``; if the answers show it, also ``accept`` {message:
+    same with types alone), ``seconds``; if it can be estimated, also ``accept`` {message:
     [probability that it is accepted, lower and upper end of its 95 % interval]}.
     """
     from xplain.experiment.config import compose_config
@@ -76,11 +75,12 @@ def observe(words: list[str]) -> dict[str, Any]:
 def questions(words: list[str]) -> dict[str, Any]:
     """Lists questions to ask people: ``xplain questions domain=rescue output=questions.csv``.
 
-    Prints one list of questions that separates all sets of facts that people might believe
-    incorrectly, and writes it as a table: ``question``, ``transition`` (its row in the hypotheses),
+    The answers separate all sets of facts that people might believe incorrectly. The command prints
+    the questions, and writes them as a table: ``question``, ``transition`` (row in the hypotheses),
     ``text`` (what the robot does), ``image``, ``messages`` (names joined by ``;``), ``told`` (the
-    same in words), and the features, if any. The last line on standard output is one JSON object:
-    ``output``, ``questions``, ``transitions``, ``candidates`` (that behave differently).
+    sentences of these messages), and the features, if any. The last line on standard output is one
+    JSON object: ``output``, ``questions``, ``transitions``, ``candidates`` (number of sets of facts
+    that behave differently).
     """
     from rich.console import Console
     from rich.table import Table
@@ -181,7 +181,7 @@ def sync(words: tuple[str, ...]) -> None:
     """Sends results on disk to MLflow: ``xplain sync [FOLDER ...] [tracking.uri=URI]``.
 
     The default is every result below ``outputs/``. A sweep is a parent run with its jobs as
-    children. Runs that are already in MLflow are not sent again; incomplete ones are completed.
+    children. Runs that are already in MLflow are not sent again; incomplete runs are completed.
     """
     from hydra.utils import instantiate
 
@@ -220,7 +220,7 @@ def clean(delete: bool, outputs: Path) -> None:
     print(f"{len(sizes)} results, {sum(sizes.values()) / 2**20:.1f} MiB, {done}")
 
 
-@command("serve", "what to say and to ask next, over HTTP; a playground", "serve")
+@command("serve", "serve explanations and questionnaires over HTTP, with a playground", "serve")
 @keys
 def serve(words: list[str]) -> None:
     """Serves the method over HTTP until it is stopped (docs/service.md): explanations and
@@ -249,8 +249,8 @@ def serve(words: list[str]) -> None:
 @click.option("--html", type=FILE, default="demo.html")
 @keys
 def demo(words: list[str], user: str | None, trace: int | None, html: Path) -> None:
-    """Plays one explanation, and writes it as a page to step through, on phones too: at each step
-    the robot gives messages to the user, and the user says which transitions make no sense.
+    """Plays one explanation, and writes it as a page that shows each step, also on phones. At each
+    step the robot gives messages to the user, and the user says which transitions make no sense.
 
         xplain demo                              writes demo.html: an instructive user and trace
         xplain demo --user B lambda=2            a simulated user of type B
@@ -258,9 +258,9 @@ def demo(words: list[str], user: str | None, trace: int | None, html: Path) -> N
         xplain demo --html mine.html             another file
         xplain demo domain=four_rooms solver=qhr seed=3
 
-    By default the trace is the one of the first five in which the explainer finds the user's type
-    with the fewest messages. Keys are those of the experiment (domain, users, solver, lambda, seed,
-    ...).
+    By default five traces are tried. The page shows the trace in which the explainer finds the
+    user's type with the fewest messages. Keys are those of the experiment (domain, users, solver,
+    lambda, seed, ...).
     """
     if not html.absolute().parent.is_dir():
         raise InputError("--html", str(html), "a file in a folder that exists")

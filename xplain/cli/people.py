@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 
 
 def flow(name: str) -> type[Flow[Any, Any]]:
-    """The flow, imported when it is needed."""
+    """Imports the flow of a study or a collection."""
     return import_module(f"xplain.people.{name}").FLOW
 
 
-def _of_both(
+def _register_both(
     name: str, study: str, collect: str = "", config: bool = False, **settings: Any
 ) -> Decorator:
-    """Makes a function a command of the study and of a collection; ``name`` is "" for the commands
-    that serve pages."""
+    """Registers a function as a command of the study and of a collection. ``name`` is "" for the
+    commands that serve pages."""
 
     def register(function: Callable[..., Any]) -> Callable[..., Any]:
         for of, meaning in (("collect", collect or study), ("study", study)):
@@ -46,7 +46,7 @@ def _of_both(
     return register
 
 
-@_of_both("", "serve the user study", "collect labels from people", config=True)
+@_register_both("", "serve the user study", "collect labels from people", config=True)
 @keys
 def serve(name: str, words: list[str]) -> None:
     """Serves the user study, or pages on which people give labels, until it is stopped:
@@ -71,11 +71,11 @@ def serve(name: str, words: list[str]) -> None:
 
 
 def load_config(name: str, arguments: list[str]) -> DictConfig:
-    """Composes the configuration. With a table of your own transitions it has no texts of a domain,
-    and ``domain=null`` is allowed.
+    """Composes the configuration. With a table of your own transitions, the configuration has no
+    texts of a domain, and ``domain=null`` is allowed.
 
     Raises:
-        InputError: both a domain and a table, or neither.
+        InputError: both a domain and a table are given, or neither.
     """
     given = [one for one in arguments if one != "domain=null"]
     cfg = compose_config(name, given)
@@ -93,7 +93,7 @@ def database_of(cfg: DictConfig) -> Path:
     """Returns the database's path, and creates its folder.
 
     Raises:
-        InputError: it cannot be written to.
+        InputError: the folder cannot be written to.
     """
     path = Path(cfg.database).absolute()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,7 +103,7 @@ def database_of(cfg: DictConfig) -> Path:
 
 
 def server_of(cfg: DictConfig) -> Server:
-    """The settings of the server: the keys of ``server``, and those in the file ``server.file``.
+    """Makes the settings of the server: keys of ``server``, and keys in the file ``server.file``.
 
     Raises:
         InputError: a key or value is not allowed.
@@ -123,8 +123,8 @@ def server_of(cfg: DictConfig) -> Server:
 
 
 def load_plan(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]) -> Any:
-    """The plan in the database, or a new one. Logs the keys of ``cfg`` that differ from a stored
-    plan."""
+    """Returns the plan in the database, or makes a new plan. Logs the keys of ``cfg`` that differ
+    from a stored plan."""
     from xplain.people.log import read_plan
     from xplain.people.material import select_plan_keys
 
@@ -139,7 +139,7 @@ def load_plan(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]
     ignored = [key for key in now if now[key] != plan.config.get(key)]
     if ignored:
         print(
-            f"{name}: goes on as it was started; these keys differ now and are ignored: "
+            f"{name}: continues with the stored plan; these keys differ from it and are ignored: "
             f"{', '.join(ignored)}",
             file=sys.stderr,
         )
@@ -149,7 +149,7 @@ def load_plan(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]
 def run_server(
     flow: Flow[Any, Any], name: str, server: Server, path: Path, cfg: DictConfig
 ) -> None:
-    """Serves pages until it is stopped."""
+    """Serves pages until the server is stopped."""
     import uvicorn
 
     from xplain.people.server import Keys
@@ -158,13 +158,13 @@ def run_server(
 
     if "platform" in server.entry and not server.ids:
         print(
-            f"{name}: anybody can make up an id in a platform's link and take a place; "
-            "server.entry=[signed] or server.ids=FILE prevents it",
+            f"{name}: anybody can invent an id in a platform's link and take a place; "
+            "server.entry=[signed] or server.ids=FILE prevents this",
             file=sys.stderr,
         )
     host = f"[{cfg.host}]" if ":" in cfg.host else cfg.host
     with closing(Store(path, flow)) as store:
-        key = "as in its settings" if server.key else Keys(store.secret).researcher
+        key = "as set in server.key" if server.key else Keys(store.secret).researcher
         print(
             f"{name}: {server.address or f'http://{host}:{cfg.port}'}/  ·  researcher's page: "
             f"/researcher, key {key}\n"
@@ -177,7 +177,7 @@ def run_server(
         uvicorn.run(create_app(store, server), host=cfg.host, port=cfg.port, **settings)
 
 
-@_of_both(
+@_register_both(
     "bots",
     "let simulated participants take part",
     "let simulated people give labels",
@@ -202,8 +202,8 @@ def bots(
     save: Path | None,
     flags: tuple[str, ...],
 ) -> None:
-    """Lets simulated people take part on a server, over HTTP. Their data is always marked as that
-    of bots, they take no places of people, and are never mixed with people.
+    """Lets simulated people take part on a server, over HTTP. Their data is always marked as data
+    of bots, and is never mixed with people's data. Bots take no places of people.
 
         xplain NAME bots --key KEY [--url http://127.0.0.1:8080] [--count 40] [--at-once 8]
             [--pace 0] [--leaving 0] [--seed 0] [--save FILE]
@@ -211,9 +211,10 @@ def bots(
     ``--key``: the researcher's key, which the server prints. The variable XPLAIN_KEY is safer,
     because any user of the machine can see a command line; ``--pace``: 1 is real time;
     ``--leaving``: probability of leaving at each page; ``--save``: file for the export (ZIP) at the
-    end. Every habit is a flag: of ``xplain.people.study.bot.Habits`` such as ``--label-noise 0.1``,
-    of ``xplain.people.collect.bot.Habits`` such as ``--error 0.05`` (share of wrong answers) and
-    ``--lapse 0`` (share of pages clicked through).
+    end. Every habit is a flag. Habits of a study are in ``xplain.people.study.bot.Habits``, such as
+    ``--label-noise 0.1``. Habits of a collection are in ``xplain.people.collect.bot.Habits``, such
+    as ``--error 0.05`` (share of wrong answers) and ``--lapse 0`` (share of pages that are answered
+    without reading).
     """
     from requests import RequestException
 
@@ -232,19 +233,19 @@ def bots(
         stages = crowd(researcher, count, at_once, pace, person)
         archive = researcher.archive() if save else b""
     except (RequestException, ConnectionError, TimeoutError) as error:
-        raise XplainError(f"--url={url}: the server went away ({error})") from None
+        raise XplainError(f"--url={url}: the server does not answer ({error})") from None
     if save:
         save.write_bytes(archive)
     print(", ".join(f"{number} {stage}" for stage, number in stages.most_common()))
 
 
-@_of_both("export", "its data as tables", "the labels as tables")
+@_register_both("export", "export the data as tables", "export the labels as tables")
 @click.argument("database", type=FILE)
 @click.argument("folder", type=FILE)
 @click.option("--identifiers", type=FILE)
 def export(name: str, database: Path, folder: Path, identifiers: Path | None) -> None:
     """Exports the data as tables (CSV and Parquet) with their codebook, from a snapshot or a
-    database that no server has open. A collection also gets the table of labels that ``xplain
+    database that no server has open. A collection also exports the table of labels that ``xplain
     discover`` reads.
 
         xplain NAME export DATABASE FOLDER [--identifiers FILE]
@@ -262,15 +263,15 @@ def export(name: str, database: Path, folder: Path, identifiers: Path | None) ->
     print(f"tables and codebook in {folder}\nSHA-256 of events.csv: {digest}")
 
 
-@_of_both("backup", "copy its database, even in use")
+@_register_both("backup", "copy the database, even in use")
 @click.argument("database", type=FILE)
 @click.argument("file", type=FILE)
 def backup(name: str, database: Path, file: Path) -> None:
-    """Copies a database into a new file, safely while its server runs, with its key beside it.
+    """Copies a database into a new file, and its key into a file beside it. The server may run.
 
         xplain NAME backup DATABASE FILE
 
-    To restore it, put both files in the place of the old ones while no server runs.
+    To restore the database, replace the old files by these two files while no server runs.
     """
     from xplain.people.log import backup as copy
 
@@ -278,7 +279,7 @@ def backup(name: str, database: Path, file: Path) -> None:
     print(f"backup in {file}, its key in {file}.key: keep both secret")
 
 
-@_of_both("erase", "forget a participant")
+@_register_both("erase", "erase a participant's data")
 @click.argument("database", type=FILE)
 @click.argument("reference")
 def erase(name: str, database: Path, reference: str) -> None:
@@ -286,8 +287,8 @@ def erase(name: str, database: Path, reference: str) -> None:
 
         xplain NAME erase DATABASE REFERENCE
 
-    No server may have the database open; a running server's page can do the same. The erasure
-    is an event. Earlier exports and backups keep the data.
+    No server may have the database open. The researcher's page of a running server can do the
+    same. The erasure is an event. Earlier exports and backups keep the data.
 
     In a collection, the priors of later participants depend on earlier answers. These priors stay
     in the log, without answers or reference.
@@ -301,7 +302,7 @@ def erase(name: str, database: Path, reference: str) -> None:
     print(f"erased {reference}; delete exports and backups that were made before, too")
 
 
-@_of_both("replay", "compute it again from its log")
+@_register_both("replay", "compute all decisions again from the log")
 @click.argument("database", type=FILE)
 def replay(name: str, database: Path) -> None:
     """Checks that the plan leads to the same decisions again: beliefs and messages of a study,
@@ -325,7 +326,9 @@ def replay(name: str, database: Path) -> None:
         sys.exit(1)
 
 
-@_of_both("habits", "how participants listened and answered", "how people listened and answered")
+@_register_both(
+    "habits", "how participants listened and answered", "how people listened and answered"
+)
 @click.argument("database", type=FILE)
 @click.option("--stream", default="person")
 def habits(name: str, database: Path, stream: str) -> None:
@@ -351,7 +354,7 @@ def habits(name: str, database: Path, stream: str) -> None:
         print(f"belief.{key}={{{written}}}   mean {mean:.3f}")
 
 
-@command("study preregister", "a document of the plan, to register")
+@command("study preregister", "write the plan as a document to register")
 @click.argument("database", type=FILE)
 @click.option("--out", type=FILE)
 def preregister(database: Path, out: Path | None) -> None:
@@ -360,7 +363,7 @@ def preregister(database: Path, out: Path | None) -> None:
 
         xplain study preregister DATABASE [--out FILE]
 
-    DATABASE belongs to a study that was started at least once, so the registered study is the one
+    DATABASE belongs to a study that was started at least once, so the registered plan is the plan
     that runs.
     """
     from xplain.people.log import read_plan
@@ -369,7 +372,7 @@ def preregister(database: Path, out: Path | None) -> None:
 
     plan = read_plan(database, StudyPlan)
     if plan is None:
-        raise InputError("database", str(database), "one in which a study was started")
+        raise InputError("database", str(database), "the database of a study that was started")
     text = document(plan)
     if out is None:
         print(text, end="")
@@ -378,15 +381,15 @@ def preregister(database: Path, out: Path | None) -> None:
     print(f"preregistration in {out}")
 
 
-@command("study analyse", "the paper's Table 2 of its data")
+@command("study analyse", "compute the paper's Table 2 from the data")
 @click.argument("folder", type=FILE)
 @click.option("--stream", default="person")
 @click.option("--exclude", type=FILE)
 @click.option("--seed", default=0)
 @click.option("--out", type=FILE)
 def analyse(folder: Path, stream: str, exclude: Path | None, seed: int, out: Path | None) -> None:
-    """Computes the paper's Table 2 from an export of the study, with plots. If a condition asks, it
-    is also compared with the personalized one.
+    """Computes the paper's Table 2 from an export of the study, with plots. A condition with
+    questions is also compared with the personalized condition.
 
         xplain study analyse FOLDER [--stream person] [--exclude FILE] [--seed 0] [--out FOLDER]
 

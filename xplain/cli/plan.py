@@ -27,7 +27,7 @@ Row = dict[str, Any]
 
 
 def compare_solvers(words: list[str]) -> list[Row]:
-    """Prints a table of all solvers on one problem. Returns a row for each.
+    """Prints a table of all solvers on one problem. Returns a row for each solver.
 
     Args:
         words: overrides of conf/plan.yaml, without the solver.
@@ -36,14 +36,14 @@ def compare_solvers(words: list[str]) -> list[Row]:
     configs = [
         compose_config("plan", [*words, f"solver={name}"], with_hydra=True) for name in names
     ]
-    known = _bounds(load(configs[0].problem), configs[0])
+    known = _compute_bounds(load(configs[0].problem), configs[0])
     rows = [plan_problem(cfg, known) for cfg in configs]
     table = Table("solver", "first decision", "value", "", "optimum", "seconds")
     for row in rows:
         lower, upper = row["optimal_lower"], row["optimal_upper"]
         table.add_row(
             row["solver"],
-            _first(row),
+            _describe_first(row),
             f"{row['value']:.4f}",
             describe_accuracy(row),
             "" if lower is None else f"{lower:.4f} … {upper:.4f}",
@@ -54,7 +54,7 @@ def compare_solvers(words: list[str]) -> list[Row]:
 
 
 def plan_problem(cfg: DictConfig, known: Bounds | None = None) -> Row:
-    """One solver's row, as described in the command's help.
+    """Makes one solver's row, as described in the command's help.
 
     Args:
         cfg: conf/plan.yaml with its overrides, and the ``hydra`` node.
@@ -68,7 +68,7 @@ def plan_problem(cfg: DictConfig, known: Bounds | None = None) -> Row:
     policy = solver.plan(problem, cfg.seed)
     asked: Row = {}
     if problem.questions and not told:
-        asked = _first_question(problem, policy)
+        asked = _find_first_question(problem, policy)
     waits = told or asked.get("first_question") is not None
     first = None if waits else indices(messages_of(policy.decide(VisibleState(), problem.start)))
     seconds = time.perf_counter() - began
@@ -85,13 +85,13 @@ def plan_problem(cfg: DictConfig, known: Bounds | None = None) -> Row:
     lower, upper = None, None
     if isinstance(policy, CertifiedPolicy):
         lower, upper = policy.lower, policy.upper
-    elif (found := known or _bounds(problem, cfg)) is not None:
+    elif (found := known or _compute_bounds(problem, cfg)) is not None:
         lower, upper = found.lower, found.upper
     return row | {"optimal_lower": lower, "optimal_upper": upper, "seconds": seconds}
 
 
-def _first_question(problem: Problem, policy: Policy) -> Row:
-    """The policy's first question, and the values of its possible questions."""
+def _find_first_question(problem: Problem, policy: Policy) -> Row:
+    """Finds the policy's first question, and the values of its possible questions."""
 
     def words(number: int) -> Row:
         return {"number": number, "question": str(problem.questions.question(number))}
@@ -108,7 +108,7 @@ def _first_question(problem: Problem, policy: Policy) -> Row:
     }
 
 
-def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
+def _compute_bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
     if cfg.bounds.nodes == 0:
         return None
     effort = Effort(cfg.bounds.gap, cfg.bounds.nodes, memory_gib=cfg.bounds.memory_gib)
@@ -116,7 +116,7 @@ def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
 
 
 def describe_accuracy(row: Row) -> str:
-    """``simulated ± 0.0412``, with half of the 95 % interval."""
+    """Describes the accuracy of a value: ``simulated ± 0.0412``, half of the 95 % interval."""
     if "value_half_width" not in row:
         return str(row["value_is"])
     upper = row["optimal_upper"]
@@ -124,8 +124,8 @@ def describe_accuracy(row: Row) -> str:
     return f"simulated ± {row['value_half_width']:.4f}" + (BY_CHANCE if beyond else "")
 
 
-def _first(row: Row) -> str:
-    """The first decision, in words."""
+def _describe_first(row: Row) -> str:
+    """Describes the first decision in words."""
     if question := row.get("first_question"):
         return f"ask {question['number']}"
     first = row["first_messages"]

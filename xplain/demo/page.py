@@ -1,4 +1,4 @@
-"""The session as one HTML page to step through; it loads no other file."""
+"""Writes a session as one HTML page, which shows each step and loads no other file."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def write_page(overrides: Sequence[str], trace: int | None, user: str | None, pa
         path: path of the page.
 
     Raises:
-        XplainError, HydraException: a value that is not allowed.
+        XplainError, HydraException: a value is not allowed.
     """
     scene = set_up(overrides, trace, user)
     write_text(path, page(scene, play(scene, scene.user_type(user))))
 
 
 def page(stage: DemoSetup, played: Played) -> str:
-    """The HTML of the page, with the session's data in it."""
+    """Makes the HTML of the page, with the session's data in it."""
     template = files("xplain.demo").joinpath("player.html").read_text(encoding="utf-8")
     # Inside a script element only "</" and "<!--" have a special meaning.
     data = json.dumps(content(stage, played), ensure_ascii=False).replace("<", "\\u003c")
@@ -42,7 +42,7 @@ def page(stage: DemoSetup, played: Played) -> str:
 
 
 def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
-    """The page's data, in plain JSON."""
+    """Makes the page's data, in plain JSON."""
     prepared, case = stage.prepared, stage.case
     return {
         "domain": stage.domain,
@@ -63,7 +63,7 @@ def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
             {
                 "said": step.said,
                 "asked": [encode_question(question, answer) for question, answer in step.asked],
-                "values": _values(step.why),
+                "values": _list_values(step.why),
                 "labels": step.labels,
                 "belief": step.belief,
                 "cost": step.cost,
@@ -73,8 +73,8 @@ def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
     }
 
 
-def _values(why: Why) -> list[dict[str, Any]]:
-    """The best messages and questions by value, best first."""
+def _list_values(why: Why) -> list[dict[str, Any]]:
+    """Lists the best messages and questions with their values, best first."""
     found: list[dict[str, Any]] = [
         *({"messages": names, "value": value} for names, value in why.values.items()),
         *({"question": str(q), "messages": (), "value": value} for q, value in why.questions),

@@ -52,8 +52,8 @@ class DemoSetup:
     chosen: str = ""
 
     def session(self, explainer: Explainer | None = None) -> Session:
-        """A session that explains the trace to a new user, with this explainer or the setup's
-        own."""
+        """Makes a session that explains the trace to a new user, with this explainer or the
+        explainer of the setup."""
         steps, asked = len(self.case.transitions), self.case.questions
         explainer = explainer or self.explainer
         if asked is None or explainer.ask is None:
@@ -66,12 +66,13 @@ class DemoSetup:
         """Checks the name of a true type; None chooses the suggested one.
 
         Raises:
-            InputError: there is no such type.
+            InputError: the type does not exist.
         """
         return self.suggested if name is None else one_of("--user", name, self.beliefs)
 
     def right(self, user: str) -> list[str]:
-        """The learned types that match a true type; none if there is only one learned type."""
+        """Lists the learned types that match a true type; none if there is only one learned
+        type."""
         prepared, found = self.prepared, self.explainer.types.names
         if len(found) < 2:
             return []
@@ -81,7 +82,7 @@ class DemoSetup:
         ]
 
     def title(self, learned: str) -> str:
-        """A readable name of a learned type: the matching true types, if known."""
+        """Makes a readable name of a learned type: the matching true types, if known."""
         prepared = self.prepared
         number = dict(zip(prepared.learned_types, prepared.matched_true_type, strict=True))
         alike = prepared.distinct == number.get(learned, -1)
@@ -99,7 +100,7 @@ class Step:
         why: values of the possible actions.
         labels: labels of all transitions shown so far, 1 = explicable.
         belief: belief in each learned type, after the labels.
-        cost: Definition 2 so far, and κ of each question.
+        cost: the cost of the paper's Definition 2 so far, and κ for each question.
         asked: questions before the messages, with the user's answers.
     """
 
@@ -129,21 +130,21 @@ class Played:
 TRIED = 5
 """Number of traces from which the most instructive one is chosen."""
 SURE = 0.9
-"""A type counts as found at this belief."""
+"""A type counts as found above this belief."""
 
 
 def set_up(
     overrides: Sequence[str], trace: int | None = None, user: str | None = None
 ) -> DemoSetup:
-    """Learns the user types as an experiment does, and chooses one of its traces.
+    """Learns the user types as an experiment does, and chooses a trace.
 
     Args:
         overrides: overrides of the experiment's configuration.
         trace: number of the trace; None chooses the most instructive of the first five.
-        user: true type that the choice of the trace is for; None: any type.
+        user: true type for which the trace is chosen; None allows any type.
 
     Raises:
-        XplainError, HydraException, OmegaConfBaseException: something in ``overrides`` is wrong.
+        XplainError, HydraException, OmegaConfBaseException: an override is wrong.
     """
     count = TRIED if trace is None else trace + 1
     cfg = compose_config("config", [*overrides, f"traces={count}"], with_hydra=True)
@@ -164,7 +165,7 @@ def set_up(
             solver=str(choices.solver),
             prepared=prepared,
             case=case,
-            explainer=_explainer(prepared, case, costs, solver, update, components.seed),
+            explainer=_make_explainer(prepared, case, costs, solver, update, components.seed),
             explainee=explainee,
             beliefs=beliefs,
             trade_off=costs.trade_off,
@@ -173,32 +174,32 @@ def set_up(
         for case in cases
         for name in prepared.types
     ]
-    named = [one for one in stages if one.suggested == user]  # if none, an error follows later
-    best = max(named or stages, key=_tells)
-    return best if trace is not None else replace(best, chosen=_rule(prepared, best))
+    named = [one for one in stages if one.suggested == user]  # an unknown user is an error later
+    best = max(named or stages, key=_rate_setup)
+    return best if trace is not None else replace(best, chosen=_describe_choice(prepared, best))
 
 
-def _rule(prepared: Prepared, best: DemoSetup) -> str:
+def _describe_choice(prepared: Prepared, best: DemoSetup) -> str:
     number = next(i for i, case in enumerate(prepared.cases) if case is best.case)
     return (
-        f"Trace {number}: of the first {TRIED}, the one where the type of a simulated user is "
-        "found with the fewest messages; --trace chooses another."
+        f"This is trace {number} of the first {TRIED}: here the type of a simulated user is found "
+        "with the fewest messages. --trace chooses another trace."
     )
 
 
-def _tells(scene: DemoSetup) -> tuple[bool, bool, int, float]:
-    """Returns a key that sorts sessions, the most instructive first: those that find the type, then
-    those with at least one message, then those with fewer."""
+def _rate_setup(scene: DemoSetup) -> tuple[bool, bool, int, float]:
+    """Rates how instructive a session is. The most instructive sessions find the type, with at
+    least one message, and with few messages."""
     played = play(scene, scene.suggested)
     belief = sum(played.steps[-1].belief[name] for name in scene.right(scene.suggested))
     messages = sum(len(step.said) for step in played.steps)
     return belief > SURE, messages > 0, -messages, belief
 
 
-def _explainer(
+def _make_explainer(
     prepared: Prepared, case: Case, costs: Costs, solver: Solver, update: BeliefUpdate, seed: int
 ) -> Explainer:
-    """The explainer of one trace to users of the learned types.
+    """Makes the explainer of one trace to users of the learned types.
 
     Raises:
         InputError: the solver plans with one labeler for all types, and that labeler is too large.
@@ -235,7 +236,7 @@ def play(scene: DemoSetup, user: str) -> Played:
     """Plays the session to its end with a simulated user of a true type."""
     session, steps = scene.session(), list[Step]()
     prior, asked = session.belief, list[tuple[Question, int]]()
-    person, messages = _simulated(scene, user), scene.prepared.messages
+    person, messages = _make_person(scene, user), scene.prepared.messages
     while not session.finished:
         move, given = session.next(), mask_of(session.said, messages)
         if isinstance(move, Question):
@@ -254,7 +255,7 @@ def play(scene: DemoSetup, user: str) -> Played:
     return Played(user, prior, tuple(steps))
 
 
-def _simulated(scene: DemoSetup, user: str) -> Person:
+def _make_person(scene: DemoSetup, user: str) -> Person:
     truth, same = true_thoughts(scene.case)
     labels = truth.of_types([scene.prepared.types.index(user)])
     seed = derive_seed(scene.explainer.seed, "explainee", user)
