@@ -29,7 +29,7 @@ Driver = Any
 
 
 def missing() -> str:
-    """Names what must be installed to drive a browser; "" if nothing is missing."""
+    """Names the programs that must be installed to drive a browser; "" if nothing is missing."""
     try:
         import selenium  # noqa: F401
     except ImportError:
@@ -41,7 +41,7 @@ def missing() -> str:
 
 @contextmanager
 def browser() -> Iterator[Driver]:
-    """A new Chromium with an empty profile.
+    """Opens a new Chromium with an empty profile.
 
     Raises:
         InputError: something is not installed.
@@ -81,7 +81,7 @@ def wait(true: Callable[[], bool], seconds: float = 20) -> None:
     """Waits until a condition is true.
 
     Raises:
-        TimeoutError: it does not become so.
+        TimeoutError: the condition does not become true.
     """
     until = time.monotonic() + seconds
     while not true():
@@ -104,7 +104,7 @@ def choose(driver: Driver, fields: Fields) -> None:
 
 
 def answer(driver: Driver, page: Page, fields: Fields) -> None:
-    """Fills in a page and continues to the next one."""
+    """Fills in a page and continues to the next page."""
     choose(driver, fields)
     press(driver)
     wait(lambda: sequence(driver) not in (page.hidden["sequence"], None))
@@ -123,7 +123,7 @@ def take_part(
     think: Callable[[float], None] = lambda seconds: None,
     look: Callable[[Page], None] = lambda page: None,
 ) -> str:
-    """Takes part from the page after :func:`go_in` to the end; see
+    """Takes part from the page after :func:`go_in` to the end, by
     :func:`xplain.people.bots.walk`."""
 
     def answered(page: Page, fields: Fields) -> Page:

@@ -50,7 +50,7 @@ CHOICES = (
 
 
 def composed(*overrides: str) -> DictConfig:
-    """Composes a run's configuration, which may be changed: ``composed("solver=pomcp",
+    """Composes a configuration of a run that may be changed: ``composed("solver=pomcp",
     "lambda=2")``."""
     return deepcopy(_composed(overrides))
 
@@ -89,7 +89,7 @@ def _leaves(node: Any, path: Path) -> Iterator[tuple[Path, Any]]:
 
 
 def _other(cfg: DictConfig, path: Path, value: Any) -> Any:
-    """Returns another value of the same type; for an interpolation, of its value's type."""
+    """Returns another value of the same type; an interpolation has the type of its value."""
     if isinstance(value, str) and "${" in value:
         value = OmegaConf.to_container(cfg, resolve=True)
         for key in path:

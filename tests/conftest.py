@@ -87,7 +87,7 @@ def logging_left_alone() -> Iterator[None]:
 
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are saved as files without content (:func:`tests.forked.leave_out_pictures`)."""
+    """Saves figures as files without content (:func:`tests.forked.leave_out_pictures`)."""
     forked.leave_out_pictures(monkeypatch.setattr)
 
 
@@ -109,8 +109,8 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def rng_of_the_day() -> np.random.Generator:
-    """A generator with another seed each day, for properties that always hold. The output of a
-    failed test has the seed; XPLAIN_TEST_SEED sets it again."""
+    """Makes a generator with another seed each day, for properties that always hold. The output of
+    a failed test has the seed; XPLAIN_TEST_SEED sets it again."""
     seed = int(os.environ.get("XPLAIN_TEST_SEED") or datetime.now(UTC).strftime("%Y%m%d"))
     print(f"XPLAIN_TEST_SEED={seed}")
     return np.random.default_rng(seed)

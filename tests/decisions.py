@@ -19,7 +19,7 @@ from xplain.solvers.base import Policy, messages_of
 def messages_given(
     policy: Policy, step: int, given: int, belief: np.ndarray, asked: int = 0
 ) -> int:
-    """Returns the messages that a policy gives; it must not ask."""
+    """Returns the messages that a policy gives; the policy must not ask a question."""
     action = policy.decide(VisibleState(step, given, asked), belief)
     assert not isinstance(action, AskQuestion)
     return messages_of(action)
@@ -36,7 +36,7 @@ def question_asked(
 def worths(
     policy: Policy, step: int, given: int, belief: np.ndarray, asked: int = 0
 ) -> dict[int, float]:
-    """The values behind a decision."""
+    """Returns the values behind a decision."""
     found = policy.values(VisibleState(step, given, asked), belief).items()
     return {
         ~action.question if isinstance(action, AskQuestion) else messages_of(action): value
@@ -91,7 +91,7 @@ def worth_by_enumeration(
 
 
 def _columns(problem: Problem, table: LabelTable, count: int, given: int) -> list[np.ndarray]:
-    """[S, count] P(label is 1) and P(answer is 1)."""
+    """Returns [S, count] P(label is 1) and P(answer is 1)."""
     if problem.messages_land:
         return [
             table.label_probabilities(count, given),

@@ -30,7 +30,7 @@ class Everybody(Single):
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys, no_pictures):
-    """``run("discover", "data=x.csv")``: (exit code, standard output, standard error)."""
+    """``run("discover", "data=x.csv")`` returns (exit code, standard output, standard error)."""
 
     def command(name: str, *arguments: str) -> tuple[int, str, str]:
         monkeypatch.chdir(tmp_path)
@@ -98,7 +98,7 @@ def test_the_papers_learner_draws_its_curve(run, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("method", ["dirichlet", "kmeans", "agglomerative", "single"])
 def test_every_method_bears_what_people_do(run, tmp_path: Path, caplog, method: str) -> None:
-    """One label only, always the same label, the same question answered both ways."""
+    """Data may have one label only, always the same label, or both answers to a question."""
     assert run("observe", "domain=rescue", "points=40", "observers.per_type=1")[0] == 0
     table = pd.read_csv(tmp_path / "labels.csv", keep_default_na=False)
     own = [part for _, part in table.groupby("observer")]

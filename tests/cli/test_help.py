@@ -48,7 +48,7 @@ def test_help_imports_nothing_heavy_and_lists_the_choices(tmp_path):
 
 
 def choices():
-    """(group, choice) of every component's config file that ships."""
+    """Lists (group, choice) of every component's config file that ships."""
     groups = ("domain", "users", "observers", "queries", "labeler", "clusterer", "solver", "belief")
     files = [(group, path) for group in groups for path in sorted((CONF / group).glob("*.yaml"))]
     return [(group, path.stem) for group, path in files]

@@ -178,7 +178,7 @@ def test_export_writes_the_file_whole(command, file, tmp_path) -> None:
 
 @pytest.fixture
 def asking(tmp_path):
-    """One question that tells the two types apart, and is worth its cost."""
+    """Makes one question that distinguishes the two types, and is worth its cost."""
     p = np.array([[[0.0, 1.0]] * 3, [[1.0, 1.0]] * 3])
     clip = LabelTable.dense(np.array([[[0.0, 1.0]], [[1.0, 1.0]]]))
     questions = Questions(clip, Limits(cost=0.125), texts=("refuels",))

@@ -13,7 +13,7 @@ from xplain.runs.observing import write_questions
 
 
 def questions(words):
-    """Writes the list. Returns its summary."""
+    """Writes the list of questions; returns the printed summary."""
     return write_questions(compose_config("questions", words, with_hydra=True))[1]
 
 

@@ -50,7 +50,7 @@ def shipped(group: str, *others: str, **keys: str) -> list[Any]:
 
 @cache
 def of_rescue() -> Hypotheses:
-    """What people may believe about the rescue task."""
+    """Makes the hypotheses of the rescue task."""
     return Hypotheses.of_domain(Chosen("domain", "rescue").make())
 
 

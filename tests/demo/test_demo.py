@@ -32,7 +32,7 @@ def rescue():
 
 @pytest.fixture
 def demo(tmp_path, monkeypatch, capsys):
-    """``demo("--html", "mine.html")``: exit code, standard output, standard error."""
+    """``demo("--html", "mine.html")`` returns exit code, standard output and standard error."""
 
     def run(*arguments):
         monkeypatch.chdir(tmp_path)

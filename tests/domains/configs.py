@@ -29,7 +29,7 @@ PRIMARY = {
 
 
 def configured(*overrides: str) -> Any:
-    """``configured("domain=rescue").users``: the domain with the types that it chooses."""
+    """Composes a domain: ``configured("domain=rescue").users`` are the types that it chooses."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "primary.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(PRIMARY)))
         with initialize_config_dir(folder, version_base="1.3"):
@@ -48,14 +48,14 @@ def given(name: str) -> dict[str, Any]:
 
 @cache
 def domain_of(*overrides: str) -> Domain:
-    """The domain of :func:`configured`."""
+    """Makes the domain of :func:`configured`."""
     domain: Domain = instantiate(configured(*overrides).domain)
     return domain
 
 
 @cache
 def setting_of(*overrides: str, seed: int = 0) -> Setting:
-    """The domain and its types."""
+    """Makes the domain and its types."""
     types = instantiate(configured(*overrides).users)
     domain = domain_of(*overrides)
     return Setting.build(domain, types.types(domain, stream(seed, "users")))

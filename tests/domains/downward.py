@@ -9,8 +9,8 @@ import pytest
 
 
 def plan_cost(domain: Path, problem: Path, folder: Path) -> int | None:
-    """The cost of its best plan; None if there is none. A* without a heuristic knows conditional
-    effects."""
+    """Returns the cost of the planner's best plan; None if there is no plan. A* without a heuristic
+    supports conditional effects."""
     installed = pytest.importorskip("up_fast_downward").__file__
     driver = Path(installed).parent / "downward" / "fast-downward.py"
     command = [sys.executable, str(driver), str(domain), str(problem)]

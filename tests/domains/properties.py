@@ -49,13 +49,13 @@ class Problems:
 def on_policy_traces(
     setting: Setting, count: int, rng: np.random.Generator, max_length: int = MAX_LENGTH
 ) -> list[Trace]:
-    """``count`` random traces of the robot, each [m, 3]."""
+    """Draws ``count`` random traces of the robot, each [m, 3]."""
     model, starts = setting.models[0], setting.domain.starts
     return [sample_trace(model, starts, rng, max_length) for _ in range(count)]
 
 
 def count_traces(setting: Setting, max_length: int = MAX_LENGTH) -> int:
-    """Number of different traces of the robot, counted step by step from their ends."""
+    """Counts the different traces of the robot, step by step from their ends."""
     before, _, after = setting.reachable.T  # each transition once
     terminal = setting.models[0].terminal
     ways = np.ones(len(terminal), dtype=object)  # whole numbers of any size
@@ -69,7 +69,8 @@ def count_traces(setting: Setting, max_length: int = MAX_LENGTH) -> int:
 def share_through(
     domain: Domain, traces: Sequence[Trace], cells: Iterable[tuple[int, int]]
 ) -> float:
-    """Share of the traces that pass one of these cells, and neither start nor end there."""
+    """Computes the share of the traces that pass one of these cells, and neither start nor end
+    there."""
     wanted = set(cells)
     passing = [any(domain.position(s) in wanted for s in trace[1:, 0]) for trace in traces]
     return float(np.mean(passing))
@@ -91,7 +92,7 @@ def inexplicable_alone(domain: Domain, traces: Sequence[Trace]) -> dict[str, flo
 
 
 def problems(setting: Setting, traces: Sequence[Trace]) -> Problems:
-    """The explanation problems of these traces."""
+    """Computes the properties of the explanation problems of these traces."""
     size = np.array([h.bit_count() for h in range(1 << setting.n_messages)])
     transitions, index = np.unique(np.concatenate(traces), axis=0, return_inverse=True)
     labels = setting.label_table(transitions)  # [N, T, 2^n]

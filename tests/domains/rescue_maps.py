@@ -1,4 +1,4 @@
-"""A random generator of maps for the rescue task. Its default map is one of them
+"""A random generator of maps for the rescue task. The task's default map is such a map
 (docs/choices.md)."""
 
 import numpy as np
@@ -15,8 +15,8 @@ MOST_WALLS = SIZE * SIZE // 4
 
 
 def random_map(rng: np.random.Generator) -> str:
-    """A 6 × 6 map. The numbers of obstacles and walls are drawn first, then everything is put into
-    different cells uniformly at random; the rest is floor. Parts of it may be out of reach."""
+    """Draws a 6 × 6 map. The numbers of obstacles and walls are drawn first, then everything is put
+    into different cells uniformly at random; the rest is floor. Some cells may be out of reach."""
     symbols = ONE_OF_EACH
     for obstacle in OBSTACLES:
         symbols += obstacle * int(rng.integers(1, MOST_OBSTACLES + 1))

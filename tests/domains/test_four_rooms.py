@@ -52,7 +52,8 @@ def test_the_model_follows_the_values() -> None:
 
 
 def test_rewards_are_for_entering_and_add_up() -> None:
-    """A goal in a penalty cell beside a wall; slips that bump do not enter."""
+    """The goal is in a penalty cell beside a wall. A robot that slips against the wall does not
+    enter the cell again."""
     arguments = edited("slip", 0.2)
     domain = FourRooms(**arguments)
     values = accurate(domain) | {
@@ -114,7 +115,7 @@ def test_bad_input_is_one_clear_line(path: str, value: Any, text: str) -> None:
 
 
 def test_a_goal_behind_walls_is_refused() -> None:
-    """The four doors are shut; nothing else lies in the walls."""
+    """The four doors are walls, so that the rooms are separate."""
     rows = [list(row) for row in given("four_rooms")["map"].splitlines()]
     for row, column in DOORS:
         rows[row][column] = "#"

@@ -1,4 +1,4 @@
-"""Compares cheapest plans with those of repeated relaxation, and with all paths."""
+"""Compares cheapest plans with plans of repeated relaxation, and with all paths."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -22,7 +22,8 @@ def space_of(edges: Mapping[tuple[int, int], int], states: int, actions: int) ->
 
 @st.composite
 def tasks(draw: Any) -> tuple[GoalTask, dict[tuple[int, int], int]]:
-    """A random task with whole costs, and its edges; any state may be a goal or a dead end."""
+    """Draws a random task with whole costs, and its edges; any state may be a goal or a dead
+    end."""
     states, actions = draw(st.integers(2, 9)), draw(st.integers(1, 4))
     node = st.integers(0, states - 1)
     keys = st.tuples(node, st.integers(0, actions - 1))
@@ -41,7 +42,7 @@ def tasks(draw: Any) -> tuple[GoalTask, dict[tuple[int, int], int]]:
 @settings(max_examples=80, deadline=None)
 @given(tasks())
 def test_the_cost_to_go_is_that_of_the_cheapest_way_to_a_goal(made: Any) -> None:
-    """Nobody leaves a goal; a state that costs as much as a dead end is one."""
+    """No action leaves a goal. A state whose plan costs as much as a dead end is a dead end."""
     task, edges = made
     distance = np.where(task.terminal, 0.0, np.inf)
     for _ in range(task.n_states):  # a cheapest way has at most so many steps
@@ -55,7 +56,7 @@ def test_the_cost_to_go_is_that_of_the_cheapest_way_to_a_goal(made: Any) -> None
 @settings(max_examples=80, deadline=None)
 @given(tasks())
 def test_explicable_is_on_a_cheapest_plan_and_as_it_comes_out(made: Any) -> None:
-    """By the definition, transition by transition; and dense tables say the same."""
+    """Labels follow the definition for each transition, and equal the dense tables."""
     task, edges = made
     n, actions = task.n_states, task.n_actions
     every = np.array([(s, a, t) for s in range(n) for a in range(actions) for t in range(n)])

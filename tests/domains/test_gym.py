@@ -135,7 +135,8 @@ def test_arguments_of_all_parameters_count_and_the_others_stay() -> None:
 
 
 def test_a_reward_is_added_where_an_earlier_change_leads() -> None:
-    """Changes come one after the other: first up leads to the start, then the start is paid."""
+    """Changes are applied one after the other: the first lets "up" lead to the start, the second
+    gives the start a reward."""
     arguments = given("cliff_walking")
     moved = {"actions": ["up"], "to": {"row": 3, "column": 0}}
     paid = {"next": {"row": 3, "column": 0}, "add": 2.0}
@@ -233,7 +234,7 @@ def test_an_environment_that_cannot_be_made_is_refused_in_a_line(
 
 
 def test_wrappers_that_change_what_is_observed_change_no_states() -> None:
-    """The model is that of the environment inside; the wrapper shows the place alone."""
+    """The model is the inner environment's; the wrapper shows only the place."""
     gymnasium.register(
         "Shown-v0",
         entry_point=lambda: gymnasium.wrappers.TransformObservation(

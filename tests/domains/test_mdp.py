@@ -40,7 +40,8 @@ def small_mdps(draw: st.DrawFn) -> MDP:
 
 
 def best_by_enumeration(model: MDP) -> np.ndarray:
-    """Q* [S, A] by solving (I − γ P) v = r for every deterministic policy; −inf: unavailable."""
+    """Computes Q* [S, A] by solving (I − γ P) v = r for every deterministic policy; −inf for
+    unavailable actions."""
     available = model.probability.sum(axis=2) > 0
     expected = (model.probability * model.reward).sum(axis=2)
     kernel = np.zeros((model.n_states, model.n_actions, model.n_states))
@@ -58,14 +59,14 @@ def best_by_enumeration(model: MDP) -> np.ndarray:
 
 
 def scale(model: MDP) -> float:
-    """The largest value that a policy could have."""
+    """Computes the largest value that a policy could have."""
     return max(np.abs(model.reward[model.probability > 0]).max(initial=0), 1e-12) / (
         1 - model.discount
     )
 
 
 def solve(models: list[MDP]) -> np.ndarray:
-    """[B, S, A] the optimal actions."""
+    """Returns [B, S, A] the optimal actions."""
     names = [f"model {i}" for i in range(len(models))]
     return np.array([model.optimal for model in MDP.solve(models, names)])
 
@@ -75,7 +76,7 @@ def solve(models: list[MDP]) -> np.ndarray:
 def test_values_and_optimal_actions_are_those_of_the_best_policy(
     model: MDP, discount: float, asked: float
 ) -> None:
-    """Values as near as is asked for; actions are optimal within the tie tolerance."""
+    """Values have the requested precision; actions are optimal within the tie tolerance."""
     solved, true = mdp.q_values([model])[0], best_by_enumeration(model)
     finite, live = np.isfinite(true), ~model.terminal
     assert np.array_equal(np.isfinite(solved)[live], finite[live])
@@ -126,7 +127,7 @@ def test_an_ambiguous_gap_is_refused_and_names_the_model() -> None:
 
 
 def test_a_gap_is_small_against_its_own_models_scale() -> None:
-    """It is solved together with a model whose rewards are a million times larger."""
+    """A model is solved together with another model whose rewards are a million times larger."""
     models = [choice(1e-6), replace(choice(0.5), reward=choice(0.5).reward * 1e6)]
     for order in (models, models[::-1]):
         optimal = solve(order)[:, 0].tolist()

@@ -23,7 +23,7 @@ Edit = tuple[str, str]
 
 
 def pair(tmp_path: Path, name: str, domain: list[Edit], problem: list[Edit]) -> tuple[Any, Any]:
-    """The task of this name, and the task of its files with texts replaced."""
+    """Reads the task of this name, and the task of the same files with texts replaced."""
     own = given(name)
     paths = []
     for key, edits in (("file", domain), ("problem", problem)):

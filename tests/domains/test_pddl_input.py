@@ -17,7 +17,7 @@ pytest.importorskip("fast_downward", reason="pip install 'xplain-hri[pddl]'")
 
 
 def edited(tmp_path: Path, key: str, old: str, new: str) -> dict[str, Any]:
-    """The blocks world with one text replaced in one of its files."""
+    """Writes the blocks world with one text replaced in one of its files."""
     own = given("blocks")
     text = Source.read(key, own[key]).text
     assert old in text
@@ -209,7 +209,8 @@ def test_a_bad_value_is_one_line(changes: dict[str, Any], text: str) -> None:
 
 
 def test_an_action_without_a_cost_does_not_exist(tmp_path: Path) -> None:
-    """This is Fast Downward's rule; people who believe in a length believe in the road."""
+    """This is Fast Downward's rule. People who believe that a road has a length believe that it
+    exists."""
     own = given("logistics")
     path = tmp_path / "problem.pddl"
     text = Source.read("", own["problem"]).text

@@ -41,7 +41,7 @@ class Writer:
         return kind == wanted or (kind in TYPES and self.is_a(TYPES[kind], wanted))
 
     def atom(self, terms: dict[str, str], static: bool = True) -> str:
-        """An atom over some terms, (name: type)."""
+        """Draws an atom over some terms, {name: type}."""
         for _ in range(50):
             name = self.pick([x for x in PREDICATES if static or x != "near"])
             fit = [[t for t, k in terms.items() if self.is_a(k, w)] for w in PREDICATES[name]]
@@ -100,7 +100,7 @@ class Writer:
         return f"(:action {name} :parameters ({typed}) {asks} :effect (and {' '.join(effects)}))"
 
     def task(self) -> tuple[str, str]:
-        """A domain and a problem."""
+        """Writes a domain and a problem."""
         types = " ".join(f"{x} - {y}" for x, y in TYPES.items())
         one = " ".join(
             f"({name}{' ' * self.chance()}{self.parameters(own)})"
@@ -134,7 +134,7 @@ class Writer:
         return (mark + domain.upper() if self.chance(0.2) else mark + domain), problem
 
     def parameters(self, kinds: list[str]) -> str:
-        """Without a metric their names repeat."""
+        """Writes parameters; without a metric their names repeat."""
         numbers = [str(i) if self.metric else "" for i in range(len(kinds))]
         return " ".join(f"?x{i} - {kind}" for i, kind in zip(numbers, kinds, strict=True))
 
@@ -147,7 +147,7 @@ class Writer:
 
 
 def plan_cost_here(file: str, problem: str) -> float | None:
-    """The cost of the robot's best plan in this package."""
+    """Computes the cost of the robot's best plan with this package."""
     fact = {"x": {"change": {"action": "do-0", "cost": 50}}}
     try:
         return float(PDDL(file, problem, facts=fact).model({"x": []}).to_go[0])

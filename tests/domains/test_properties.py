@@ -25,7 +25,7 @@ FOUR_ROOMS, RESCUE = "domain=four_rooms", "domain=rescue"
 
 
 def traces_of(domain: str) -> list[np.ndarray]:
-    """Draws the number of traces that the properties need."""
+    """Draws as many traces as the properties need."""
     return on_policy_traces(setting_of(domain), 200, stream(0, "domain properties"))
 
 
@@ -91,7 +91,7 @@ LEFT, TOLL = UserType("left", {"end": "left"}), UserType("toll", {"toll": -5.0})
 
 
 def walk(*cells: int) -> np.ndarray:
-    """To the right through these cells of the corridor."""
+    """Makes a trace to the right through these cells of the corridor."""
     return np.array([[s, 1, s + 1] for s in cells])
 
 

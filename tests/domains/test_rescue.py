@@ -48,7 +48,7 @@ class Rules:
         return self.here in "AFUV" and self.here not in self.done
 
     def play(self, action: str) -> float:
-        """The reward."""
+        """Applies an action; returns the reward."""
         if action == "+":
             self.done.add(self.here)
             return self.values.get(REWARD.get(self.here, ""), 0.0)

@@ -196,7 +196,7 @@ def test_true_labels_answer_questions_too() -> None:
 
 
 def test_users_who_err_are_asked_twice() -> None:
-    """There are second opinions if users err, otherwise none."""
+    """Users who err get more questions, because an alike clip may then be asked again."""
     prepared, costs = world(*CLIPS)
     cheap = replace(costs, asking=Limits(0.01))
     asked = []

@@ -226,7 +226,8 @@ def test_nothing_is_certified_of_a_policy_whose_belief_takes_labels_to_be_repeat
 
 
 def test_a_trace_whose_certificate_takes_too_much_memory_has_none(caplog):
-    """The longer of two traces has none; the shorter one is certified as if it were alone."""
+    """The longer of two traces has no certificate; the shorter trace is certified as if it were
+    alone."""
     sizes = sorted(known_bytes(problem) / GIB for problem in PROBLEMS)
     little = Certify(**EFFORT, memory_gib=sum(sizes) / 2)
     solver = Silent()
@@ -248,8 +249,8 @@ def worth_to_users(problem: Problem, policy: Policy, belief: BeliefUpdate, repea
     per_message = problem.discount if problem.discount_per == "action" else 1.0
 
     def ahead(step: int, given: int, b, chances, before: tuple[int, ...]) -> float:
-        """Returns the value from a step on; ``chances`` [N] are those of the types with the labels
-        so far."""
+        """Returns the value from a step on; ``chances`` [N] are joint probabilities of the types
+        and the labels so far."""
         if step == problem.n_steps:
             return 0.0
         new, value, factor = messages_given(policy, step, given, b), 0.0, 1.0

@@ -25,7 +25,8 @@ from xplain.experiment.fingerprint import (
 
 
 def installed_in(folder):
-    """``{top-level name: distributions}`` of the folder alone: to list all libraries takes long."""
+    """Returns ``{top-level name: distributions}`` of the folder alone, because a list of all
+    libraries takes long."""
     found = {}
     for one in metadata.distributions(path=[str(folder)]):
         for name in (one.read_text("top_level.txt") or "").split():
@@ -35,7 +36,7 @@ def installed_in(folder):
 
 @pytest.fixture
 def plugin(tmp_path, monkeypatch):
-    """A package of someone else's, which imports a module beside it."""
+    """Writes another author's package, which imports a module beside it."""
     (tmp_path / "their_solver").mkdir()
     (tmp_path / "their_solver" / "__init__.py").write_text("from .best import Best\n")
     (tmp_path / "their_solver" / "best.py").write_text("import their_helper\nclass Best: ...\n")

@@ -127,7 +127,8 @@ def test_a_true_type_is_never_ruled_out_and_the_figures_say_what_is_known(domain
 
 
 def test_shares_are_the_observers() -> None:
-    """They are the prior if a key says so, and weight the labeler for everybody."""
+    """The observers' shares are the prior if a key says so, and weight the labeler for
+    everybody."""
     cfg = composed("labeler=truth", "observers.per_type=[5,1,1,2,1]", "traces=1")
     known = prepare(components_of(cfg))
     assert known.type_shares.tolist() == [0.5, 0.1, 0.1, 0.2, 0.1]
@@ -164,7 +165,7 @@ def test_messages_that_differ_in_price_by_hand() -> None:
 
 
 def test_traces_are_those_of_any_other_labeler() -> None:
-    """Common random numbers: what another labeler costs can be paired with it."""
+    """Random numbers are common, so the costs of another labeler can be compared in pairs."""
     learned = prepare(components_of(composed("labeler=tree", "traces=3")))
     true = prepare(components_of(composed("labeler=truth", "traces=3")))
     for one, other in zip(learned.cases, true.cases, strict=True):

@@ -1,4 +1,4 @@
-"""Problems kept by type, and the same problems with dense tables written out entry by entry."""
+"""Problems by type, and the same problems with dense tables, written entry by entry."""
 
 from dataclasses import asdict, fields
 from typing import Any
@@ -50,14 +50,14 @@ def pair_of_problems(rng: np.random.Generator, types: int, steps: int, n: int) -
 def random_pair(
     rng: np.random.Generator, types: int = 3, steps: int = 3, messages: int = 5
 ) -> tuple[Problem, Problem]:
-    """(by type, dense) of up to so many types, steps and messages."""
+    """Draws (by type, dense) with at most these numbers of types, steps and messages."""
     sizes = (int(rng.integers(1, most + 1)) for most in (types, steps, messages))
     one, other = pair_of_problems(rng, *sizes)
     return one, other
 
 
 def plain(problem: Problem) -> dict[str, Any]:
-    """Every field, arrays as lists."""
+    """Returns every field, with arrays as lists."""
     values = {field.name: getattr(problem, field.name) for field in fields(problem)}
     table, habits = problem.table, problem.habits
     values |= {"relevant": table.relevant, "table": table.p, "answers": table.answers}

@@ -13,8 +13,8 @@ class Flat:
 
     Attributes:
         discount: γ.
-        states, actions, observations: how many.
-        start: initial belief, one a state.
+        states, actions, observations: numbers of these.
+        start: initial belief, one number for each state.
         transition: {(action, state): {next state: probability}}.
         observation: {(action, next state): {observation: probability}}.
         reward: {(action, state): expected value}.
@@ -35,10 +35,10 @@ class Flat:
 
 
 def read(text: str) -> Flat:
-    """Numeric entries, one a line; rewards by action and state.
+    """Reads numeric entries, one on each line; rewards are by action and state.
 
     Raises:
-        InputError: a line that is not of that kind.
+        InputError: a line of another form.
     """
     header: dict[str, str] = {}
     flat: Flat | None = None

@@ -21,8 +21,8 @@ def tiny_problems(
 
 
 def misleading_problem() -> Problem:
-    """Makes two user types who err at 0.05 or 0.4. Their thoughts separate them at once, but not
-    their answers: the optimum is at least 0.1 below that of a model in which answers are labels."""
+    """Makes two user types who err at 0.05 or 0.4. The types' labels differ at once, but not their
+    answers: the optimum is at least 0.1 below that of a model in which answers are labels."""
     p = np.array([[[1, 1, 1, 1], [0, 1, 0, 1]], [[0, 0, 0, 0], [0, 0, 1, 1]]], float)
     costs = np.array([0.4, 0.4])
     problem = Problem(LabelTable.dense(p), costs, inexplicability_cost=0.6, discount=1.0)

@@ -1,4 +1,4 @@
-"""People nobody assumed are only further hidden types: all of them are enumerated."""
+"""People who were not assumed are only further hidden types; all of these types are enumerated."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,7 +23,8 @@ N, STEPS = 3, 3
 
 
 def world(rng: np.random.Generator, n: int = N, steps: int = STEPS, questions: int = 2) -> Any:
-    """Random labels by the facts believed incorrectly, and two user types that have one."""
+    """Draws random labels by the facts believed incorrectly, and two user types with one such fact
+    each."""
     labels = rng.uniform(0.05, 0.95, (steps + questions, 1 << n))
     wrong = (1, 1 << (n - 1))
     every = (1 << n) - 1
@@ -39,7 +40,8 @@ def world(rng: np.random.Generator, n: int = N, steps: int = STEPS, questions: i
 
 
 def enumerated(labels: np.ndarray, wrong: tuple[int, ...], n: int) -> Iterator[Any]:
-    """(share, user type, facts after messages, slip, guess) of everybody, coins apart."""
+    """Lists (share, user type, facts after messages, slip, guess) of everybody, except people whose
+    answers are random."""
     every = (1 << n) - 1
     candidates = {0, every, *(1 << j for j in range(n))}
     candidates |= {a | b for a, b in combinations(wrong, 2)}

@@ -23,7 +23,7 @@ from xplain.testing.problems import random_problem, with_questions
 
 
 def asking_problems(seed: int, count: int) -> list[Problem]:
-    """Small ones, some of whose users err."""
+    """Draws small problems; in some of them users err."""
     rng = np.random.default_rng(seed)
     return [with_questions(rng, random_problem(rng, 3, 2, 2)) for _ in range(count)]
 

@@ -1,4 +1,4 @@
-"""Beliefs after labels: Bayes' rule, what counts as evidence, and labels that cannot be."""
+"""Beliefs after labels: Bayes' rule, the labels that count as evidence, and impossible labels."""
 
 from itertools import product
 
@@ -34,8 +34,8 @@ def test_belief_update_is_bayes_by_enumeration(problem: Problem, data: st.DataOb
 
 
 def test_labels_that_types_cannot_give_rule_them_out_or_nobody() -> None:
-    """Types a, b call the one transition explicable, c does not; d is never met. What nobody can
-    say leaves the belief: neither uniform, nor the prior, nor a number that is none."""
+    """Types a, b call the one transition explicable, c does not; d has probability 0. A label that
+    no type can give leaves the belief unchanged: not uniform, not the prior, not NaN."""
     p = np.array([1.0, 1.0, 0.0, 0.5])[:, None, None]
     problem = Problem(p, np.empty(0), prior=np.array([0.2, 0.3, 0.5, 0.0]))
     no, yes = (update(problem, problem.prior, 0, np.array([label], np.uint8)) for label in (0, 1))
@@ -100,7 +100,7 @@ def test_rounding_makes_beliefs_equal_whatever_the_order_of_evidence() -> None:
 
 
 def test_who_cannot_tell_says_nothing() -> None:
-    """A label 2 leaves the belief where the other labels alone lead it."""
+    """After a label 2 the belief is the same as after the other labels alone."""
     rng = np.random.default_rng(1)
     for _ in range(40):
         problem = random_problem(rng)

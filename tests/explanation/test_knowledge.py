@@ -24,7 +24,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def habits(rng: np.random.Generator, count: int = 2) -> Habits:
-    """Habits of which at least one misses or forgets."""
+    """Draws habits of users, at least one of whom misses or forgets messages."""
     accept = rng.choice([1.0, 0.8, 0.3], count)
     forget = rng.choice([0.0, 0.1, 0.6], count)
     forget[0] = forget[0] or 0.2
@@ -32,7 +32,7 @@ def habits(rng: np.random.Generator, count: int = 2) -> Habits:
 
 
 def problem_of(seed: int, types: int = 2, steps: int = 2, messages: int = 2) -> Problem:
-    """A random problem in which messages may be missed or forgotten."""
+    """Draws a random problem in which messages may be missed or forgotten."""
     rng = np.random.default_rng(seed)
     while True:
         problem = random_problem(rng, types, steps, messages)
@@ -71,7 +71,7 @@ def after(
     action: int,
     seen: tuple[int, ...] | None,
 ) -> dict[LiteralState, float]:
-    """Bayes' rule over states, written out."""
+    """Updates the belief over states by Bayes' rule, written out."""
     joint: dict[LiteralState, float] = {}
     for state, weight in states.items():
         for probability, new, observation, _ in pomdp.outcomes(state, action):
@@ -84,8 +84,8 @@ def after(
 @settings(max_examples=40, deadline=None)
 @given(seeds)
 def test_users_who_all_but_surely_listen_are_told_the_same(seed: int) -> None:
-    """The paper's users are the limit, in the values of all actions; a message must also gain its
-    margin."""
+    """In the limit the values of all actions are those of the paper's users; a message must also
+    gain its margin."""
     rng = np.random.default_rng(seed)
     n, types, steps = 3, 3, 4
     p = rng.uniform(0.02, 0.98, (types, steps, 1 << n))

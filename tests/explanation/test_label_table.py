@@ -1,4 +1,4 @@
-"""A table over the messages relevant to each type says what the dense one does."""
+"""A table over the messages relevant to each type gives the same numbers as the dense table."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from xplain.explanation.problem import Problem
 
 
 def test_it_says_what_the_dense_table_says(rng_of_the_day: np.random.Generator) -> None:
-    """Labels, beliefs, what is relevant, and problems made of it."""
+    """Labels, beliefs, relevant messages, and problems of the table are the same."""
     rng = rng_of_the_day
     for _ in range(60):
         by_type, dense = random_pair(rng)

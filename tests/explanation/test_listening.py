@@ -21,7 +21,8 @@ UNKNOWN = habits_of("learned", "learned", "learned")
 
 
 def enumerated(one: Explained, habits: Habits) -> np.ndarray:
-    """[F] the posterior, over every way in which this person may miss and forget messages."""
+    """Computes [F] the posterior, over every way in which this person may miss and forget
+    messages."""
     problem, found = one.problem, np.zeros(len(habits))
     for t, f in product(range(problem.n_user_types), range(len(habits))):
         accept, lose, error = habits.accept[f], habits.forget[f], habits.error[f]
@@ -72,7 +73,7 @@ def test_what_one_explanation_tells_equals_enumeration(seed: int) -> None:
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=10)
 def test_the_shares_are_the_mode_of_their_posterior(seed: int) -> None:
-    """Against all shares of two habits on a fine grid."""
+    """The shares are compared with all shares of two habits on a fine grid."""
     rng = np.random.default_rng(seed)
     problem = Problem(rng.random((2, 2, 4)), np.ones(2))
     habits = Habits([0.0, 0.2], [1.0, 0.5], [0.0, 0.2], [0.7, 0.3])

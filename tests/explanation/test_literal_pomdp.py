@@ -22,10 +22,10 @@ def test_literal_and_reduced_agree(problem: Problem) -> None:
 
 
 def test_a_worked_example() -> None:
-    """Two steps, one message at 1.2, undiscounted; type 0 needs it, type 1 never does.
-
-    Giving it at once costs 1.2. Waiting one step tells the types apart: type 0 pays 1 and then
-    1.2 for the second prefix (rather than 2), type 1 nothing: 0.5 · 2.2 = 1.1.
+    """There are two steps and one message with cost 1.2, without a discount. Type 0 needs the
+    message, type 1 never does. The message at once costs 1.2. The labels of the first step show the
+    type: type 0 pays 1 and then 1.2 for the second prefix (rather than 2), type 1 nothing: 0.5 ·
+    2.2 = 1.1.
     """
     p = np.array([[[0, 1], [0, 1]], [[1, 1], [1, 1]]], dtype=float)
     problem = Problem(p, np.array([1.2]), discount=1.0)

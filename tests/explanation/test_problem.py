@@ -19,7 +19,7 @@ HALF = np.full((1, 1, 2), 0.5)
 
 
 def unusual() -> Problem:
-    """No field has its default."""
+    """Makes a problem in which no field has its default."""
     rng = np.random.default_rng(0)
     problem = Problem(
         table=LabelTable.dense(*rng.random((2, 2, 3, 4))),

@@ -76,7 +76,7 @@ def test_what_cannot_happen_is_not_reachable() -> None:
 
 
 def test_a_parameter_that_the_domain_reads_and_does_not_have_is_one_line() -> None:
-    """Its name in the configuration is misspelt."""
+    """The name of the parameter in the configuration is misspelt."""
 
     class Misspelt(Corridor):
         parameters = (Corridor.parameters[0], replace(Corridor.parameters[1], name="tol"))

@@ -95,8 +95,8 @@ def test_random_types_are_uniform_over_the_covers() -> None:
 
 
 def test_few_facts_are_as_many_as_said_and_any() -> None:
-    """How many is drawn uniformly from 1, 2, 3, then which: each single one and each pair comes
-    1 time in 9, all three 1 in 3."""
+    """The number of facts is drawn uniformly from 1, 2, 3, then the facts. Each single fact and
+    each pair has probability 1/9; all three facts have 1/3."""
     rng, count = np.random.default_rng(0), 300
     found = Counter(
         frozenset(FewFacts(1, 1, 3).types(Painted(), rng)[0].inaccurate) for _ in range(count)
