@@ -31,7 +31,7 @@ from xplain.errors import (
 
 EFFECTS = ("add", "like", "to", "arguments")
 CHANGES = ("when", "actions", "next", *EFFECTS)
-"""Fields of a change; exactly one of them is in EFFECTS."""
+"""Fields of a change; exactly one field of a change is in EFFECTS."""
 
 
 class Features:

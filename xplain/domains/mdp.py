@@ -44,7 +44,7 @@ class TaskModel:
 
     @property
     def n_states(self) -> int:
-        """S, the number of states, terminal ones included."""
+        """S, the number of states, including terminal states."""
         return len(self.terminal)
 
     @property
@@ -187,11 +187,11 @@ def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
 def _solve_batch(models: Sequence[MDP]) -> NDArray[np.float64]:
     """Solves all models together by modified policy iteration (Puterman & Shin 1978).
 
-    A Bellman sweep is a γ-contraction in the max norm with fixed point V*. If it changes no value
-    by more than δ, the swept values lie within δ γ / (1 − γ) of V*, and the action values backed up
-    from them within δ γ² / (1 − γ) of Q*. The loop ends when this last bound is small enough.
-    Between two such sweeps, cheaper sweeps (1 / A of the cost) move the values towards those of the
-    greedy policy. They change the speed, not the rule that ends the loop.
+    A Bellman sweep is a γ-contraction in the max norm with fixed point V*. If a sweep changes no
+    value by more than δ, the swept values lie within δ γ / (1 − γ) of V*, and the action values
+    backed up from them within δ γ² / (1 − γ) of Q*. The loop ends when this last bound is small
+    enough. Between two such sweeps, cheaper sweeps (1 / A of the cost) move the values towards
+    those of the greedy policy. They change the speed, not the rule that ends the loop.
     """
     slots = max(model.successor.shape[2] for model in models)
 

@@ -4,13 +4,13 @@ Question τ has a slip s and a guess g, person i an error rate e::
 
     a = f (1 − s_τ) + (1 − f) g_τ,      P(y = 1 | f, τ, i) = (1 − e_i) a + e_i (1 − a)
 
-Slips and guesses are those of the DINA model (Junker & Sijtsma 2001, "Cognitive assessment models
-with few assumptions"), where f says whether a person has all skills that an item needs; the error
-rate is added. Empirical Bayes learns all three from the answers of all people.
+Slips and guesses are as in the DINA model (Junker & Sijtsma 2001, "Cognitive assessment models with
+few assumptions"). There, f = 1 means that a person has all skills that an item needs. The error
+rate is added. Empirical Bayes learns slips, guesses and error rates from the answers of all people.
 
-If all people err alike, the answers are the same as if all questions had slips. Such errors are
-counted as slips: the most likely error rate in the population is 0. The majority answer of a type
-is its label: slips and guesses are below ½ and never explain a majority. Slips and guesses of
+If all people make errors equally often, the answers look as if all questions had slips. Such errors
+are counted as slips: the most likely error rate in the population is 0. The majority answer of a
+type is its label: slips and guesses are below ½ and never explain a majority. Slips and guesses of
 questions are shrunk to one common mean. If slips seem more frequent than guesses over all
 questions, then f probably differs from its prior.
 """
@@ -30,24 +30,24 @@ from xplain.explanation.habits import UNKNOWN, Habits
 RATES, RATE_PRIOR = map(np.array, UNKNOWN["error"])
 """The possible error rates e, here and in explanations, and their prior without answers."""
 PEOPLE = 2.0
-"""This prior counts as this number of people."""
+"""The prior of the error rates counts as this number of people."""
 MEAN = 0.02
 """Prior mean of slips and of guesses."""
 WEIGHT = 50.0
 """The prior of :data:`MEAN` counts as this number of answers."""
 SHRINKAGE = np.array([16.0, 32, 64, 128])
-"""Possible weights of the mean over all questions, in answers to each question. The one with the
+"""Possible weights of the mean over all questions, in answers to each question. The weight with the
 highest likelihood is used."""
 LOWEST, HIGHEST = 0.002, 0.45
 """Range of slips and guesses."""
 MAJORITY = 3
-"""A cell has a majority from this number of answers."""
+"""A cell with at least this number of answers has a majority."""
 DEVIATES = 0.05
 """While slips are learned, f of a cell with a majority differs from its prior with at least this
 probability, because the majority answer of a type is its label."""
 STEPS = 60
-"""Maximum number of steps of expectation maximisation. It ends earlier if no value changes by more
-than STILL."""
+"""Maximum number of steps of expectation maximisation. The steps end earlier if no value changes by
+more than STILL."""
 STILL = 1e-4
 
 
@@ -74,39 +74,40 @@ class AnswerModel:
     @property
     def habits(self) -> Habits:
         """Habits of an unknown person at an unknown question. Slips and guesses become one
-        symmetric rate. Answers give no information about messages that do not land."""
+        symmetric rate. Answers give no information about messages that are not accepted, so all
+        messages count as accepted."""
         mean, whole = (self.slip[-1] + self.guess[-1]) / 2, np.ones(len(RATES))
         return Habits(mean + RATES * (1 - 2 * mean), whole, 0 * whole, self.prior)
 
     def log_given(
         self, question: NDArray[np.int64], person: NDArray[np.int64], label: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P, 2] log P(y | f) of P answers for f = 0 and 1. Index −1 is an unknown question or
-        person, with the mean of all."""
+        """Computes [P, 2] log P(y | f) of P answers for f = 0 and 1. Index −1 is an unknown
+        question or person, with the mean of all."""
         each = self.likelihood(question, label)
         return np.asarray(np.log((each * self.person[person][:, None, :]).sum(axis=2)))
 
     def likelihood(
         self, question: NDArray[np.int64], label: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P, 2, E] P(y | f, e) of P answers."""
+        """Computes [P, 2, E] P(y | f, e) of P answers."""
         one = self.predict(question)
         return np.asarray(np.where(label[:, None, None] == 1, one, 1 - one))
 
     def predict(self, question: NDArray[np.int64]) -> NDArray[np.float64]:
-        """[P, 2, E] P(y = 1 | f, e) of P questions."""
+        """Computes [P, 2, E] P(y = 1 | f, e) of P questions."""
         return predict_answers(self.slip[question], self.guess[question])
 
     def wrong(self, question: NDArray[np.int64], person: NDArray[np.int64]) -> float:
-        """Share of these answers [P] that differ from the label, if f = 0 and f = 1 are equally
-        likely."""
+        """Computes the expected share of these answers [P] that differ from the label, if f = 0 and
+        f = 1 are equally likely."""
         slip = (self.slip[question] + self.guess[question]) / 2
         rate = self.person[person] @ RATES
         return float((slip + rate * (1 - 2 * slip)).mean())
 
 
 def predict_answers(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[P, 2, E] P(y = 1) of P questions for f = 0, 1 and each error rate."""
+    """Computes [P, 2, E] P(y = 1) of P questions for f = 0, 1 and each error rate."""
     one = np.stack([guess, 1 - slip], axis=-1)[..., None]
     return np.asarray((1 - RATES) * one + RATES * (1 - one))
 
@@ -139,13 +140,14 @@ def learn_answers(
 ) -> AnswerModel:
     """Learns slips, guesses and error rates by expectation maximisation.
 
-    For each answer, belief propagation computes the evidence of all other answers about its cell's
-    f and its person's rate. It is exact if no two people share two cells.
+    For each answer, belief propagation computes the evidence of all other answers about the f of
+    its cell and the error rate of its person. This evidence is exact if no two people share two
+    cells.
 
     Args:
         answers: P answers.
         prior: [C] P(f = 1) of each cell before any answer.
-        questions, people: T and O, including those without answers.
+        questions, people: T and O, including questions and people without answers.
         start: initial model, or initial slip and guess.
         steps: maximum number of steps.
     """
@@ -163,14 +165,16 @@ def learn_answers(
         one = predict_answers(slip[answers.question], guess[answers.question])
         given = np.where(answers.label[:, None, None] == 1, one, 1 - one)  # [P, 2, E]
         said = np.log((given * rate[:, None, :]).sum(axis=2))
-        thought = softmax(log_prior[answers.cell] + _others(said, answers.cell, len(prior)), axis=1)
+        thought = softmax(
+            log_prior[answers.cell] + _sum_others(said, answers.cell, len(prior)), axis=1
+        )
         heard = np.log((given * thought[:, :, None]).sum(axis=1))
-        rate = softmax(np.log(share) + _others(heard, answers.person, people), axis=1)
+        rate = softmax(np.log(share) + _sum_others(heard, answers.person, people), axis=1)
         person = softmax(np.log(share) + sum_by_group(heard, answers.person, people), axis=1)
-        share = _population(person)
+        share = _estimate_population(person)
         weight = thought[:, :, None] * rate[:, None, :] * given
         weight /= weight.sum(axis=(1, 2), keepdims=True)
-        slip, guess = _slips(slip, guess, weight, answers)
+        slip, guess = _estimate_slips(slip, guess, weight, answers)
         if np.abs(np.concatenate([slip, guess, share]) - before).max() < STILL:
             break
     return AnswerModel(slip, guess, np.vstack([person, share]))
@@ -179,34 +183,35 @@ def learn_answers(
 def sum_by_group(
     values: NDArray[np.float64], group: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
-    """[count, …] sums of ``values`` [N, …] by group [N]."""
+    """Computes [count, …] the sums of ``values`` [N, …] by group [N]."""
     columns = values.reshape(len(values), prod(values.shape[1:])).T
     total = np.stack([np.bincount(group, column, count) for column in columns], axis=1)
     return np.asarray(total.reshape(count, *values.shape[1:]))
 
 
-def _others(
+def _sum_others(
     values: NDArray[np.float64], group: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
-    """[P, K] for each row, the sum of the other rows of its group."""
+    """Computes [P, K] for each row the sum of the other rows of its group."""
     return np.asarray(sum_by_group(values, group, count)[group] - values)
 
 
-def _population(person: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[E] distribution of error rates over people; 0 is the most likely rate."""
+def _estimate_population(person: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Estimates [E] the distribution of error rates over people; 0 is the most likely rate."""
     share = (person.sum(axis=0) + PEOPLE * RATE_PRIOR) / (len(person) + PEOPLE)
     share[0] = share.max()
     return np.asarray(share / share.sum())
 
 
-def _slips(
+def _estimate_slips(
     slip: NDArray[np.float64],
     guess: NDArray[np.float64],
     weight: NDArray[np.float64],
     answers: CellAnswers,
 ) -> NDArray[np.float64]:
-    """[2, T + 1] slips and guesses, from P(f, error rate) ``weight`` [P, 2, E] of each answer. A
-    person's earlier answers show which part of the errors is that person's own error rate."""
+    """Estimates [2, T + 1] slips and guesses, from P(f, error rate) ``weight`` [P, 2, E] of each
+    answer. A person's earlier answers show which part of the errors is that person's own error
+    rate."""
     question, counts = answers.question, np.zeros((2, 2, len(slip) - 1))
     for f, before in ((1, slip), (0, guess)):
         unlike = (answers.label != f)[:, None]
@@ -216,7 +221,7 @@ def _slips(
         times = (weight[:, f] * slipped / (slipped + kept)).sum(axis=1)
         for i, own in enumerate((times, weight[:, f].sum(axis=1) - times)):
             counts[1 - f, i] = np.bincount(question, own, len(slip) - 1)
-    times, others = counts[:, 0], counts[:, 1]  # [2, T] slips and guesses, and all else
+    times, others = counts[:, 0], counts[:, 1]  # [2, T] slips and guesses, and answers without them
     mean = (times.sum() + WEIGHT * MEAN) / (counts.sum() + WEIGHT)
     first, second = SHRINKAGE[:, None, None] * mean, SHRINKAGE[:, None, None] * (1 - mean)
     gain = betaln(first + times, second + others) - betaln(first, second)

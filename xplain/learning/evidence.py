@@ -1,5 +1,5 @@
-"""Compares hypotheses with labels alone: how well does each predict answers before it learns from
-them (prequential: Dawid 1984, "Statistical theory: the prequential approach")?
+"""Compares hypotheses with labels alone: how well does each method predict answers before it learns
+from these answers (prequential: Dawid 1984, "Statistical theory: the prequential approach")?
 
 Answers are in the order in which each observer gave them, and are split into quarters. Each quarter
 is predicted from the earlier quarters of observers of the same type.
@@ -24,10 +24,10 @@ LEAST = 0.01
 """Minimum weight of hypotheses."""
 WORSE, BEATEN = float(np.log(20)), 20.0
 """Two limits of the log evidence against hypotheses: above the first a warning is logged, above the
-second labels alone replace them. The second is larger, because a wrong replacement costs more than
-a wrong hypothesis."""
+second labels alone replace the hypotheses. The second is larger, because a wrong replacement costs
+more than a wrong hypothesis."""
 DOUBTED = 0.5
-"""Hypotheses of a type are doubted if P(they are often wrong) exceeds this value."""
+"""Hypotheses of a type are doubted if P(the hypotheses are often wrong) exceeds this value."""
 COIN = float(np.log(2))
 
 Predict = Callable[[Dataset, Dataset], NDArray[np.float64]]
@@ -71,7 +71,8 @@ class Evidence:
 
     @property
     def against(self) -> float:
-        """Log evidence against the hypotheses: for labels alone or for a fair coin."""
+        """Log evidence against the hypotheses, for labels alone or for a fair coin (for the better
+        of the two)."""
         own, others = self.nats
         return (own - min(others, COIN)) * len(self.of_type)
 
@@ -83,8 +84,8 @@ class Evidence:
 
     @property
     def lost(self) -> bool:
-        """True if the hypotheses do not fit: people of a type disagree with them, or they predict
-        worse."""
+        """True if the hypotheses do not fit: people of a type disagree with the hypotheses, or the
+        hypotheses predict worse than labels alone or a fair coin."""
         return self.otherwise > 0 or self.against > WORSE
 
     @property
@@ -113,9 +114,9 @@ class Evidence:
 
 
 def stacking_weight(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """The weight w in [LEAST, 1] that maximises Σ log(w P₁ + (1 − w) P₂) + BEFORE log w. ``first``
-    and ``second`` [Q] are log P₁ and log P₂ of the answers (Yao et al. 2018, "Using stacking to
-    average Bayesian predictive distributions")."""
+    """Computes the weight w in [LEAST, 1] that maximises Σ log(w P₁ + (1 − w) P₂) + BEFORE log w.
+    ``first`` and ``second`` [Q] are log P₁ and log P₂ of the answers (Yao et al. 2018, "Using
+    stacking to average Bayesian predictive distributions")."""
     from scipy.optimize import brentq
 
     ratio = np.exp(np.clip(second - first, -50, 50))
@@ -155,7 +156,7 @@ def predict_in_order(
 
 
 def number_parts(observer: NDArray[np.int64]) -> NDArray[np.int64]:
-    """[P] part of each answer within its observer's answers, 0 to PARTS − 1."""
+    """Returns [P] the part of each answer within its observer's answers, 0 to PARTS − 1."""
     order, count = np.argsort(observer, kind="stable"), np.bincount(observer)
     rank = np.empty(len(observer), dtype=np.int64)
     rank[order] = np.arange(len(observer)) - (np.cumsum(count) - count)[observer[order]]

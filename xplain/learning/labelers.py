@@ -24,13 +24,15 @@ from xplain.randomness import derive_seed, stream
 MOST_LOOKED_AT = 16
 """Maximum number of messages that may change a labeler's predictions about one trace."""
 MANY = 10_000
-"""From this number of labels, equal rows are fitted as one row with a weight, which is faster."""
+"""If there are more labels than this number, equal rows are fitted as one row with a weight, which
+is faster."""
 ROWS = 1 << 16
-"""Rows in one call of a classifier."""
+"""Maximum number of rows in one call of a classifier."""
 
 
 def paper_tree() -> Any:
-    """The paper's labeling model: scikit-learn's decision tree, grown until leaves are pure."""
+    """Makes the paper's labeling model: scikit-learn's decision tree, grown until leaves are
+    pure."""
     from sklearn.tree import DecisionTreeClassifier
 
     return DecisionTreeClassifier()
@@ -45,10 +47,11 @@ class Labeler(Protocol):
         confidence: P(label = prediction), (right + 1) / (tested + 2) on held-out questions,
             strictly between 0 and 1; NaN if not measured.
         accuracy: right / tested; NaN if nothing was tested.
-        n_train, n_test: distinct questions (transition, message set) in either part; ``n_test`` is
-            0 if there were too few to hold any out.
+        n_train, n_test: numbers of distinct questions (transition, message set) in the training
+            part and the held-out part; ``n_test`` is 0 if there were too few questions to hold any
+            out.
         means_truth: True if P(label = 1) is what people think, without errors in their answers.
-            False if it is what they answer. The confidence is always measured on answers.
+            False if it is what people answer. The confidence is always measured on answers.
         wrong: [n] P(a person of the type believes a fact incorrectly); None if unknown.
     """
 
@@ -62,7 +65,7 @@ class Labeler(Protocol):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """P(label = 1) of T transitions for people of one type.
+        """Computes P(label = 1) of T transitions for people of one type.
 
         Args:
             features: [T, F].
@@ -76,25 +79,26 @@ class Labeler(Protocol):
 
     @property
     def wrong(self) -> NDArray[np.float64] | None:
-        """See the attributes of the class."""
+        """[n] P(a person of the type believes a fact incorrectly); None if unknown."""
         return None
 
     def probability(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[T] P(label = 1) of each pair (transition [T, F], message set [T]), strictly between 0
-        and 1."""
+        """Computes [T] P(label = 1) of each pair (transition [T, F], message set [T]), strictly
+        between 0 and 1."""
         distinct, where = np.unique(features, axis=0, return_inverse=True)
         return self.table(distinct).array(self.n_messages)[0][where.ravel(), message_sets]
 
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """[T] the more likely label (0 or 1) of each pair (transition [T, F], message set [T])."""
+        """Predicts [T] the more likely label (0 or 1) of each pair (transition [T, F], message set
+        [T])."""
         return (self.probability(features, message_sets) >= 0.5).astype(np.uint8)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays for a file of types, by name.
+        """Returns arrays for a file of types, by name.
 
         Raises:
             InputError: the labeler cannot be written.
@@ -130,52 +134,53 @@ class FittedLabeler(MeasuredLabeler):
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """See :meth:`Labeler.predict`; the classifier's prediction."""
+        """Returns [T] the labels that the classifier predicts."""
         x = inputs(features, message_sets, self.n_messages)
         return np.asarray(self.classifier.predict(x), dtype=np.uint8)
 
     def probability(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """See :meth:`Labeler.probability`."""
+        """Computes [T] P(label = 1), from the classifier's own probabilities if ``calibrated``,
+        otherwise from its prediction and the confidence."""
         if not self.calibrated:
-            return self._of_labels(self.predict(features, message_sets))
+            return self._apply_confidence(self.predict(features, message_sets))
         x = inputs(features, message_sets, self.n_messages)
         found = self.classifier.predict_proba(x)
         one = np.flatnonzero(self.classifier.classes_ == 1)
         share = found[:, one[0]] if len(one) else np.zeros(len(x))
         if not hasattr(self.classifier, "tree_"):
-            return self._shrunk(share)
+            return self._shrink_shares(share)
         tree = self.classifier.tree_  # scikit-learn's; leaves have weights
-        return self._shrunk(share, tree.weighted_n_node_samples[self.classifier.apply(x)])
+        return self._shrink_shares(share, tree.weighted_n_node_samples[self.classifier.apply(x)])
 
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """See :meth:`Labeler.table`. The table has all messages if they are few, otherwise those
-        that the classifier tests."""
+        """Computes the table of P(label = 1). It has all messages if these are few, otherwise the
+        messages that the classifier tests."""
         n = self.n_messages
         relevant = range(n) if n <= DENSE else find_tested_messages(self.classifier, features, n)
         table = by_sets(self.probability, features, subsets(relevant))
         return LabelTable.join_types([relevant], [table])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """See :meth:`Labeler.arrays`: the classifier in the format of skops."""
+        """Returns the classifier in the format of skops, for a file of types."""
         import skops.io
 
         classifier = np.frombuffer(skops.io.dumps(self.classifier), dtype=np.uint8)
         return {"skops": classifier, "calibrated": np.array(self.calibrated)}
 
-    def _of_labels(self, label: NDArray[Any]) -> NDArray[np.float64]:
+    def _apply_confidence(self, label: NDArray[Any]) -> NDArray[np.float64]:
         return np.where(label == 1, self.confidence, 1 - self.confidence)
 
-    def _shrunk(
+    def _shrink_shares(
         self, share: NDArray[np.float64], weight: NDArray[np.float64] | float = np.inf
     ) -> NDArray[np.float64]:
-        """Shares of ones among ``weight`` labels, shrunk towards the confidence of their majority
-        by two pseudo-labels. Their distance from 0 and 1 is at least what the number of tested
-        labels can show."""
-        base = self._of_labels(share >= 0.5)
+        """Shrinks shares of ones among ``weight`` labels towards the confidence of their majority,
+        by two pseudo-labels. The results keep a distance from 0 and 1, which is smaller if more
+        labels were tested."""
+        base = self._apply_confidence(share >= 0.5)
         pull = 2 / (np.asarray(weight) + 2)
         edge = 1 / (self.n_test + 2)
         return np.clip((1 - pull) * share + pull * base, edge, 1 - edge)
@@ -188,9 +193,9 @@ class LabelerTrainer:
 
     The labels are split by distinct (transition, message set), so that no question is in both
     parts. The confidence is measured on the held-out part, with a classifier fitted to the training
-    part. It counts each question once, because observers who repeat each other are no further
-    evidence. If a question has both answers, the share of right ones counts. The returned labeler
-    is fitted to all labels, so its true accuracy is at least about the measured one.
+    part. Each question counts once, because observers who give the same answer are no further
+    evidence. If a question has both answers, the share of right predictions counts. The returned
+    labeler is fitted to all labels, so its true accuracy is at least about the measured one.
 
     Attributes:
         classifier: any unfitted scikit-learn classifier; it is cloned for every fit.
@@ -211,11 +216,12 @@ class LabelerTrainer:
             raise InputError("labeler.classifier", self.classifier, "leaf needs predict_proba")
 
     def adapt_to(self, observed: Observed) -> LabelerTrainer:
-        """Returns the trainer with what it can use of the observers' task and questions."""
+        """Returns a trainer that uses what is known about the observers' task and questions; by
+        default, the trainer itself."""
         return self
 
     def types_of(self, observed: Observed) -> KnownTypes | None:
-        """The types that are known without labels; None if labels are needed.
+        """Returns the types that are known without labels; None if labels are needed.
 
         Raises:
             InputError: the types of these observers are unknown.
@@ -229,13 +235,13 @@ class LabelerTrainer:
         return None
 
     def everything(self) -> Labeler | None:
-        """The labeler of a person who believes every fact incorrectly; None if facts are unknown or
-        too many."""
+        """Returns the labeler of a person who believes every fact incorrectly; None if facts are
+        unknown or too many."""
         return None
 
     def thoughts(self, dataset: Dataset) -> NDArray[np.float64] | None:
-        """[2^n, T] P(label = 1) of a dataset's T transitions by the facts believed incorrectly;
-        None if facts are unknown or too many."""
+        """Computes [2^n, T] P(label = 1) of a dataset's T transitions by the facts believed
+        incorrectly; None if facts are unknown or too many."""
         return None
 
     def with_errors(
@@ -313,8 +319,8 @@ class LabelerTrainer:
 
 
 def cheap() -> LabelerTrainer:
-    """Learns from labels alone at little cost. A pruned tree predicts about as well as boosting
-    (benchmarks/README.md)."""
+    """Makes a trainer that learns from labels alone at little cost. A pruned tree predicts about as
+    well as boosting (benchmarks/README.md)."""
     from sklearn.tree import DecisionTreeClassifier
 
     return LabelerTrainer(DecisionTreeClassifier(ccp_alpha=0.004), confidence="leaf")
@@ -323,8 +329,9 @@ def cheap() -> LabelerTrainer:
 def find_tested_messages(
     classifier: Any, features: NDArray[np.float64], n_messages: int
 ) -> Sequence[int]:
-    """The messages that may change a prediction about transitions [T, F], ascending. For a decision
-    tree these are the messages that its paths test; for any other classifier, all messages.
+    """Finds the messages that may change a prediction about transitions [T, F], ascending. For a
+    decision tree these are the messages that its paths test; for any other classifier, all
+    messages.
 
     Raises:
         TooLargeError: too many messages for a table of all their sets.
@@ -332,8 +339,8 @@ def find_tested_messages(
     if not hasattr(classifier, "tree_"):
         if n_messages > DENSE:
             raise TooLargeError(
-                f"labeler: a classifier that is no tree may look at any of {n_messages} messages, "
-                f"more than {DENSE}; labeler=pruned is a tree that looks at few"
+                f"labeler: a classifier that is no tree may test any of {n_messages} messages, "
+                f"more than {DENSE}; labeler=pruned is a tree that tests few"
             )
         return range(n_messages)
     tree, width = classifier.tree_, features.shape[1]
@@ -362,8 +369,8 @@ def by_sets(
     features: NDArray[np.float64],
     message_sets: NDArray[np.int64],
 ) -> NDArray[Any]:
-    """[T, K] results of the function ``asked`` for each transition [T, F] and each message set [K].
-    ``asked`` takes transitions [P, F] and message sets [P]."""
+    """Computes [T, K] the results of the function ``asked`` for each transition [T, F] and each
+    message set [K]. ``asked`` takes transitions [P, F] and message sets [P]."""
     count = len(message_sets)
     size = max(ROWS // count, 1)
     found = [
@@ -377,14 +384,14 @@ def check_tested_messages(count: int, n_messages: int) -> None:
     """Raises TooLargeError if a labeler tests more messages on a trace than allowed."""
     if count > MOST_LOOKED_AT:
         raise TooLargeError(
-            f"labeler: a type's labeler looks at {count} of {n_messages} messages on one trace, "
-            f"more than {MOST_LOOKED_AT}; shorter traces, or a pruned tree (labeler=pruned), look "
-            "at fewer"
+            f"labeler: a type's labeler tests {count} of {n_messages} messages on one trace, more "
+            f"than {MOST_LOOKED_AT}; use shorter traces, or a pruned tree, which tests fewer "
+            "(labeler=pruned)"
         )
 
 
 def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
-    """[P] True for held-out labels, chosen by distinct (transition, message set).
+    """Returns [P] True for held-out labels, which are drawn by distinct (transition, message set).
 
     Each part has at least one distinct point if there are two.
     """
@@ -398,16 +405,16 @@ def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
 
 
 def by_question(right: NDArray[np.bool_], query: NDArray[np.int64]) -> NDArray[np.float64]:
-    """[distinct] share of right labels [P] for each distinct question."""
+    """Computes [distinct] the share of right labels [P] for each distinct question."""
     _, number = np.unique(query, return_inverse=True)
     share: NDArray[np.float64] = np.bincount(number, right) / np.bincount(number)
     return share
 
 
 def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> float:
-    """The share of new questions that a labeler fitted to these labels gets right, cross-validated
-    over message sets; each distinct (transition, message set) counts once. NaN if there is only one
-    message set.
+    """Measures the share of new questions that a labeler fitted to these labels predicts correctly,
+    cross-validated over message sets. Each distinct (transition, message set) counts once. NaN if
+    there is only one message set.
 
     With few labels, :attr:`Labeler.accuracy` is higher, because the training part contains other
     transitions of a held-out question's trace with the same messages. New questions have other

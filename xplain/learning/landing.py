@@ -1,14 +1,15 @@
 """Learns from answers before and after messages how often messages are accepted.
 
 A message corrects its fact with probability α; otherwise the person keeps the incorrect belief. The
-facts that a person still believes incorrectly decide f, as in :mod:`xplain.learning.answers`.
-Queries have slips and guesses, and people differ in how often they slip: one of LEVELS multiplies
-the odds of all slips of a person, like the ability in the Rasch model. Expectation maximisation
-learns everything from the answers of all people. Without hypotheses it is unknown which facts
-matter where; people then differ only in their slips.
+facts that a person still believes incorrectly determine the label f, as in
+:mod:`xplain.learning.answers`. Queries have slips and guesses, and people differ in how often they
+slip: one of LEVELS multiplies the odds of all slips of a person, like the ability in the Rasch
+model. Expectation maximisation learns everything from the answers of all people. Without hypotheses
+it is unknown which facts matter at which transition; people then differ only in their slips.
 
-A person whose answer before a message was unexpected is likely to repeat it: the log odds of a
-later answer move with the difference between the earlier answer and its expectation.
+A person whose answer before a message was unexpected is likely to repeat this answer. So the
+difference between the earlier answer and its expectation, times a weight, is added to the log odds
+of a later answer.
 """
 
 from __future__ import annotations
@@ -34,9 +35,10 @@ WEIGHT = 16.0
 SMOOTHING = 4.0
 """Number of pseudo-observers at each level, with the average incorrect beliefs."""
 STEPS, STILL = 60, 1e-3
-"""Maximum number of steps. They end earlier if no slip, guess or α changes by more than STILL."""
+"""Maximum number of steps. The steps end earlier if no slip, guess or α changes by more than
+STILL."""
 LANDS = 0.95
-"""All messages are accepted unless the interval of one α ends below this value."""
+"""All messages count as accepted unless the interval of some α ends below this value."""
 GRID = np.linspace(0.005, 0.995, 199)
 
 
@@ -50,8 +52,8 @@ class Landing:
             hypotheses.
         mean: mean α; each message is weighted by the number of people whom it could correct.
         table: [2^n, T] P(f = 1) by the facts believed incorrectly.
-        wrong, kept: [S] bitmasks of the facts believed incorrectly before any message, and of those
-            that messages do not correct.
+        wrong, kept: [S] bitmasks of the facts believed incorrectly before any message, and of the
+            facts among these that messages do not correct.
         slip, guess: [Q + 1]; the last entry is for a query without answers.
         number: index of each query (transition, message set).
         people: [O + 1, levels · S] posterior of each person; the last row is for an unknown person.
@@ -80,14 +82,14 @@ class Landing:
     def predict(
         self, who: NDArray[np.int64], transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P] P(answer 1) of people (−1: unknown person) about transitions (−1: unknown
-        transition)."""
+        """Computes [P] P(answer 1) of people (−1: unknown person) about transitions (−1: unknown
+        transition) after the messages ``told``."""
         result, both = np.empty(len(who)), np.stack([transition, told], axis=1)
         for query in np.unique(both, axis=0):
             rows = np.flatnonzero((both == query).all(axis=1))
-            f = _thought(self.table, self.wrong, self.kept, *query[:, None])
+            f = _predict_labels(self.table, self.wrong, self.kept, *query[:, None])
             at = [self.number.get((int(query[0]), int(query[1])), -1)]
-            one = _answered(f, self.slip[at], self.guess[at]).ravel()
+            one = _predict_answers(f, self.slip[at], self.guess[at]).ravel()
             result[rows] = self.people[who[rows]] @ one
         return np.asarray(expit(logit(result) + self.repeats * self.surprise[who, transition]))
 
@@ -126,14 +128,14 @@ def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landin
     transition, told = dataset.transition[first], dataset.message_set[first]
     counts = np.zeros((2, observers, len(first)))
     np.add.at(counts, (dataset.label, dataset.observer, query), 1)
-    f = _thought(table, wrong, kept, transition, told)
+    f = _predict_labels(table, wrong, kept, transition, told)
     had, stays = bits_of(wrong, n), bits_of(kept, n)
     after = bits_of(np.array([int(np.bitwise_or.reduce(own)) for own in given]), n) == 1  # [O, n]
     slip, guess = np.full(len(first), 0.08), np.full(len(first), 0.2)
     accept, prior = np.full(n, 0.5), np.full((len(LEVELS), 1 << n), 1 / (len(LEVELS) << n))
     for _ in range(STEPS):
         before = np.concatenate([slip, guess, accept])
-        one = _answered(f, slip, guess).reshape(states, len(first))
+        one = _predict_answers(f, slip, guess).reshape(states, len(first))
         land = (had - stays) @ np.log(accept) + stays @ np.log1p(-accept)
         joint = (np.log(prior)[:, wrong] + land).ravel()
         joint = joint + counts[1] @ np.log(one).T + counts[0] @ np.log1p(-one).T
@@ -151,16 +153,20 @@ def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landin
             for own in (counts[0], counts.sum(axis=0))
         )
         more = expit(logit(slip) + np.log(LEVELS)[:, None]) / slip  # [levels, Q]
-        slip = _drawn(np.einsum("qls,sq->q", zero, f), np.einsum("qls,sq,lq->q", all_, f, more))
-        guess = _drawn(*(np.einsum("qls,sq->q", own, 1 - f) for own in (all_ - zero, all_)))
+        slip = _shrink_rates(
+            np.einsum("qls,sq->q", zero, f), np.einsum("qls,sq,lq->q", all_, f, more)
+        )
+        guess = _shrink_rates(*(np.einsum("qls,sq->q", own, 1 - f) for own in (all_ - zero, all_)))
         if np.abs(np.concatenate([slip, guess, accept]) - before).max() < STILL:
             break
     ends = [
-        _interval(people[after[:, j]].sum(axis=1), had[:, j] == 1, stays[:, j] == 1, accept[j])
+        _compute_interval(
+            people[after[:, j]].sum(axis=1), had[:, j] == 1, stays[:, j] == 1, accept[j]
+        )
         for j in range(n)
     ]
     new = (np.log(prior)[:, wrong] + land).ravel()
-    surprise, repeats = _surprises(dataset, query, one, new)
+    surprise, repeats = _compute_surprises(dataset, query, one, new)
     return Landing(
         accept=np.column_stack([accept, np.array(ends).reshape(n, 2)]),
         mean=float((corrected.sum() + 1) / (held.sum() + 2)),
@@ -178,7 +184,7 @@ def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landin
     )
 
 
-def _surprises(
+def _compute_surprises(
     dataset: Dataset, query: NDArray[np.int64], one: NDArray[np.float64], new: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
     """Computes ``surprise`` and ``repeats`` of :class:`Landing`, from P(answer 1) ``one`` [states,
@@ -197,43 +203,44 @@ def _surprises(
 
 
 def _is_chain(sets: NDArray[np.int64]) -> bool:
-    """True if each of these message sets is a subset of the next larger one, so that no message is
+    """True if each of these message sets is a subset of the next larger set, so that no message is
     taken back."""
     ordered = sets[np.argsort(np.bitwise_count(sets))]
     return bool((ordered[:-1] & ~ordered[1:] == 0).all())
 
 
-def _thought(
+def _predict_labels(
     table: NDArray[np.float64],
     wrong: NDArray[np.int64],
     kept: NDArray[np.int64],
     transition: NDArray[np.int64],
     told: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """[S, Q] P(f = 1) of each query, by hidden state; 1 for unknown transitions."""
+    """Computes [S, Q] P(f = 1) of each query, by hidden state; 1 for unknown transitions."""
     held = (wrong[:, None] & ~told | kept[:, None] & told) & len(table) - 1
     return np.where(transition >= 0, table[held, transition], 1.0)
 
 
-def _answered(
+def _predict_answers(
     f: NDArray[np.float64], slip: NDArray[np.float64], guess: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """[levels, S, Q] P(answer 1) of queries by level and hidden state; ``f`` [S, Q] is P(f = 1)."""
+    """Computes [levels, S, Q] P(answer 1) of queries by level and hidden state; ``f`` [S, Q] is P(f
+    = 1)."""
     slips = expit(logit(slip) + np.log(LEVELS)[:, None])
     return np.asarray(f * (1 - slips[:, None]) + (1 - f) * guess)
 
 
-def _drawn(times: NDArray[np.float64], of: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[Q] rates, shrunk towards their overall mean."""
+def _shrink_rates(times: NDArray[np.float64], of: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Computes [Q] the rates ``times`` / ``of``, shrunk towards their overall mean."""
     mean = (times.sum() + 1) / (of.sum() + 20)
     return np.asarray(((times + WEIGHT * mean) / (of + WEIGHT)).clip(0.001, 0.6))
 
 
-def _interval(
+def _compute_interval(
     people: NDArray[np.float64], had: NDArray[np.bool_], stays: NDArray[np.bool_], accept: float
 ) -> tuple[float, float]:
-    """The 95 % interval of a message's α with all other parameters fixed. Each person's likelihood
-    is linear in α. ``people`` [O, S] is the posterior at ``accept``."""
+    """Computes the 95 % interval of a message's α with all other parameters fixed. Each person's
+    likelihood is linear in α. ``people`` [O, S] is the posterior at ``accept``."""
     landed = people[:, had & ~stays].sum(axis=1) / accept
     missed = people[:, stays].sum(axis=1) / (1 - accept)
     rest = people[:, ~had].sum(axis=1)

@@ -40,9 +40,9 @@ def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
     """Returns the number of clusters at the elbow, and the rule that gave it (also logged).
 
     Kneedle (Satopää et al. 2011, the paper's choice) looks for the bend of a convex, decreasing
-    curve. Its knee is kept even if it is wrong. It often comes too early, because the first split
-    separates most pairs of types and the first drop of the curve is the largest. The first rule
-    that applies decides:
+    curve. Its knee is used even if it is wrong. The knee often comes too early, because the first
+    split separates most pairs of types and the first drop of the curve is the largest. The first
+    rule that applies decides:
 
     1. ``flat zero``: no disagreements, k = 1.
     2. ``kneedle``: its knee. A knee at an end of the curve, as for concave curves, does not count.
@@ -53,13 +53,13 @@ def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
         curve: [K] disagreements for k = 1 … K.
         few: a share in [0, 1), used if there is no knee.
     """
-    # A partition into more clusters may be worse by chance; the best so far counts.
+    # A partition into more clusters may be worse by chance; the best partition so far counts.
     lowest = np.minimum.accumulate(curve)
     if curve[0] == 0:
-        return _chosen(1, "flat zero", "no two observers disagree on any label")
-    knee = _kneedle(lowest)
+        return _log_choice(1, "flat zero", "no two observers disagree on any label")
+    knee = _find_knee(lowest)
     if knee is not None:
-        return _chosen(
+        return _log_choice(
             knee,
             "kneedle",
             f"there the curve of disagreements within types bends, from {curve[0]} with one type "
@@ -70,19 +70,20 @@ def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
     if len(reached):
         k = int(reached[0]) + 1
         why += f"; {k} is the first number of types that leaves at most {few:.2%}"
-        return _chosen(k, "no knee, few", why)
+        return _log_choice(k, "no knee, few", why)
     k = int(lowest.argmin()) + 1
     why += f"; no number of types leaves at most {few:.2%}; {k} leaves the fewest"
-    return _chosen(k, "no knee, lowest", why)
+    return _log_choice(k, "no knee, lowest", why)
 
 
-def _chosen(k: int, rule: str, why: str) -> tuple[int, str]:
+def _log_choice(k: int, rule: str, why: str) -> tuple[int, str]:
     log.info("%d user types by the rule %s: %s", k, rule, why)
     return k, rule
 
 
-def _kneedle(curve: NDArray[np.int64]) -> int | None:
-    """The knee of a curve that never rises, strictly between its ends; None if there is none."""
+def _find_knee(curve: NDArray[np.int64]) -> int | None:
+    """Finds the knee of a curve that never rises, strictly between its ends; None if there is no
+    knee."""
     from kneed import KneeLocator  # heavy: it imports pyplot
 
     with warnings.catch_warnings():
@@ -93,7 +94,7 @@ def _kneedle(curve: NDArray[np.int64]) -> int | None:
 
 
 def disagreements(dataset: Dataset, assignments: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """[K] numbers of disagreements of K clusterings [O]."""
+    """Counts [K] the disagreements of K clusterings [O]."""
     cell = query_index(dataset)
     ones, size = np.bincount(cell, weights=dataset.label), np.bincount(cell)
     rows = np.flatnonzero(((ones > 0) & (ones < size))[cell])  # all others agree
@@ -108,11 +109,11 @@ def disagreements(dataset: Dataset, assignments: Iterable[NDArray[np.int64]]) ->
 
 
 def minimal_message_sets(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> NDArray[np.int64]:
-    """[O] the smallest message set of each observer.
+    """Finds [O] the smallest message set of each observer.
 
-    Each observer's classifier is fitted to all of the observer's own labels. It only predicts
-    these, so nothing is held out. All classifiers have the same seed: observers with equal answers
-    get the same set. An observer without labels gets the empty set.
+    Each observer's classifier is fitted to all of the observer's own labels. The classifier
+    predicts only these labels, so nothing is held out. All classifiers have the same seed:
+    observers with equal answers get the same set. An observer without labels gets the empty set.
 
     Raises:
         TooLargeError: see :func:`minimal_message_set`.
@@ -130,7 +131,7 @@ def minimal_message_sets(dataset: Dataset, trainer: LabelerTrainer, seed: int) -
 
 
 def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messages: int) -> int:
-    """The smallest message set that makes every transition [T, F] explicable, as a bitmask.
+    """Finds the smallest message set that makes every transition [T, F] explicable, as a bitmask.
 
     Args:
         classifier: fitted on :func:`xplain.learning.data.dataset.inputs`.
@@ -150,8 +151,8 @@ def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messag
 
 
 def smallest(inexplicable: NDArray[np.int64], messages: Sequence[int]) -> int:
-    """The smallest of the 2^r sets of some messages, as a bitmask. ``inexplicable`` [2^r] is the
-    number of inexplicable transitions under each set."""
+    """Finds the smallest of the 2^r sets of some messages, as a bitmask. ``inexplicable`` [2^r] is
+    the number of inexplicable transitions under each set."""
     sets = subsets(messages)
     # The first message weighs most: {0, 5} comes before {1, 2}.
     first = bits_of(np.arange(len(sets)), len(messages)) @ (1 << np.arange(len(messages)))[::-1]
@@ -162,7 +163,8 @@ class Partitioner(Protocol):
     """Clusters points into a given number of groups, for :class:`Elbow`."""
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
-        """[O] groups of the vectors [O, n]: at most k groups, with equal vectors in one group."""
+        """Returns [O] the groups of the vectors [O, n]: at most k groups, with equal vectors in one
+        group."""
         ...
 
 
@@ -184,7 +186,7 @@ class Elbow(Clusterer):
     max_types: Count | None = None
 
     def cluster(self, observed: Observed, seed: int) -> Clustering:
-        """The partition at the elbow, with the curve of disagreements and the message sets.
+        """Returns the partition at the elbow, with the curve of disagreements and the message sets.
 
         Raises:
             TooLargeError: see :func:`~xplain.learning.paper.minimal_message_set`.
@@ -214,7 +216,7 @@ class KMeans:
     starts: Count = 10
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
-        """[O] groups of the vectors [O, n]."""
+        """Returns [O] the groups of the vectors [O, n]."""
         from sklearn.cluster import KMeans as Lloyd
         from threadpoolctl import threadpool_limits
 
@@ -223,7 +225,7 @@ class KMeans:
             vectors, axis=0, return_inverse=True, return_counts=True
         )
         model = Lloyd(min(k, len(distinct)), n_init=self.starts, random_state=seed)
-        with threadpool_limits(1):  # a few points: threads would cost more than they save
+        with threadpool_limits(1):  # for a few points, threads cost more than they save
             groups = model.fit_predict(distinct.astype(np.float64), sample_weight=weight)
         return np.asarray(groups[where.ravel()], dtype=np.int64)
 
@@ -236,7 +238,7 @@ class Agglomerative:
     linkage: Literal["average", "complete", "single"] = "average"
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
-        """[O] groups of the vectors [O, n]."""
+        """Returns [O] the groups of the vectors [O, n]."""
         from scipy.cluster.hierarchy import fcluster, linkage
 
         distinct, where = np.unique(vectors, axis=0, return_inverse=True)

@@ -23,20 +23,21 @@ log = logging.getLogger(__name__)
 EDGE = 0.002
 """Minimum distance of P(f = 1) from 0 and 1."""
 SURE = 1.96
-"""Standard errors in half a 95 % interval."""
+"""Half of a 95 % interval, in standard errors."""
 
 
 def predict(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[np.float64]:
-    """[P] P(answer 1) of each row of ``questions``.
+    """Computes [P] P(answer 1) of each row of ``questions``.
 
     The first method that applies is used:
 
-    1. Answers after messages are predicted from answers before them
+    1. Answers after messages are predicted from answers before the messages
        (:mod:`xplain.learning.landing`), if the dataset has such answers.
-    2. The clustering's own predictions, if it makes any. If labelers predict what people think,
-       the mean of these and the labelers' predictions.
-    3. The types' labelers, weighted for each observer by the shares of the types and the observer's
-       own labels. An observer without labels has the shares of the types.
+    2. Answers without messages are predicted by the clustering, if it predicts answers. If the
+       labelers predict what people think, the mean of both predictions is used.
+    3. All other answers are predicted by the types' labelers. Their weights for an observer come
+       from the shares of the types and the observer's own labels; without labels, from the shares
+       alone.
 
     Args:
         dataset: the labels that the types were found in.
@@ -48,8 +49,8 @@ def predict(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[n
     known = np.array([place.get(name, -1) for name in questions.observers], dtype=np.int64)
     who = known[questions.observer]
     transition = places(questions.features, dataset.features)[questions.transition]
-    weight = _posterior(dataset, types)[who]
-    one = _answered(types, questions, transition)
+    weight = _compute_posterior(dataset, types)[who]
+    one = _predict_answers(types, questions, transition)
     result = np.einsum("pne,pne->p", weight, one)
     expected = types.clustering.expected
     if expected is not None:
@@ -66,10 +67,10 @@ def predict(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[n
     return np.asarray(result)
 
 
-def _posterior(dataset: Dataset, types: UserTypes) -> NDArray[np.float64]:
-    """[O + 1, N, E] P(type, error rate) of each observer given their own labels; the last row is
-    for a person without labels."""
-    one = _answered(types, dataset, dataset.transition)
+def _compute_posterior(dataset: Dataset, types: UserTypes) -> NDArray[np.float64]:
+    """Computes [O + 1, N, E] P(type, error rate) of each observer given their own labels; the last
+    row is for a person without labels."""
+    one = _predict_answers(types, dataset, dataset.transition)
     value = np.log(np.where(dataset.label[:, None, None] == 1, one, 1 - one))
     rate = np.ones(1) if types.answers is None else types.answers.prior
     joint = np.zeros((len(dataset.observers) + 1, *one.shape[1:]))
@@ -77,13 +78,13 @@ def _posterior(dataset: Dataset, types: UserTypes) -> NDArray[np.float64]:
     return np.asarray(softmax(joint + np.log(types.prior)[:, None] + np.log(rate), axis=(1, 2)))
 
 
-def _answered(
+def _predict_answers(
     types: UserTypes, asked: Dataset, transition: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """[P, N, E] P(answer 1) by type and error rate, for questions about ``transition`` [P]: an
-    index into the dataset of the types, or −1. Without an answer model, labelers predict answers
-    directly, and there is one error rate."""
-    one = _of_types(types.labelers, asked)
+    """Computes [P, N, E] P(answer 1) by type and error rate, for questions about ``transition``
+    [P]: an index into the dataset of the types, or −1. Without an answer model, labelers predict
+    answers directly, and there is one error rate."""
+    one = _predict_by_type(types.labelers, asked)
     if types.answers is None:
         return one[:, :, None]
     given = types.answers.predict(transition)  # [P, 2, E]
@@ -94,8 +95,8 @@ def _answered(
     return np.asarray((1 - one[..., None]) * given[:, None, 0] + one[..., None] * given[:, None, 1])
 
 
-def _of_types(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[np.float64]:
-    """[P, N] P(answer 1) of P questions by type."""
+def _predict_by_type(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[np.float64]:
+    """Computes [P, N] P(answer 1) of P questions by type."""
     features = asked.features[asked.transition]
     return np.stack([one.probability(features, asked.message_set) for one in labelers], axis=1)
 
@@ -133,8 +134,8 @@ class HeldOut:
         types: prediction by the types that were found in the other labels.
         one_type: prediction by one labeler for all observers.
         question_mean: prediction by the mean of all observers' answers to the same question.
-        gain: [2] 95 % interval of ``types`` minus the better of the other two, by resampling
-            observers.
+        gain: [2] 95 % interval of ``types`` minus the better of the other two predictions, by
+            resampling observers.
         calibration: calibration of ``types``.
     """
 
@@ -161,8 +162,8 @@ def predict_held_out(
 ) -> HeldOut:
     """Predicts labels that the finder of types did not receive.
 
-    A share of the distinct (transition, message set) is held out (``trainer.holdout``). Without
-    messages in the data a share of the labels is held out instead, because questions are then
+    A share of the distinct (transition, message set) is held out (``trainer.holdout``). If the data
+    have no messages, a share of the labels is held out instead, because the questions are then
     independent items. At least one label is held out, and at least one is kept.
     """
     if dataset.message_set.any():
@@ -177,7 +178,7 @@ def predict_held_out(
         log_likelihoods(rest, held, one.find(Observed(rest), seed))
         for one in (finder, Single(labeler=trainer))
     )
-    others = [of_one, _of_means(dataset, test)]
+    others = [of_one, _predict_by_means(dataset, test)]
     best = max(others, key=lambda one: float(one.mean()))
     more = np.bincount(held.observer, of_types - best)
     count = np.bincount(held.observer)
@@ -190,36 +191,36 @@ def predict_held_out(
 
 
 def log_likelihoods(train: Dataset, test: Dataset, types: UserTypes) -> NDArray[np.float64]:
-    """[P] log P of each label of ``test``, by the types that were found in ``train``. They come
-    from :func:`predict` if labelers predict what people think, or if answers after messages are
-    predicted from earlier ones. Otherwise they come from the clustering, if it makes predictions,
-    or from the labeler of the observer's type."""
+    """Computes [P] log P of each label of ``test``, by the types that were found in ``train``. The
+    predictions come from :func:`predict` if labelers predict what people think, or if answers after
+    messages are predicted from earlier answers. Otherwise the predictions come from the clustering,
+    if it predicts answers, or from the labeler of the observer's type."""
     found, rows = types.clustering, np.arange(len(test))
     if types.landing is not None or all(one.means_truth for one in types.labelers):
         one = predict(train, types, test)
     elif found.expected is not None:
         one = found.expected[test.observer, test.transition]
     else:
-        one = _of_types(types.labelers, test)[rows, found.assignment[test.observer]]
-    return _log(one, test.label)
+        one = _predict_by_type(types.labelers, test)[rows, found.assignment[test.observer]]
+    return _log_label(one, test.label)
 
 
 def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:
-    """[P] log P of each label by one labeler."""
+    """Computes [P] log P of each label by one labeler."""
     if not len(dataset):
         return np.zeros(0)
-    return _log(_of_types((labeler,), dataset)[:, 0], dataset.label)
+    return _log_label(_predict_by_type((labeler,), dataset)[:, 0], dataset.label)
 
 
-def _of_means(dataset: Dataset, test: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """[P] log P of the labels ``test``, by the mean of the other answers to the same question, with
-    one pseudo-answer 0 and one pseudo-answer 1."""
+def _predict_by_means(dataset: Dataset, test: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Computes [P] log P of the labels ``test``, by the mean of the other answers to the same
+    question, with one pseudo-answer 0 and one pseudo-answer 1."""
     query = query_index(dataset)
     count = int(query.max()) + 1
     ones = np.bincount(query[~test], dataset.label[~test], count)
     mean = (ones + 1) / (np.bincount(query[~test], minlength=count) + 2)
-    return _log(mean[query[test]], dataset.label[test])
+    return _log_label(mean[query[test]], dataset.label[test])
 
 
-def _log(one: NDArray[np.float64], label: NDArray[np.uint8]) -> NDArray[np.float64]:
+def _log_label(one: NDArray[np.float64], label: NDArray[np.uint8]) -> NDArray[np.float64]:
     return np.asarray(np.log(np.where(label == 1, one, 1 - one)))

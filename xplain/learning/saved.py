@@ -28,8 +28,8 @@ from xplain.learning.user_types import UserTypes, label_table
 from xplain.storage import decode, encode
 
 TREE = "sklearn.tree._tree.Tree"
-"""A class that skops does not trust, because its arrays may not form a tree. This module checks
-them."""
+"""A class that skops does not trust, because its arrays may not form a tree. This module checks the
+arrays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +48,13 @@ class TableLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """See :meth:`Labeler.table`."""
+        """Returns P(label = 1) of T transitions from the table; ½ for other transitions."""
         place = places(features.astype(np.float32), self.rows)
         known = (place >= 0)[:, None]
         return LabelTable.dense([np.where(known, self.values[place], 0.5)])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """See :meth:`Labeler.arrays`."""
+        """Returns the rows and the table, for a file of types."""
         return {"rows": self.rows, "table": self.values}
 
 
@@ -62,15 +62,15 @@ FIGURES = {"confidence": float, "accuracy": float, "n_train": int, "n_test": int
 """The measured attributes of a labeler, with their types."""
 
 
-def _values(labeler: Labeler) -> dict[str, Any]:
-    """The values of a labeler in a file."""
+def _collect_values(labeler: Labeler) -> dict[str, Any]:
+    """Collects the values of a labeler for a file."""
     return {key: getattr(labeler, key) for key in FIGURES} | labeler.arrays()
 
 
-def _labeler(
+def _make_labeler(
     kept: Mapping[str, Any], t: int, features: int, messages: int, trusted: Sequence[str]
 ) -> Labeler:
-    """Makes the labeler of type t from its values (:func:`_values`).
+    """Makes the labeler of type t from its values (:func:`_collect_values`).
 
     Args:
         kept: the values.
@@ -108,7 +108,7 @@ def _labeler(
 
 
 def _is_sound(tree: Any, inputs: int) -> bool:
-    """True if a walk from the root of a scikit-learn tree stays inside its arrays."""
+    """True if every path from the root of a scikit-learn tree stays inside its arrays."""
     left, right, node = tree.children_left, tree.children_right, np.arange(tree.node_count)
     inner = left != -1
     ends = np.minimum(left, right)[inner] > node[inner], np.maximum(left, right) < len(node)
@@ -118,7 +118,7 @@ def _is_sound(tree: Any, inputs: int) -> bool:
 
 
 WHOLE = "types"
-"""In a file: the name of the text that assigns the arrays to fields."""
+"""Name of the text in a file that says which array belongs to which field."""
 NAMES = ("names", "messages", "feature_names")
 """Arrays of names in a file, which other programs may read."""
 
@@ -161,7 +161,7 @@ class LearnedTypes:
 
         Args:
             types: result of :func:`xplain.learning.user_types.learn_types`.
-            dataset: the dataset that they were learned from.
+            dataset: the dataset that the types were learned from.
             sentences: text of each message.
         """
         everything = types.everything
@@ -181,8 +181,8 @@ class LearnedTypes:
         )
 
     def encode(self, transition: Mapping[str, float | str]) -> tuple[float, ...]:
-        """Converts a transition, given by its columns in the table of labels, to the form of
-        sessions: ``types.encode({"zone": "river", "load": 2})``.
+        """Converts a transition, given by its columns in the table of labels, to the form that
+        sessions need: ``types.encode({"zone": "river", "load": 2})``.
 
         Raises:
             InputError: a column is missing or unknown, or has a text that no labelled row has.
@@ -190,7 +190,7 @@ class LearnedTypes:
         return encode_transition(transition, self.feature_names)
 
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
-        """P(label is 1 | type, message set) of T rows of features.
+        """Computes P(label = 1 | type, message set) of T rows of features.
 
         Raises:
             InputError: a row does not consist of F finite numbers.
@@ -207,8 +207,8 @@ class LearnedTypes:
         return label_table(self.labelers, rows)
 
     def everything(self, transitions: Sequence[Any]) -> LabelTable | None:
-        """P(label is 1 | message set) for a person who believes every fact incorrectly; None if
-        facts are unknown."""
+        """Computes P(label = 1 | message set) for a person who believes every fact incorrectly;
+        None if facts are unknown."""
         if self.about_everything is None:
             return None
         return self.about_everything.table(np.asarray(transitions, dtype=np.float64))
@@ -222,11 +222,11 @@ class LearnedTypes:
         """
         arrays: dict[str, Any] = {}
         kept = {own.name: getattr(self, own.name) for own in fields(self)}
-        kept["labelers"] = [_values(labeler) for labeler in self.labelers]
-        kept["about_everything"] = self.about_everything and _values(self.about_everything)
+        kept["labelers"] = [_collect_values(labeler) for labeler in self.labelers]
+        kept["about_everything"] = self.about_everything and _collect_values(self.about_everything)
         names = {key: np.array(kept.pop(key), dtype=np.str_) for key in NAMES}
         arrays[WHOLE] = np.array(json.dumps(encode(kept, arrays)))
-        with Path(path).open("wb") as file:  # an open file keeps its name as it is
+        with Path(path).open("wb") as file:  # for a path, numpy would add .npz to the name
             np.savez_compressed(file, **arrays | names)
 
     @classmethod
@@ -249,7 +249,8 @@ class LearnedTypes:
             if size[1] > MAX_MASK:
                 raise InputError("types", size[1], f"at most {MAX_MASK} messages")
             *labelers, everything = (
-                own and _labeler({k: arrays.get(x, x) for k, x in own.items()}, t, *size, trusted)
+                own
+                and _make_labeler({k: arrays.get(x, x) for k, x in own.items()}, t, *size, trusted)
                 for t, own in enumerate([*kept.labelers, kept.about_everything])
             )
             prior = np.asarray(kept.prior, dtype=np.float64)
@@ -263,6 +264,8 @@ class LearnedTypes:
             ) from None
         each = [kept.names, prior, *([] if kept.wrong is None else [kept.wrong])]
         if not labelers or prior.ndim != 1 or any(len(own) != len(labelers) for own in each):
-            raise InputError("types", str(path), "one name, one prior and one labeler a type")
+            raise InputError(
+                "types", str(path), "one name, one prior and one labeler for each type"
+            )
         every = tuple(labelers)
         return replace(kept, labelers=every, prior=prior, about_everything=everything)

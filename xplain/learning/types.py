@@ -65,13 +65,13 @@ class Clustering:
 
     @property
     def new(self) -> float:
-        """P(the next person has a new type): the share of observers who are the only ones of their
-        type (Good 1953), at least OPEN."""
+        """P(the next person has a new type): the share of observers who are alone in their type
+        (Good 1953), at least OPEN."""
         alone = int((np.bincount(self.assignment) == 1).sum())
         return max(OPEN, alone / (len(self.assignment) + 1))
 
     def members(self, cluster: int) -> NDArray[np.int64]:
-        """Indices of the observers of a cluster, ascending."""
+        """Returns the indices of the observers of a cluster, ascending."""
         return np.flatnonzero(self.assignment == cluster)
 
 
@@ -115,7 +115,7 @@ class KnownTypes:
         matched_true_type: [N] ``distinct`` number of the true type that each type represents; −1 if
             unknown.
         shares: [N] shares of the observers.
-        figures: figures of the learning stage, by name.
+        figures: measures of the learning stage, by name.
         curve: disagreements for k = 1 …; empty if there are none.
         rule: the rule that chose the number of types.
         tables: makes the tables of a trace from the features [m, F] of its transitions [m, 3].
@@ -137,13 +137,13 @@ class KnownTypes:
 
 
 def shares_of(drawn: ArrayLike) -> dict[int, float]:
-    """P(number of types = k) by k, from drawn numbers of types."""
+    """Computes P(number of types = k) by k, from drawn numbers of types."""
     number, times = np.unique(drawn, return_counts=True)
     return dict(zip(number.tolist(), (times / times.sum()).tolist(), strict=True))
 
 
 def by_first_appearance(assignment: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The same groups, numbered 0, 1, … in the order in which they first appear."""
+    """Numbers the same groups 0, 1, … in the order in which they first appear."""
     _, first, number = np.unique(assignment, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))

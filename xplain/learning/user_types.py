@@ -1,5 +1,5 @@
-"""Finds user types: the type of each observer, one labeler for each type, and the agents' knowledge
-of users (docs/method.md, section 4).
+"""Finds user types: the type of each observer, one labeler for each type, and what agents know
+about users (docs/method.md, section 4).
 
     Observed ── find_types ── KnownTypes (label tables of any trace)
 
@@ -40,18 +40,19 @@ log = logging.getLogger(__name__)
 
 
 NOISY = 0.12
-"""Share of wrong answers from which the types are doubtful. On random maps with 20 labels from each
-observer (seeds 9300 to 9302) it was 0.04 to 0.07 if 5 % were wrong, and 0.15 to 0.35 if observers
-were polite, repeated themselves, or answered at random."""
+"""If the estimated share of wrong answers is above this number, the types are doubtful. On random
+maps with 20 labels from each observer (seeds 9300 to 9302) the estimate was 0.04 to 0.07 if 5 %
+were wrong, and 0.15 to 0.35 if observers were polite, repeated themselves, or answered at
+random."""
 NOISY_TEXT = (
     "about %.0f %% of the answers are not what people think: the types may be wrong; compare "
-    "explanations by them with solver=conformant, and with solver=say_all, whose cost does not "
-    "depend on types"
+    "explanations that use these types with solver=conformant, and with solver=say_all, whose "
+    "cost does not depend on types"
 )
 
 
 def wrong_answers(types: UserTypes, dataset: Dataset) -> float:
-    """Estimated share of the dataset's answers that differ from what people think."""
+    """Estimates the share of the dataset's answers that differ from what people think."""
     if types.answers is None:
         return 0.0
     return types.answers.wrong(dataset.transition, dataset.observer)
@@ -87,11 +88,12 @@ class Clusterer(ABC):
 
     @abstractmethod
     def cluster(self, observed: Observed, seed: int) -> Clustering:
-        """Groups the observers: one cluster for each type. Arguments and errors are those of
+        """Groups the observers: one cluster for each type. Arguments and errors are as in
         :meth:`TypeFinder.find`."""
 
     def find(self, observed: Observed, seed: int) -> UserTypes:
-        """See :meth:`TypeFinder.find`."""
+        """Groups the observers and fits a labeler to the labels of each group; see
+        :meth:`TypeFinder.find` for the arguments and errors."""
         trainer = self.labeler.adapt_to(observed)  # once: the trainer caches results about its task
         clustering = replace(self, labeler=trainer).cluster(observed, seed)
         types = learn_types(observed.dataset, clustering, trainer, seed)
@@ -109,7 +111,7 @@ class Perfect(Clusterer):
     (docs/method.md, section 6)."""
 
     def cluster(self, observed: Observed, seed: int) -> Clustering:
-        """The true types.
+        """Groups the observers by their true types.
 
         Raises:
             InputError: the true types are unknown.
@@ -190,11 +192,12 @@ def label_table(
 
 @dataclass(frozen=True)
 class AskedOnce:
-    """Makes label tables like :func:`label_table`, but calls each labeler once for each transition,
-    however many traces contain it. These calls may take longer than all later steps.
+    """Makes label tables like :func:`label_table`, but calls each labeler only once for each
+    transition, even if several traces contain the transition. These calls may take longer than all
+    later steps.
 
     Attributes:
-        tables: [2^n] by labeler and transition, for transitions of the traces only.
+        tables: [2^n] P(label = 1) by labeler and transition, only for transitions of the traces.
     """
 
     tables: dict[tuple[int, bytes], NDArray[np.float64]] = field(default_factory=dict)
@@ -205,13 +208,16 @@ class AskedOnce:
         features: NDArray[np.float64],
         transitions: NDArray[np.int64],
     ) -> LabelTable:
-        """See :func:`label_table`. The labelers must live as long as this object."""
-        return stack_types([self._of(labeler, features, transitions) for labeler in labelers])
+        """Makes the same table as :func:`label_table`. The labelers must exist as long as this
+        object."""
+        return stack_types(
+            [self._make_table(labeler, features, transitions) for labeler in labelers]
+        )
 
-    def _of(
+    def _make_table(
         self, labeler: Labeler, features: NDArray[np.float64], transitions: NDArray[np.int64]
     ) -> LabelTable:
-        if labeler.n_messages > DENSE:  # a trace has relevant messages of its own
+        if labeler.n_messages > DENSE:  # each trace has its own relevant messages
             return labeler.table(features, transitions)
         keys = [(id(labeler), row.tobytes()) for row in np.hstack([features, transitions])]
         new = {key: i for i, key in enumerate(keys) if key not in self.tables}
@@ -238,8 +244,8 @@ def learn_types(
         trainer: fits the labelers.
         seed: seed of every fit. It is the same for all types, so a labeler depends only on its
             labels, not on the numbering of clusters.
-        known: labelers by their observers, fitted to this dataset with this trainer and seed: they
-            are not fitted again.
+        known: labelers by their observers. They were fitted to this dataset with this trainer and
+            seed, and are not fitted again.
     """
     clusters = [clustering.members(t) for t in range(clustering.n_types)]
     trainer, answers, evidence = trainer.with_errors(dataset, clustering.assignment)
@@ -298,7 +304,7 @@ def find_types(
         names=types.names,
         matched_true_type=_match_true_types(observed, types),
         shares=clustering.shares,
-        figures=_figures(observed, types, everyone, perfect, trainer, seed),
+        figures=_measure_types(observed, types, everyone, perfect, trainer, seed),
         curve=np.asarray(curve, dtype=float),
         rule=clustering.rule,
         tables=tables,
@@ -315,7 +321,8 @@ def learn_perfect(
     known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes | None:
     """Learns types under perfect clustering; their labelers are the paper's L_pc. None if the true
-    types of the observers are unknown. For ``known`` see :func:`learn_types`.
+    types of the observers are unknown. ``known`` has labelers that need not be fitted again, as in
+    :func:`learn_types`.
 
     Raises:
         XplainError: too few labels to hold some out.
@@ -326,8 +333,9 @@ def learn_perfect(
 
 
 def oracle_labelers(perfect: UserTypes | None, observed: Observed) -> tuple[Labeler, ...] | None:
-    """[M] the labeler of each true type under perfect clustering; None if it is unknown, or if no
-    observer behaves like a type. The order of the clusters does not matter."""
+    """Returns [M] the labeler of each true type under perfect clustering; None if the true types
+    are unknown, or if some type has no observer who behaves like it. The order of the clusters does
+    not matter."""
     if perfect is None or observed.setting is None:
         return None
     first = [np.flatnonzero(observed.behaviour == alike)[:1] for alike in observed.setting.distinct]
@@ -337,8 +345,8 @@ def oracle_labelers(perfect: UserTypes | None, observed: Observed) -> tuple[Labe
 
 
 def _match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]:
-    """[N] ``distinct`` number of the true type of most observers of each learned type; −1 if the
-    true types are unknown."""
+    """Finds [N] the true type that most observers of each learned type have, as its ``distinct``
+    number; −1 if the true types are unknown."""
     matched = np.full(len(types.labelers), -1)
     alike = observed.behaviour
     if alike is not None:
@@ -347,7 +355,7 @@ def _match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]
     return matched
 
 
-def _figures(
+def _measure_types(
     observed: Observed,
     types: UserTypes,
     everyone: Labeler,
@@ -355,11 +363,11 @@ def _figures(
     trainer: LabelerTrainer,
     seed: int,
 ) -> dict[str, float]:
-    """Measures how well the types were found and the labels learned, by name.
+    """Measures how good the found types and their labelers are. Returns the measures by name.
 
-    ``labeler_accuracy`` is the paper's, on held-out (transition, message set). ``fresh_accuracy``
-    is the accuracy on new questions (:func:`~xplain.learning.labelers.fresh_accuracy`). Both are
-    means over types.
+    ``labeler_accuracy`` is the paper's accuracy, on held-out (transition, message set).
+    ``fresh_accuracy`` is the accuracy on new questions
+    (:func:`~xplain.learning.labelers.fresh_accuracy`). Both are means over types.
     """
     clustering = types.clustering
     fresh = [
@@ -392,15 +400,15 @@ def _require_tested(labelers: Iterable[Any]) -> None:
     for labeler in labelers:
         if labeler.n_test == 0:
             raise XplainError(
-                f"points: too few; the {labeler.n_train} labels of a type are all of one "
-                "(transition, message set), and its labeler needs two: one to train it and one "
-                "to test it"
+                f"points: too few; the {labeler.n_train} labels of a type are all about one "
+                "(transition, message set), and a labeler needs two: one for training and one "
+                "for the test"
             )
 
 
-def _everything(setting: Setting) -> Setting | None:
-    """The setting of one type that believes every fact incorrectly; None if its task has no way to
-    the goal, or if there are too many facts."""
+def _build_everything(setting: Setting) -> Setting | None:
+    """Builds the setting of one type that believes every fact incorrectly; None if its task has no
+    way to the goal, or if there are too many facts."""
     if setting.n_messages > DENSE:
         return None
     names = setting.message_names
@@ -413,13 +421,14 @@ class TrueLabels(LabelerTrainer):
     """A component ``labeler`` that uses true labels instead of a learned labeler.
 
     An experiment then plans with the labels of the users' own models, and with one type for each
-    true type: only the user's type remains unknown. A policy's cost minus the clairvoyant's is the
-    cost of not knowing the type. The additional cost with a learned labeler is the cost of its
-    errors. True labels belong to the types of a setting, so no cluster of observers can have them,
-    and the clusterer is not used: the observers only give the shares of the types.
+    true type: only the user's type remains unknown. A policy's cost minus the clairvoyant's cost is
+    the cost of not knowing the type. The additional cost with a learned labeler is the cost of the
+    labeler's errors. True labels exist only for the types of a setting, not for clusters of
+    observers. So the clusterer is not used, and the observers only give the shares of the types.
 
     The labels of a user who has one of the types never have probability 0, so beliefs stay defined.
-    They can become certain: an answer that contradicts a type excludes it for good.
+    Beliefs can become certain: an answer that contradicts a type excludes this type for all later
+    steps.
     """
 
     def __init__(self) -> None:
@@ -427,14 +436,14 @@ class TrueLabels(LabelerTrainer):
         super().__init__()
 
     def types_of(self, observed: Observed) -> KnownTypes:
-        """The true types with their true labels. The labeler for all observers predicts the share
-        of observers whose type gives the label.
+        """Returns the true types with their true labels. The labeler for all observers predicts the
+        share of observers whose type gives label 1.
 
         Raises:
             InputError: the observers' types are unknown, as with real people.
         """
         setting, truth = observed.setting, observed.truth
-        everything = _everything(setting) if setting else None
+        everything = _build_everything(setting) if setting else None
         if setting is None or truth is None:
             raise InputError("labeler", "truth", "needs simulated observers, whose type is known")
         shares = np.bincount(truth, minlength=len(setting.types)) / len(truth)

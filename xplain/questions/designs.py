@@ -1,7 +1,7 @@
 """Query designs that use hypotheses of incorrect beliefs: one list for everybody that separates all
 candidates, or a questionnaire for each person (docs/what-to-ask.md).
 
-A question separates two candidates if they label it differently. The list is a greedy cover of all
+A question separates two candidates if their labels of it differ. The list is a greedy cover of all
 pairs of candidates with different behaviour, each ``redundancy`` times, so that the list tolerates
 errors. Greedy covers are near-optimal, because the number of covered pairs is submodular.
 """
@@ -187,7 +187,7 @@ class Adaptive:
     the hypotheses.
 
     Attributes:
-        error: expected share of wrong answers; above 0, because people err.
+        error: expected share of wrong answers; above 0, because people make errors.
         clip: number of transitions in a question.
         misread: share of clips that are misunderstood as a whole.
         none: probability that no hypothesis fits a person.
@@ -195,8 +195,9 @@ class Adaptive:
         check: share of check questions, once a person's incorrect beliefs are known. A check
             question gives the messages about all known facts and asks about a frequent transition
             of the robot. The answer 0 means that there are further incorrect beliefs.
-        in_turn: True asks each person one question in turn, as if people answered at the same time;
-            each prior comes from all others so far. False asks one person after the other.
+        in_turn: True asks one question of each person in turn, as if people answered at the same
+            time; each prior comes from all other people so far. False asks one person after the
+            other.
         hypotheses: an ``.npz`` file; None: those of the domain.
     """
 

@@ -87,8 +87,8 @@ def _make_setting(domain: Domain, wrong: int) -> Setting:
 def _ask_observers(
     design: Any, setting: Setting, seed: int = 0
 ) -> tuple[list[Answered], list[Answered]]:
-    """Asks four observers by the design. Returns its result, and the questions and answers as the
-    observers saw them."""
+    """Asks four observers by the design. Returns the design's result, and the questions and answers
+    as the observers saw them."""
     rngs = [np.random.default_rng([o, seed]) for o in range(len(SIZES))]
     nothing = np.zeros((0, 3), dtype=np.int64)
     heard = [Answered(nothing, nothing[:, 0], nothing[:, 0].astype(np.uint8)) for _ in SIZES]

@@ -120,8 +120,8 @@ class Words:
         return self._fill(name, [*map(plain, arguments)]) or typed
 
     def changes(self, before: Iterable[Atom], after: Iterable[Atom]) -> tuple[str, ...]:
-        """Describes the atoms that became true, then those that became false: "now holding a", "no
-        longer clear a"."""
+        """Describes the atoms that became true, then the atoms that became false: "now holding a",
+        "no longer clear a"."""
         first, second = set(before), set(after)
         return (
             *(f"now {self.atom(atom)}" for atom in sorted(second - first)),

@@ -204,8 +204,7 @@ class Grounding:
                 yield action, self._make_mask(made.precondition), done
 
     def _resolve(self, asked: int, effects: Effects) -> Iterator[tuple[int, Effects]]:
-        """Yields, for each belief about the effects of an action, the literals of this belief and
-        the effects."""
+        """Yields the literals and the effects of each belief about the effects of an action."""
         about = 0
         for condition, *_ in effects:
             about |= condition & self.beliefs

@@ -96,8 +96,8 @@ def declare(signature: Signature) -> str:
 
 
 def write(part: Any) -> str:
-    """A condition or an effect as PDDL, such as (not (on ?x b)); conjuncts and the sides of "=" are
-    sorted."""
+    """Writes a condition or an effect in PDDL, such as (not (on ?x b)); conjuncts and the sides of
+    "=" are sorted."""
     if isinstance(part, lifted.Effect):
         asked, text = write(part.condition), write(part.literal)
         text = text if asked == "(and)" else f"(when {asked} {text})"

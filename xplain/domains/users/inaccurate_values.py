@@ -87,7 +87,7 @@ class FactLabels:
     def without_ties(
         self, wanted: Values, facts: NDArray[np.int64]
     ) -> tuple[Values, NDArray[np.uint8]]:
-        """Finds values near the wanted ones without ambiguous ties. Returns them with the labels
+        """Finds values near the wanted values without ambiguous ties. Returns them with the labels
         [C, T] of people who believe these sets [C] incorrectly.
 
         If ties are ambiguous, the parameters change one after the other from the assumed values.
@@ -120,11 +120,11 @@ class FactLabels:
     def variants(
         self, facts: NDArray[np.int64], scales: Sequence[float]
     ) -> list[tuple[Values, NDArray[np.uint8], float]]:
-        """Finds values that people may believe instead of the assumed ones, with the labels [C, T]
-        of people who believe these sets [C] incorrectly, and their prior probability.
+        """Finds values that people may believe instead of the assumed values, with the labels [C,
+        T] of people who believe these sets [C] incorrectly, and their prior probability.
 
         If the domain refuses a value, the assumed value is used. :meth:`without_ties` resolves
-        ambiguous ties. If all values equal the assumed ones, there is no variant.
+        ambiguous ties. If all values equal the assumed values, there is no variant.
 
         Args:
             facts: the sets.

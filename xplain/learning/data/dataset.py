@@ -1,8 +1,8 @@
 """Labels of observers. Each label belongs to an observer, a transition and a message set
 (docs/method.md, section 2).
 
-Simulated observers and files of real people's labels give the same kind of table. The features of a
-file are its columns.
+Labels of simulated observers and labels of real people from a file have the same form. The features
+of a file are its columns.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def number_rows(rows: ArrayLike) -> dict[bytes, int]:
 
 
 def places(rows: ArrayLike, known: ArrayLike | Mapping[bytes, int]) -> NDArray[np.int64]:
-    """[P] the index of each row of features [P, F] among known rows [U, F] (or in a map of
+    """Returns [P] the index of each row of features [P, F] among known rows [U, F] (or in a map of
     :func:`number_rows`); −1 if missing."""
     number = known if isinstance(known, Mapping) else number_rows(known)
     found = [number.get(row.tobytes(), -1) for row in np.asarray(rows, np.float64) + 0.0]
@@ -77,7 +77,7 @@ def places(rows: ArrayLike, known: ArrayLike | Mapping[bytes, int]) -> NDArray[n
 
 
 def query_index(dataset: Dataset) -> NDArray[np.int64]:
-    """[P] index of each label's query (transition, message set), 0 … distinct queries − 1, in the
+    """Numbers [P] each label's query (transition, message set), 0 … distinct queries − 1, in the
     order of (transition, message set)."""
     told = np.unique(dataset.message_set, return_inverse=True)[1]
     key = dataset.transition * (told.max(initial=0) + 1) + told
@@ -87,10 +87,11 @@ def query_index(dataset: Dataset) -> NDArray[np.int64]:
 def inputs(
     features: NDArray[np.float64], message_sets: NDArray[np.int64], n_messages: int
 ) -> NDArray[np.float32]:
-    """[P, F + n] float32 input of the classifier: features [P, F] and one bit for each message."""
+    """Makes the float32 input [P, F + n] of a classifier: features [P, F] and one bit for each
+    message."""
     return np.hstack([features, bits_of(message_sets, n_messages)]).astype(np.float32)
 
 
 def make_labelled_inputs(dataset: Dataset) -> NDArray[np.float32]:
-    """[P, F + n] :func:`inputs` of each label."""
+    """Makes the classifier's input [P, F + n] for each label (:func:`inputs`)."""
     return inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)

@@ -1,18 +1,18 @@
-"""Reads people's own tables (CSV or Parquet), such as tables of labels with one row for each label
-(docs/your-own-data.md).
+"""Reads people's own tables (CSV or Parquet), such as tables of labels (docs/your-own-data.md).
 
-Columns: ``observer``; ``messages``, names joined by ``;``, empty for none (without this column
-nobody received messages); ``label``, 0 or 1. The other columns are features of the transition
+A table of labels has one row for each label. Its columns are ``observer``, ``label`` (0 or 1), and
+``messages``: names joined by ``;``. The cell is empty if the observer received no messages. Without
+this column, nobody received messages. All other columns are features of the transition
 (:func:`read_table`). Rows with equal features are the same transition.
 
-Every cell is first a text, exactly as in the file. A column becomes numbers only if its texts lose
-nothing: ``007``, ``1E2``, and ``1.1`` beside ``1.10`` stay texts. Text becomes one 0/1 feature for
-each value (``action=left``).
+Every cell is first read as a text. A column becomes numbers only if no text loses information:
+``007``, ``1E2``, and ``1.1`` beside ``1.10`` stay texts. A column of texts becomes one 0/1 feature
+for each value (``action=left``).
 
-An observer with few labels is kept, with a warning. If an observer answers the same question in
-both ways, both labels count, because people err. Errors are: a missing value, a label other than 0
-or 1, fewer than two observers, labels that are all equal, and fewer than four distinct (transition,
-message set).
+An observer with only one label is kept, with a warning. If an observer answers the same question in
+both ways, both labels count, because people make errors. A table is refused if it has a missing
+value, a label other than 0 or 1, fewer than two observers, only equal labels, or fewer than four
+distinct (transition, message set).
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ log = logging.getLogger(__name__)
 
 MISSING = frozenset(("", "NA", "N/A", "NaN", "nan", "null", "NULL", "<NA>", "#N/A"))
 NUMBER = r"[+-]?(?:(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:e[+-]?\d+|E[+-]\d+)?|inf)"
-"""A number as programs write it. R and spreadsheets write a sign as in 1E+05, so 1E2 is a name."""
+"""A number as programs write it. R and spreadsheets write a sign after E, as in 1E+05, so 1E2 is a
+text."""
 TIME = r".*(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\b\d\d?:\d\d(:\d\d|\b)).*"
 SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 COLUMNS = ("observer", "messages", "label")
@@ -57,9 +58,11 @@ NOTHING = "none|nothing|nil|missing|no|no messages?|n/a|0|[.]|-|–|—|\\[\\]|{
 MAX_MASK = 62
 """Maximum number of messages in a table; a message set is the bits of one integer."""
 MIN_QUERIES = 4
-"""Minimum number of distinct (transition, message set); a split of fewer has no meaning."""
+"""Minimum number of distinct (transition, message set), so that training and test parts have a
+meaning."""
 PREFIXES = {"data": "", "observers.path": "observers."}
-"""The prefix of the other keys about a table of labels, by the key of its path."""
+"""For each key that holds the path of a table of labels: the prefix of the other keys about this
+table."""
 
 
 class Column(NamedTuple):
@@ -68,7 +71,7 @@ class Column(NamedTuple):
     Attributes:
         key: the user's key, for errors.
         name: name of the column.
-        words: [U] the distinct texts without spaces around them, sorted.
+        words: [U] the distinct texts, without spaces at their ends, sorted.
         code: [P] index into ``words``.
     """
 
@@ -93,7 +96,8 @@ class Column(NamedTuple):
         return len(np.unique(code))
 
     def refuse(self, bad: Any, what: str, advice: str = "") -> None:
-        """Raises InputError if some words [U] are bad; the line gives the row of the first one."""
+        """Raises InputError if some words [U] are bad; the error gives the first row with a bad
+        word."""
         rows = np.flatnonzero(np.asarray(bad, dtype=bool)[self.code])
         if len(rows):
             word = self.words[self.code[rows[0]]] or self.name
@@ -101,8 +105,8 @@ class Column(NamedTuple):
             raise InputError(self.key, word, where + advice)
 
     def numbers(self) -> NDArray[np.float64] | None:
-        """[U] the words as numbers; true is 1, false is 0, a missing cell is NaN. None if some
-        words are no numbers."""
+        """Converts the words to numbers [U]; true is 1, false is 0, a missing cell is NaN. Returns
+        None if a word is no number, or if two words would be the same number."""
         given = [word for word in self.words if word not in MISSING]
         if {word.lower() for word in given} <= {"true", "false"}:
             found = {word: float(word.lower() == "true") for word in given}
@@ -146,7 +150,7 @@ class Column(NamedTuple):
         if self.key in PREFIXES:
             mend += f", or the column by {option(self.key, 'ignore', self.name)}"
         if self.name in like and numbers is None:
-            numbers = np.array([_float(word) for word in self.words])
+            numbers = np.array([_read_float(word) for word in self.words])
             self.refuse(np.isnan(numbers) & ~np.array(absent), "no number")
         if numbers is not None:
             self.refuse(np.isnan(numbers), "missing", mend)
@@ -163,7 +167,7 @@ class Column(NamedTuple):
         return self.words[:, None] == np.array(values, object), tuple(prefix + x for x in values)
 
 
-def _float(word: str) -> float:
+def _read_float(word: str) -> float:
     try:
         return float(word)
     except ValueError:
@@ -243,11 +247,11 @@ def read_table(
         key: the user's key, for errors.
 
     Raises:
-        InputError: a rule of this module is broken. The line gives the column, the first bad value
+        InputError: a rule of this module is broken. The error gives the column, the first bad value
             and its row (1 is the first row of data).
     """
     table = read_cells(Path(path), key)
-    _require(table, path, key, ("observer", "label", *(features or ()), *ignore), like)
+    _require_columns(table, path, key, ("observer", "label", *(features or ()), *ignore), like)
     table = table if "messages" in table.columns else table.assign(messages="")
     columns = {name: Column.of(key, name, table[name]) for name in table.columns}
     if features is None:
@@ -262,11 +266,11 @@ def read_table(
     label = columns["label"]
     label.refuse([word in MISSING for word in label.words], "missing")
     truth = {"true": 1.0, "false": 0.0}
-    numbers = np.array([truth.get(word.lower(), _float(word)) for word in label.words])
+    numbers = np.array([truth.get(word.lower(), _read_float(word)) for word in label.words])
     label.refuse(~np.isin(numbers, (0, 1)), "no label", "; a label is 0 or 1")
-    dataset = _dataset(columns, described, numbers.astype(np.uint8)[label.code], messages)
+    dataset = _make_dataset(columns, described, numbers.astype(np.uint8)[label.code], messages)
     if not under_way:
-        _check(dataset, key)
+        _check_dataset(dataset, key)
     if like:
         ordered = put_in_order(dataset.features, dataset.feature_names, like, key)
         dataset = replace(dataset, features=ordered, feature_names=tuple(like))
@@ -282,12 +286,12 @@ def read_table(
 
 
 def read_questions(path: str | Path, like: Dataset) -> tuple[pd.DataFrame, Dataset]:
-    """Reads questions to predict answers to, one in each row: a table as in :func:`read_table`.
-    Labels may be missing and observers may be new.
+    """Reads a table of questions, one in each row, whose answers will be predicted. The table is as
+    in :func:`read_table`, but labels may be missing and observers may be new.
 
     Args:
         path: path of the table.
-        like: the labels that predictions are made from; only its features and messages may occur.
+        like: the labels for the predictions; only its features and messages may occur.
 
     Returns:
         The unchanged table, and a dataset of its rows in order; all its labels are 0 and have no
@@ -298,14 +302,14 @@ def read_questions(path: str | Path, like: Dataset) -> tuple[pd.DataFrame, Datas
     """
     table, names = read_cells(Path(path), "predict"), like.feature_names
     features = dict.fromkeys(name.partition("=")[0] for name in names)
-    _require(table, path, "predict", ("observer", *features))
+    _require_columns(table, path, "predict", ("observer", *features))
     asked = table if "messages" in table.columns else table.assign(messages="")
     wanted = ("observer", "messages", *features)
     columns = {name: Column.of("predict", name, asked[name]) for name in wanted}
     found = features_of([columns[name] for name in features], names)
     described = put_in_order(*found, names, "predict"), names
     label = np.zeros(len(table), dtype=np.uint8)
-    return table, _dataset(columns, described, label, like.messages)
+    return table, _make_dataset(columns, described, label, like.messages)
 
 
 def write_table(dataset: Dataset, path: str | Path) -> None:
@@ -435,8 +439,8 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
 
 
 def option(key: str, name: str, *values: str) -> str:
-    """Writes the command-line option that sets the key ``name`` to a list of texts. The key is on
-    the level of the key of the table's path."""
+    """Writes the command-line option that sets the key ``name`` to a list of texts. The option is
+    about the table whose path has the key ``key``."""
     return shlex.quote(f"{PREFIXES.get(key, '')}{name}=[{','.join(map(_quote, values))}]")
 
 
@@ -446,11 +450,11 @@ def _quote(value: str) -> str:
     return value if word else quote(value, '"')
 
 
-def _require(
+def _require_columns(
     table: pd.DataFrame, path: str | Path, key: str, names: Iterable[str], like: Sequence[str] = ()
 ) -> None:
-    """Raises InputError if a column is missing, if the name of a column is nearly one of
-    :data:`COLUMNS`, or if it has a "=" and is not one of ``like``."""
+    """Raises InputError if a column is missing, or if the name of a column is nearly one of
+    :data:`COLUMNS`, or has a "=" and is not in ``like``."""
     columns = [*table.columns]
     for name in columns:
         if "=" in name and name not in like:
@@ -466,8 +470,8 @@ def _require(
 def _choose_features(
     columns: Mapping[str, Column], names: Sequence[str], sure: set[str]
 ) -> list[str]:
-    """Chooses the columns that can describe a transition. A log line gives the others with the
-    reason.
+    """Chooses the columns that can describe a transition. A warning gives all other columns, with
+    the reasons.
 
     Args:
         columns: all columns of the table.
@@ -489,7 +493,7 @@ def _choose_features(
             left[name] = "dates or times"
     for name in [name for name in names if name not in {*left, *sure}]:
         others = [columns[x] for x in names if x not in {name, *left}]
-        if others and _counts_rows(columns[name], observer, others, columns["messages"]):
+        if others and _is_row_number(columns[name], observer, others, columns["messages"]):
             left[name] = "it counts the rows of each person"
     taken, key = [name for name in names if name not in left], observer.key
     reasons = ", ".join(f"{name} ({why})" for name, why in left.items())
@@ -502,12 +506,13 @@ def _choose_features(
     return taken
 
 
-def _counts_rows(
+def _is_row_number(
     column: Column, observer: Column, others: Sequence[Column], messages: Column
 ) -> bool:
-    """True if a column has numbers that rise from row to row of each person and do not identify the
-    transition: rows with the same number differ in other columns, or have the same message set."""
-    number = np.array([_float(word) for word in column.words])[column.code]
+    """True if a column only counts the rows of each person: its numbers rise from row to row of
+    each person, and do not identify the transition. This is so if rows with the same number differ
+    in other columns, or if each number has only one message set."""
+    number = np.array([_read_float(word) for word in column.words])[column.code]
     order, values = np.argsort(observer.code, kind="stable"), len(column.words)
     rises = np.diff(number[order])[np.diff(observer.code[order]) == 0] > 0
     if not len(rises) or not rises.all():
@@ -516,7 +521,7 @@ def _counts_rows(
     return fixed or column.different_with(*others) > values
 
 
-def _dataset(
+def _make_dataset(
     columns: Mapping[str, Column],
     described: tuple[NDArray[np.float64], tuple[str, ...]],
     label: NDArray[np.uint8],
@@ -555,15 +560,15 @@ def message_sets(
         messages: the allowed names, in order; None: all names in the column, sorted.
 
     Raises:
-        InputError: a name is unknown, or looks like several names, like no message, or like
-            another name; or there are too many.
+        InputError: a name is unknown, or looks like several names, like no message, or like another
+            name; or there are too many names.
     """
     absent = MISSING - {*(messages or ())}
     given = [[" ".join(x.split()) for x in cell.split(";") if x.strip()] for cell in column.words]
     given = [[] if len(names) == 1 and names[0] in absent else names for names in given]
     found = sorted({name for names in given for name in names})
     if messages is None:
-        _ask_about_names(column.key, found)
+        _refuse_unclear_names(column.key, found)
     known = tuple(found if messages is None else messages)
     if len(known) > MAX_MASK:
         raise InputError(column.key, len(known), f"at most {MAX_MASK} different messages")
@@ -573,7 +578,7 @@ def message_sets(
     return masks[column.code], known
 
 
-def _ask_about_names(key: str, names: Sequence[str]) -> None:
+def _refuse_unclear_names(key: str, names: Sequence[str]) -> None:
     """Raises InputError for a name that looks like several names, like no message, or like another
     name."""
     one = "if it is one message, give it another name"
@@ -587,17 +592,17 @@ def _ask_about_names(key: str, names: Sequence[str]) -> None:
         others = "|".join(re.escape(other) for other in names if other != name)
         several = rf"\W*({others})((\W|_)+(and\W+)?({others}))+\W*"
         if name in MISSING or re.fullmatch(NOTHING, name, re.IGNORECASE):
-            raise InputError(key, name, f"leave the cell empty if nothing was told; {one}")
+            raise InputError(key, name, f"leave the cell empty if no message was given; {one}")
         bracket = name[0] in "[{('\"" or name[-1] in ")}]"
         if bracket or joined or (others and re.fullmatch(several, name)):
-            allowed = f"looks like messages joined by something else than a semicolon; {one}"
+            allowed = f"looks like messages joined by another sign than a semicolon; {one}"
             raise InputError(key, name, allowed)
         for other in names:
             if name < other and name.casefold() == other.casefold():
                 raise InputError(key, name, f"differs from {other} by case alone; {one}")
 
 
-def _check(dataset: Dataset, key: str) -> None:
+def _check_dataset(dataset: Dataset, key: str) -> None:
     if len(dataset.observers) < 2:
         raise InputError(key, dataset.observers[0], "one observer; types need at least two")
     if dataset.label.min() == dataset.label.max():

@@ -24,7 +24,8 @@ from xplain.randomness import stream
 
 @dataclass(frozen=True)
 class Observed:
-    """The observers' labels and what is known about the observers. Types are learned from it alone.
+    """The observers' labels and what is known about the observers. Types are learned from these
+    data alone.
 
     Attributes:
         dataset: the labels.
@@ -98,12 +99,12 @@ class Observers(Protocol):
 @checks("observers")
 @dataclass(frozen=True)
 class SimulatedObservers:
-    """Simulated observers of each type, who answer the queries. They are in the order of their
-    types.
+    """Simulated observers of each type, who answer the queries. The observers are in the order of
+    their types.
 
     Attributes:
-        per_type: observers of each type; a list has a number for each type.
-        points: labels of each observer (fewer if the queries need fewer).
+        per_type: number of observers of each type; a list has one number for each type.
+        points: number of labels of each observer (fewer if the queries need fewer).
         label_noise: probability that a label is flipped, independently for each label.
     """
 
@@ -138,7 +139,7 @@ class SimulatedObservers:
 
         asked = queries.ask(setting, sizes, answer, seed)
         shown = np.concatenate([one.transitions for one in asked])
-        # Few distinct transitions occur often, and rows of features are slow to compare.
+        # A few distinct transitions occur often, and rows of features are slow to compare.
         keys = np.ravel_multi_index(tuple(shown.T), tuple(shown.max(axis=0) + 1))
         _, first, which = np.unique(keys, return_index=True, return_inverse=True)
         features = transition_features(setting.domain, shown[first])

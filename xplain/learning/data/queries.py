@@ -1,5 +1,5 @@
-"""Queries: the transitions that observers label, with message sets. Most come from the robot's
-traces (docs/method.md, section 2)."""
+"""Queries: the transitions that observers label, with message sets. Most transitions come from the
+robot's traces (docs/method.md, section 2)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ def sample_trace(
         model: the robot's model, solved; ties are broken at random.
         starts: start states, equally likely.
         rng: random stream.
-        max_length: the trace is cut here if it reaches no terminal state before.
+        max_length: the trace ends after this number of transitions if it reaches no terminal state
+            before.
     """
     state = int(starts[rng.integers(len(starts))])
     steps: list[tuple[int, int, int]] = []
@@ -50,7 +51,8 @@ def count_expected_visits(
     transitions: NDArray[np.int64],
     max_length: int,
 ) -> NDArray[np.float64]:
-    """[T] expected number of times that a trace of :func:`sample_trace` contains each transition.
+    """Computes [T] the expected number of times that a trace of :func:`sample_trace` contains each
+    transition.
 
     Args:
         model, starts, max_length: see :func:`sample_trace`.
@@ -100,8 +102,8 @@ class Queries(Protocol):
     ) -> list[Answered]:
         """Asks O observers; each question may depend on all earlier answers.
 
-        A design knows the domain. It must not use the types in ``setting``, because they are to be
-        found.
+        A design knows the domain. It must not use the types in ``setting``, because these types are
+        to be found.
 
         Args:
             setting: the domain, its messages, and the robot's behaviour.
@@ -164,7 +166,7 @@ class Independent(RandomTraces):
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Asks exactly ``sizes`` questions; each observer has a random stream."""
+        """Asks observer o exactly ``sizes[o]`` questions; each observer has a random stream."""
         asked = []
         for o, size in enumerate(sizes):
             questions = self.draw(setting, int(size), stream(seed, "queries", o))
@@ -176,12 +178,12 @@ class Independent(RandomTraces):
 @dataclass(frozen=True)
 class Shared(RandomTraces):
     """All observers label the same random traces. This is best for a clusterer that counts repeated
-    questions, as the paper's does: without errors, observers of one type then give identical
-    data."""
+    questions, such as the paper's clusterer: without errors, observers of one type then give
+    identical data."""
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Asks the first ``sizes`` questions of one common list."""
+        """Asks observer o the first ``sizes[o]`` questions of one common list."""
         battery = self.draw(setting, int(sizes.max()), stream(seed, "queries", "shared"))
         return ask_in_order(*battery, sizes, answer)

@@ -1,12 +1,12 @@
 """Types as classes of answers, for data without messages.
 
 Labels given without messages do not show which facts a person believes incorrectly. A type can then
-only be a class: people who answer alike. A member of class k answers question q with 1 with
-probability P[k, q] ~ Beta(c m_q, c (1 − m_q)). m_q is the mean over all people; a class with few
-answers is drawn towards it. The strength c is learned. A Dirichlet process assigns observers to
-classes and is drawn in blocks (Ishwaran & James 2001, "Gibbs sampling methods for stick-breaking
-priors", section 5). The expected answers of an observer are averaged over all draws, because a
-single draw is more certain than the answers allow.
+only be a class: people who answer alike. P[k, q] is the probability that a member of class k
+answers 1 to question q, with the prior Beta(c m_q, c (1 − m_q)). m_q is the mean answer of all
+people. A class with few answers is shrunk towards m_q; the strength c is learned. A Dirichlet
+process assigns observers to classes; its variables are drawn in blocks (Ishwaran & James 2001,
+"Gibbs sampling methods for stick-breaking priors", section 5). The expected answers of an observer
+are averaged over all draws, because a single draw is more certain than the answers allow.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SHRINKAGE = np.array([0.5, 1, 2, 4, 8, 16, 32])
 
 
 def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: int) -> Clustering:
-    """Draws classes of observers by their answers alone and ignores their messages.
+    """Draws classes of observers by their answers alone, and ignores messages.
 
     The result has the classes of the most likely draw, the expected answers over all draws, and the
     posterior over the number of classes.
@@ -106,8 +106,9 @@ class _Chain:
 
     def _draw_shares(self, size: NDArray[np.float64]) -> NDArray[np.float64]:
         """Draws α given the number of classes in use (Escobar & West 1995, section 6), then the log
-        shares [K]. The shares of the classes in use and of all other classes together are
-        Dirichlet; the last share is split among the other classes by stick breaking."""
+        shares [K]. The shares of the classes in use, and the one share of all other classes
+        together, have a Dirichlet distribution. The last share is divided among the other classes
+        by stick breaking."""
         rng, n, k = self.rng, float(size.sum()), len(size)
         rate = self.rate - np.log(rng.beta(self.alpha + 1, n))
         more = rng.random() * (k + n * rate) < k

@@ -1,13 +1,13 @@
 """The compiled steps of the sampler.
 
-One step draws (S_τ, ε_τ) of each transition given the facts that each observer believes
-incorrectly. The other draws the incorrect facts R of each observer given all other observers'
-answers.
+One step draws (S_τ, ε_τ) of each transition, given the facts that each observer believes
+incorrectly. The other step draws the facts R that each observer believes incorrectly, given the
+answers of all other observers.
 
 A cell of transition τ is one value of M ∩ S_τ (see :mod:`xplain.learning.mixture.sampler`). Its
-facts are packed into the lowest bits of an integer. The kernels index arrays with all indices:
-numba counts references to a row that is taken out of an array, which costs more than the work of
-the inner loops.
+facts are packed into the lowest bits of an integer. The kernels index arrays with all indices: if a
+row is taken out of an array, numba counts the references to the row, and this takes longer than the
+inner loops.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numba import njit
 from xplain.numba_kernels import kernel, part
 
 REACH = 64
-"""Largest |ones − zeros| in the tables; a cell's value is certain beyond it."""
+"""Largest |ones − zeros| in the tables; beyond it, the label of a cell is certain."""
 
 
 @njit(nogil=True)
@@ -34,7 +34,7 @@ def pack(subsets, z, mask):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def table_row(ahead):  # type: ignore[no-untyped-def]
-    """The row for ``ones − zeros`` in the tables of
+    """Returns the row for ``ones − zeros`` in the tables of
     :class:`~xplain.learning.mixture.sampler.Prior`."""
     return min(max(ahead, -REACH), REACH) + REACH
 
@@ -88,8 +88,8 @@ def draw(log_weight, size, temperature, rng):  # type: ignore[no-untyped-def]
 
 
 WIDE = 12
-"""If there are at most this number of facts, every S_τ is tried. Otherwise S_τ is drawn among this
-number of facts: the current ones and random others."""
+"""If there are at most this number of facts, every S_τ is tried. Otherwise S_τ is drawn among the
+subsets of this number of facts: its current facts and random other facts."""
 
 
 @kernel
@@ -103,23 +103,25 @@ def resample_transitions(answers, prior, state, temperature, rng):  # type: igno
     levels, size, n = len(state.log_noise), len(prior.size), answers.n_messages
     held = state.facts[answers.owner] & ~answers.message_set
     block, candidates, weights = (1 << n) - 1, np.arange(size), np.empty(size * levels)
-    number = np.full(1 << min(n, WIDE), -1)  # of M, by its facts in the block
+    number = np.full(1 << min(n, WIDE), -1)  # number of each M, by its facts in the block
     wrong, times = np.empty(len(number), np.int64), np.empty((len(number), 2), np.int64)
     cell, cells = np.empty(len(number), np.int64), np.empty((state.counts.shape[1], 4), np.int64)
     score = 0.0
     for t in range(len(state.subset)):
         if n > WIDE:
-            block = _random_block(prior, state.subset[t], n, rng)
-            size = _within(prior.members, block, candidates)
-        distinct = _tally(t, answers, held, block, number, wrong, times)
-        _weigh(candidates[:size], wrong[:distinct], times, prior, state, cell, cells, weights)
+            block = _draw_block(prior, state.subset[t], n, rng)
+            size = _list_subsets(prior.members, block, candidates)
+        distinct = _count_answers(t, answers, held, block, number, wrong, times)
+        _weigh_subsets(
+            candidates[:size], wrong[:distinct], times, prior, state, cell, cells, weights
+        )
         if n > WIDE:  # the probability to draw this block depends on S
             for i in range(size * levels):
                 weights[i] += prior.log_block[prior.size[candidates[i // levels]]]
         chosen, total = draw(weights, size * levels, temperature, rng)
         z = candidates[chosen // levels]
         score += weights[chosen] - prior.log_block[prior.size[z]] if n > WIDE else total
-        _choose(t, z, chosen % levels, held, answers, prior.subsets, state)
+        _set_subset(t, z, chosen % levels, held, answers, prior.subsets, state)
     shares = np.full(levels, 0.02)
     for e in state.noise:
         shares[e] += 1.0
@@ -128,7 +130,7 @@ def resample_transitions(answers, prior, state, temperature, rng):  # type: igno
 
 
 @njit(nogil=True)
-def _tally(t, answers, held, block, number, wrong, times):  # type: ignore[no-untyped-def]
+def _count_answers(t, answers, held, block, number, wrong, times):  # type: ignore[no-untyped-def]
     """Counts the answers about transition t once for all subsets.
 
     ``wrong`` receives the distinct M, restricted to the facts of ``block``; ``times`` receives the
@@ -138,7 +140,7 @@ def _tally(t, answers, held, block, number, wrong, times):  # type: ignore[no-un
     rows, distinct = answers.rows, 0
     for i in range(answers.transition_start[t], answers.transition_start[t + 1]):
         mask = held[rows[i]]
-        at = _packed_block(block, mask, answers.n_messages)
+        at = _pack_block(block, mask, answers.n_messages)
         if number[at] < 0:
             number[at] = distinct
             wrong[distinct] = mask
@@ -147,12 +149,12 @@ def _tally(t, answers, held, block, number, wrong, times):  # type: ignore[no-un
             distinct += 1
         times[number[at], answers.label[rows[i]]] += 1
     for i in range(distinct):
-        number[_packed_block(block, wrong[i], answers.n_messages)] = -1
+        number[_pack_block(block, wrong[i], answers.n_messages)] = -1
     return distinct
 
 
 @njit(nogil=True)
-def _packed_block(block, mask, n):  # type: ignore[no-untyped-def]
+def _pack_block(block, mask, n):  # type: ignore[no-untyped-def]
     """Packs the bits of ``mask`` at the positions of the bits of ``block``."""
     packed, size = 0, 0
     for j in range(n):
@@ -163,7 +165,7 @@ def _packed_block(block, mask, n):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def _random_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
+def _draw_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
     """Draws WIDE facts as a bitmask: the facts of subset z and random others."""
     block = prior.members[z]
     size = prior.size[z]
@@ -175,7 +177,7 @@ def _random_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def _within(members, block, out):  # type: ignore[no-untyped-def]
+def _list_subsets(members, block, out):  # type: ignore[no-untyped-def]
     """Writes the subsets of the facts in ``block`` to ``out``. Returns their number."""
     size = 0
     for z in range(len(members)):
@@ -186,9 +188,9 @@ def _within(members, block, out):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def _weigh(candidates, wrong, times, prior, state, cell, cells, weights):  # type: ignore[no-untyped-def]
-    """Computes the log joint probability of (S_τ, ε_τ) and the labels, for each candidate S_τ and
-    each level of ε, and writes it to ``weights``.
+def _weigh_subsets(candidates, wrong, times, prior, state, cell, cells, weights):  # type: ignore[no-untyped-def]
+    """Writes the log joint probability of (S_τ, ε_τ) and the labels to ``weights``, for each
+    candidate S_τ and each level of ε.
 
     ``wrong`` lists the distinct M of all answers, ``times`` the numbers of their labels. ``cell``
     [M] and ``cells`` [2^depth, 4] are overwritten.
@@ -201,7 +203,7 @@ def _weigh(candidates, wrong, times, prior, state, cell, cells, weights):  # typ
             cells[c, 1] = 0
         for i in range(len(wrong)):
             cell[i] = 0
-        for j in range(sizes[z]):  # packed(), of all M at once
+        for j in range(sizes[z]):  # as pack(), for all M at once
             fact = subsets[z, j]
             for i in range(len(wrong)):
                 cell[i] |= (wrong[i] >> fact & 1) << j
@@ -221,7 +223,7 @@ def _weigh(candidates, wrong, times, prior, state, cell, cells, weights):  # typ
 
 
 @njit(nogil=True)
-def _choose(t, z, e, held, answers, subsets, state):  # type: ignore[no-untyped-def]
+def _set_subset(t, z, e, held, answers, subsets, state):  # type: ignore[no-untyped-def]
     """Sets S_τ to subset z and ε_τ to level e, and counts the labels by cell."""
     rows, label, given = answers.rows, answers.label, answers.message_set
     counts, messages_given = state.counts, state.messages_given
@@ -245,8 +247,8 @@ def resample_facts(answers, prior, state, used, members, number, log_new, temper
     """Draws R of every observer among all fact sets, and updates ``state.facts`` and
     ``state.counts``.
 
-    For more than BLOCK facts, an observer may first jump to a type in use. Then R is drawn again
-    within BLOCK random facts (``state.order``).
+    For more than BLOCK facts, an observer may first change to the fact set of a type in use. Then R
+    is drawn again within BLOCK random facts (``state.order``).
 
     The first ``number`` entries of ``used`` [K + O] are the fact sets in use, the tables of the
     Chinese restaurant process; ``members`` counts their observers. New fact sets are appended.
@@ -260,9 +262,9 @@ def resample_facts(answers, prior, state, used, members, number, log_new, temper
     pair, values = np.empty(2, np.int64), np.empty(2)
     for o in range(len(facts)):
         count_rows(o, -1, answers, prior, state)
-        members[_find(used, number, facts[o])] -= 1
+        members[_find_facts(used, number, facts[o])] -= 1
         if len(order) > BLOCK:
-            k = _from_prior(members, number, np.exp(log_new + len(order) * np.log(2.0)), rng)
+            k = _draw_type(members, number, np.exp(log_new + len(order) * np.log(2.0)), rng)
             if k < number:  # Metropolis-Hastings: drawn from the prior, so the likelihoods decide
                 pair[0], pair[1] = facts[o], used[k]
                 values[:] = 0.0
@@ -272,11 +274,11 @@ def resample_facts(answers, prior, state, used, members, number, log_new, temper
             for j in range(BLOCK):  # the first facts of a random order
                 other = rng.integers(j, len(order))
                 order[j], order[other] = order[other], order[j]
-        _combine(facts[o], order, width, masks)
+        _list_combinations(facts[o], order, width, masks)
         _weigh_types(masks, order, width, used, members, number, log_new, weights)
         _add_log_likelihood(o, masks, answers, prior, state, by_cell, weights)
         facts[o] = masks[draw(weights, len(weights), temperature, rng)[0]]
-        at = _find(used, number, facts[o])
+        at = _find_facts(used, number, facts[o])
         if at == number:
             used[number] = facts[o]
             number += 1
@@ -285,8 +287,9 @@ def resample_facts(answers, prior, state, used, members, number, log_new, temper
 
 
 @njit(nogil=True)
-def _find(facts, number, one):  # type: ignore[no-untyped-def]
-    """The index of ``one`` among the first ``number`` facts; ``number`` if it is missing."""
+def _find_facts(facts, number, one):  # type: ignore[no-untyped-def]
+    """Returns the index of ``one`` among the first ``number`` facts; ``number`` if it is
+    missing."""
     for k in range(number):
         if facts[k] == one:
             return k
@@ -294,9 +297,9 @@ def _find(facts, number, one):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def _from_prior(members, number, new, rng):  # type: ignore[no-untyped-def]
-    """Draws a type in use in proportion to its ``members``. Returns ``number`` for a new type,
-    whose weight is ``new``."""
+def _draw_type(members, number, new, rng):  # type: ignore[no-untyped-def]
+    """Draws a type in use, with a probability in proportion to its ``members``. Returns ``number``
+    for a new type, whose weight is ``new``."""
     left = rng.random() * (members[:number].sum() + new)
     for k in range(number):
         left -= members[k]
@@ -306,9 +309,9 @@ def _from_prior(members, number, new, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def _combine(facts, order, width, masks):  # type: ignore[no-untyped-def]
-    """Writes all 2^width variants of ``facts`` to ``masks`` [2^width]: each of the first ``width``
-    facts of ``order`` is believed incorrectly or not."""
+def _list_combinations(facts, order, width, masks):  # type: ignore[no-untyped-def]
+    """Writes all 2^width combinations to ``masks`` [2^width]: each of the first ``width`` facts of
+    ``order`` is believed incorrectly or not; all other facts are as in ``facts``."""
     rest = facts
     for j in range(width):
         rest &= ~(np.int64(1) << order[j])
@@ -340,9 +343,9 @@ def _weigh_types(masks, order, width, used, members, number, log_new, weights): 
 def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # type: ignore[no-untyped-def]
     """Adds log P(labels of observer o | R = mask, the counted labels) to ``values`` [masks].
 
-    Rows of one transition are neighbours. They depend on R only through the few facts of S_τ in R,
-    so each combination of these facts is tried once. Every row is counted before the next is
-    predicted; the counts are restored at the end. ``by_cell`` [2^depth] is overwritten.
+    Rows of one transition are neighbours. Their labels depend on R only through the few facts of
+    S_τ in R, so each combination of these facts is tried once. Every row is counted before the next
+    is predicted; the counts are restored at the end. ``by_cell`` [2^depth] is overwritten.
     """
     transition, label, messages_given = answers.transition, answers.label, state.messages_given
     subsets, predictive, count = prior.subsets, prior.predictive, state.counts

@@ -59,8 +59,8 @@ RELEVANT = 0.01
 MOST = 12
 MAX_TABLE = 1 << 24
 EDGE = 0.002
-"""Minimum distance of a probability from 0 and 1. A label is shown again at every later step, so
-larger doubts without evidence would add up and lead to unnecessary messages."""
+"""Minimum distance of a probability from 0 and 1. Each label of a prefix is counted again at every
+later step, so larger doubts without evidence would add up and lead to unnecessary messages."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,14 +68,14 @@ class HypothesisLabeler(MeasuredLabeler):
     """The posterior over the fact sets of people of one type, and the labels that follow from it.
 
     It predicts what people find explicable, f, not what they answer: errors in answers are left
-    out. ``alone`` predicts transitions that the hypotheses do not contain. Transitions with equal
-    features are kept apart.
+    out. ``alone`` predicts transitions that the hypotheses do not contain. If transitions are given
+    by their states, transitions with equal features are distinguished.
 
     Attributes:
         known: the hypotheses.
         fit_alone: fits a labeler to the labels alone.
-        trust: weight of the hypotheses; ``alone`` has the remaining weight. It is 1 if people think
-            as the hypotheses say (:attr:`doubt`).
+        trust: weight of the hypotheses; ``alone`` has the remaining weight. The weight is 1 if
+            people agree with the hypotheses (:attr:`doubt`).
         facts: [R] likely fact sets.
         weight: [R, 1 + V, D] posterior of fact set, variant and deviation.
         cells: cells of the answers, for each fact set.
@@ -151,7 +151,7 @@ class HypothesisLabeler(MeasuredLabeler):
         return float(self.weight[(self.facts & self.known.unwritten) > 0].sum())
 
     def log_answered(self, answers: Answers) -> NDArray[np.float64]:
-        """[P] log P of further answers, with the error levels of
+        """Computes [P] log P of further answers, with the error levels of
         :func:`~xplain.learning.mixture.likelihood.by_level`."""
         one = self.predict_known(answers.transition, answers.message_set)
         error = self.level @ ERROR
@@ -160,7 +160,7 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @cached_property
     def _share(self) -> NDArray[np.float64]:
-        """[n] P(a person of the type believes the fact incorrectly)."""
+        """[n] P(a person of the type believes the fact incorrectly), without limits."""
         share: NDArray[np.float64] = self.weight.sum(axis=(1, 2)) @ bits_of(
             self.facts, self.n_messages
         )
@@ -168,13 +168,13 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @property
     def wrong(self) -> NDArray[np.float64]:
-        """See :attr:`Labeler.wrong`. Its values are never exactly 0 or 1."""
+        """[n] P(a person of the type believes the fact incorrectly), never exactly 0 or 1."""
         return np.clip(self._share, EDGE, 1 - EDGE)
 
     def predict_known(
         self, transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P] P(f = 1) of known transitions [P] given message sets [P]."""
+        """Computes [P] P(f = 1) of known transitions [P] given message sets [P]."""
         asked, result = Answers(transition, told, transition), np.zeros(len(transition))
         for r in range(len(self.facts)):
             cells = Cells.of(self.known, asked, self.facts[[r]])
@@ -185,26 +185,27 @@ class HypothesisLabeler(MeasuredLabeler):
             )
             one[here] = self.learned[own][there]
             result += one[cells.where[0]]
-        return self._weighed(result, self.known.features[transition], told)
+        return self._weigh_with_labels(result, self.known.features[transition], told)
 
     def exactly(
         self, transitions: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P] P(f = 1) of transitions [P] by the hypotheses alone. If transitions share their
-        features, it is unknown which of them an answer was about."""
+        """Computes [P] P(f = 1) of transitions [P] by the hypotheses alone. Answers do not change
+        these labels, because it is unknown which of several transitions with equal features an
+        answer was about."""
         result = np.zeros(len(transitions))
         for r, facts in enumerate(self.facts.tolist()):
             one = self.known.exactly(facts & ~told, transitions)
             result += (one * self.weight[r]).sum(axis=(1, 2))
         features = self.known.hypotheses.features
         assert features is not None
-        return self._weighed(result, features[transitions], told)
+        return self._weigh_with_labels(result, features[transitions], told)
 
-    def _weighed(
+    def _weigh_with_labels(
         self, one: NDArray[np.float64], features: NDArray[Any], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P] P(f = 1) of rows of features [P, F] given message sets [P], weighted between the
-        hypotheses' value ``one`` [P] and labels alone."""
+        """Computes [P] the weighted mean of P(f = 1) by the hypotheses, ``one`` [P], and by labels
+        alone, for rows of features [P, F] and message sets [P]."""
         if self.trust < 1:
             alone = self.alone.probability(features, told)
             one = self.trust * one + (1 - self.trust) * alone
@@ -213,7 +214,8 @@ class HypothesisLabeler(MeasuredLabeler):
     def probability(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """See :meth:`Labeler.probability`."""
+        """Computes [T] P(label = 1) of each pair (transition [T, F], message set [T]). ``alone``
+        predicts transitions that the hypotheses do not contain."""
         transition = self.known.find(features)
         rows, one = transition >= 0, np.empty(len(features))
         one[rows] = self.predict_known(transition[rows], message_sets[rows])
@@ -224,10 +226,10 @@ class HypothesisLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """See :meth:`Labeler.table`. If there are many messages, the table contains those whose
-        facts people of the type are likely to believe incorrectly."""
+        """Computes the table of P(label = 1). If there are many messages, the table has only the
+        messages about facts that people of the type are likely to believe incorrectly."""
         place = self.known.find(features)
-        relevant = self._relevant(features, place)
+        relevant = self._find_relevant(features, place)
         sets = subsets(relevant)
         table = by_sets(self.probability, features, sets)
         if transitions is not None:
@@ -237,12 +239,15 @@ class HypothesisLabeler(MeasuredLabeler):
                 table[row] = self.exactly(np.full(len(sets), t), sets)
         return LabelTable.join_types([relevant], [table])
 
-    def _relevant(self, features: NDArray[np.float64], place: NDArray[np.int64]) -> Sequence[int]:
-        """The messages of the table, ascending: all messages if they are few.
+    def _find_relevant(
+        self, features: NDArray[np.float64], place: NDArray[np.int64]
+    ) -> Sequence[int]:
+        """Finds the messages of the table, ascending: all messages if these are few.
 
-        Otherwise these are the facts that people of the type may believe incorrectly. If not all
-        fact sets are candidates, only facts with a probability of at least RELEVANT count, and at
-        most the MOST likeliest. The table assumes that other messages are never given.
+        Otherwise these are the messages about facts that people of the type may believe
+        incorrectly. If not all fact sets are candidates, only facts with a probability of at least
+        RELEVANT count, and only the MOST likely of these facts. The table assumes that other
+        messages are never given.
         """
         if self.n_messages <= DENSE:
             return range(self.n_messages)
@@ -257,8 +262,8 @@ class HypothesisLabeler(MeasuredLabeler):
         return sorted(found)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """See :meth:`Labeler.arrays`: distinct rows of features [U, F], and P(label = 1) of each
-        row by message set [U, 2^n].
+        """Returns distinct rows of features [U, F], and P(label = 1) of each row by message set [U,
+        2^n], for a file of types.
 
         Raises:
             TooLargeError: more than MAX_TABLE numbers.
@@ -296,7 +301,7 @@ class KnownAnswers:
     @cached_property
     def of_observers(self) -> list[Answers]:
         """The answers of each observer."""
-        every, observer = self._answers(self.dataset), self.dataset.observer
+        every, observer = self._find_answers(self.dataset), self.dataset.observer
         number = len(self.dataset.observers)
         return [every.take(np.flatnonzero(observer == o)) for o in range(number)]
 
@@ -309,7 +314,7 @@ class KnownAnswers:
         return known
 
     def partition(self, concentration: float) -> Partition:
-        """The most likely types, with concentration α of the Chinese restaurant process."""
+        """Finds the most likely types, with concentration α of the Chinese restaurant process."""
         return partition(self.grown, self.of_observers, concentration)
 
     def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
@@ -320,7 +325,7 @@ class KnownAnswers:
             return None
         if surprise := int(np.bitwise_or.reduce(facts & self.grown.unwritten)):
             names = ", ".join(names_of(surprise, dataset.messages))
-            said = "some people believe something incorrectly that no hypothesis has; told by: %s"
+            said = "some people believe facts incorrectly that no hypothesis has: %s"
             log.warning(said, names)
         if expected is not None:
             place, count = self.place, len(self.place)
@@ -334,18 +339,18 @@ class KnownAnswers:
         data = self.dataset
 
         def by_hypotheses(train: Dataset, test: Dataset) -> NDArray[np.float64]:
-            return self._learned(train).log_answered(self._answers(test))
+            return self._fit_labeler(train).log_answered(self._find_answers(test))
 
         def by_labels(train: Dataset, test: Dataset) -> NDArray[np.float64]:
             return log_likelihood(cheap().fit(train, 0), test)
 
         rows, own, alone = predict_in_order(data, assignment, (by_hypotheses, by_labels))
         members = (np.flatnonzero(assignment == t) for t in range(int(assignment.max()) + 1))
-        types = [self._learned(data.of(people)) for people in members]
+        types = [self._fit_labeler(data.of(people)) for people in members]
         doubt, unwritten = np.array([(one.doubt, one.unwritten) for one in types]).T
         return Evidence(own, alone, assignment[data.observer[rows]], doubt, unwritten)
 
-    def _learned(self, data: Dataset) -> HypothesisLabeler:
+    def _fit_labeler(self, data: Dataset) -> HypothesisLabeler:
         """Fits a labeler to people of one type with equal error rates."""
         return self.labeler(data, partial(cheap().fit, data, 0))
 
@@ -354,10 +359,10 @@ class KnownAnswers:
     ) -> HypothesisLabeler:
         """Fits a labeler to people of one type; ``about`` holds the further arguments of
         :meth:`HypothesisLabeler.of`."""
-        answers = self._answers(data)
+        answers = self._find_answers(data)
         return HypothesisLabeler.of(self.known.grow(answers), answers, alone, *about)
 
-    def _answers(self, data: Dataset) -> Answers:
+    def _find_answers(self, data: Dataset) -> Answers:
         label = data.label.astype(np.int64)
         return Answers(self.place[data.transition], data.message_set, label)
 
@@ -374,13 +379,14 @@ class EverythingWrong(Labeler):
 
     @property
     def n_messages(self) -> int:  # type: ignore[override]
-        """See :attr:`Labeler.n_messages`."""
+        """n, the number of messages."""
         return self.known.hypotheses.n_messages
 
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """See :meth:`Labeler.table`; ½ for transitions that the hypotheses do not contain."""
+        """Makes the table of P(label = 1), by the hypotheses; ½ for transitions that the hypotheses
+        do not contain."""
         hypotheses, sets = self.known.hypotheses, np.arange(1 << self.n_messages)
         rows = hypotheses.row(sets[-1] & ~sets)
         place = self.known.find(features)
@@ -391,7 +397,7 @@ class EverythingWrong(Labeler):
         return LabelTable.dense(np.clip(one, EDGE, 1 - EDGE)[None])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """See :meth:`Labeler.arrays`: a table of all known transitions."""
+        """Returns a table of all known transitions, for a file of types."""
         features = self.known.features
         return {"rows": features, "table": self.table(features.astype(np.float64)).array(
             self.n_messages)[0]}  # fmt: skip
@@ -403,7 +409,7 @@ class HypothesisTrainer(LabelerTrainer):
 
     Labels of another task (with other features or messages) and of transitions that the hypotheses
     do not contain are learned without hypotheses. If people of a type disagree with the hypotheses,
-    the labeler is a weighted mean with one that is learned without them
+    the labeler is a weighted mean of predictions with and without the hypotheses
     (:mod:`xplain.learning.evidence`).
 
     Attributes:
@@ -424,8 +430,8 @@ class HypothesisTrainer(LabelerTrainer):
     types: NDArray[np.int64] | None = None
 
     def adapt_to(self, observed: Observed) -> LabelerTrainer:
-        """Takes the hypotheses of the observers' domain, and the fact sets that their questions
-        made likely. Hypotheses that the trainer already has come first."""
+        """Returns a trainer with the hypotheses of the observers' domain, and the fact sets that
+        their questions made likely. A trainer that already has hypotheses is returned unchanged."""
         if self.hypotheses is not None or self.path is not None:
             return self
         return replace(self, hypotheses=observed.hypotheses)
@@ -443,7 +449,7 @@ class HypothesisTrainer(LabelerTrainer):
         return KnownTransitions.of(hypotheses)
 
     def fit_unmeasured(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
-        """See :meth:`LabelerTrainer.fit_unmeasured`. Labels of another task are learned without
+        """Fits a labeler that uses the hypotheses. Labels of another task are learned without
         hypotheses."""
         if not self._is_about(dataset):
             return self._alone.fit_unmeasured(dataset, seed)
@@ -465,7 +471,8 @@ class HypothesisTrainer(LabelerTrainer):
     def with_errors(
         self, dataset: Dataset, assignment: NDArray[np.int64]
     ) -> tuple[LabelerTrainer, AnswerModel | None, Evidence | None]:
-        """See :meth:`LabelerTrainer.with_errors`."""
+        """Learns the errors of a dataset's people, and how well the hypotheses predict their
+        answers."""
         known = self.select_known_answers(dataset)
         if known is None:
             return self, self.answers, self.evidence
@@ -480,13 +487,14 @@ class HypothesisTrainer(LabelerTrainer):
         )
 
     def everything(self) -> Labeler | None:
-        """See :meth:`LabelerTrainer.everything`."""
+        """Returns the labeler of a person who believes every fact incorrectly; None if not all fact
+        sets are hypotheses, or if there are too many facts."""
         n, sets = self.known.hypotheses.n_messages, len(self.known.hypotheses.facts)
         return EverythingWrong(self.known) if n <= DENSE and sets == 1 << n else None
 
     def thoughts(self, dataset: Dataset) -> NDArray[np.float64] | None:
-        """See :meth:`LabelerTrainer.thoughts`; 1 for transitions that the hypotheses do not
-        contain."""
+        """Computes [2^n, T] P(label = 1) of a dataset's transitions by the facts believed
+        incorrectly; 1 for transitions that the hypotheses do not contain."""
         asked = self.select_known_answers(dataset)
         if asked is None or self.everything() is None:
             return None
@@ -494,14 +502,16 @@ class HypothesisTrainer(LabelerTrainer):
         return np.where(asked.place >= 0, self.known.share[0][rows][:, asked.place], 1.0)
 
     def select_known_answers(self, dataset: Dataset) -> KnownAnswers | None:
-        """The answers about transitions that the hypotheses contain; None if there are none."""
+        """Selects the answers about transitions that the hypotheses contain; None if there are no
+        such answers."""
         if not self._is_about(dataset):
             return None
         asked = KnownAnswers.of(self.known, dataset)
         return asked if (asked.place >= 0).any() else None
 
     def cluster(self, dataset: Dataset, concentration: float) -> Clustering | None:
-        """See :meth:`LabelerTrainer.cluster`."""
+        """Finds the observers' types by the hypotheses; None if no answer is about a known
+        transition, or if labels alone predict answers better."""
         asked = self.select_known_answers(dataset)
         return None if asked is None else asked.cluster(dataset, concentration)
 

@@ -1,9 +1,9 @@
-r"""The likelihood of answers if hypotheses may be wrong at some transitions, and the candidate fact
-sets that it compares.
+r"""The likelihood of answers if hypotheses may be wrong at some transitions, and the fact sets that
+are compared by this likelihood.
 
-A person believes the facts R incorrectly and was given the messages H. Asked about τ, this person
-is in the *cell* (τ, R \ H). The label f of a cell differs from the hypotheses with probability δ,
-and an answer may differ from the label (:mod:`xplain.learning.answers`)::
+A person believes the facts R incorrectly and was given the messages H. The answer of this person
+about τ belongs to the *cell* (τ, R \ H). The label f of a cell differs from the hypotheses with
+probability δ, and an answer may differ from the label (:mod:`xplain.learning.answers`)::
 
     P(answers in a cell) = Σ_f P(f | hypotheses, δ) Π P(answer | f)
 
@@ -13,8 +13,8 @@ all people. If only one person's answers are known, all answers have one error r
 levels are summed out too.
 
 If there are too many facts to list all sets, the first candidates are the sets of very few facts.
-Each likely set adds all sets with one further fact. The list then holds the likely sets and their
-neighbours; a set that is missing differs from every likely set by several facts.
+For each likely set, all sets with one further fact (its *neighbours*) are added. The list then has
+the likely sets and their neighbours; a missing set differs from every likely set by several facts.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def log_cell(
 
 
 def cell_posterior(one: NDArray[np.float64], said: ArrayLike) -> NDArray[np.float64]:
-    """P(f = 1 | answers in the cell), given the prior ``one`` and the log likelihood ratio
+    """Computes P(f = 1 | answers in the cell), given the prior ``one`` and the log likelihood ratio
     ``said``: log P(answers | f = 1) − log P(answers | f = 0)."""
     return np.asarray(expit(logit(one) + said))
 
@@ -62,8 +62,9 @@ def cell_posterior(one: NDArray[np.float64], said: ArrayLike) -> NDArray[np.floa
 WRONG = 0.05
 """Probability of a wrong answer if the error rate is unknown."""
 LIKELY = 0.2
-"""Posterior from which a set adds its neighbours. It is above the prior share of a set with one
-further fact that was never asked about."""
+"""If the posterior of a set is at least this value, its neighbours are added. A neighbour whose
+further fact was never asked about has a smaller share of the posterior, so it adds no neighbours
+itself."""
 
 
 def grow(
@@ -96,8 +97,8 @@ def posterior_by(
     told: NDArray[np.int64],
     labels: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """[C] posterior of the candidates given the answers of one type: transitions, message sets and
-    labels, [P] each. One answer in twenty is assumed to be wrong."""
+    """Computes [C] the posterior of the candidates given the answers of one type: transitions,
+    message sets and labels, [P] each. One answer in twenty is assumed to be wrong."""
     agree = (hypotheses.label(transitions, told) == labels).sum(axis=2)
     with np.errstate(divide="ignore"):
         joint = agree * np.log((1 - WRONG) / WRONG) + np.log(hypotheses.prior)
@@ -112,8 +113,8 @@ MATTERS = 0.2
 
 
 SUPPORTED = 1e-3
-"""Posterior, given the answers of one observer or one type, from which a candidate is compared with
-all answers in more detail. Used if there are too many facts to list all sets."""
+"""If there are too many facts to list all sets, only candidates with at least this posterior, given
+the answers of one observer or one type, are compared in more detail with all answers."""
 
 
 class Answers(NamedTuple):
@@ -140,8 +141,8 @@ class KnownTransitions:
     mean label.
 
     A message whose fact is in no hypothesis may still correct something. So there are also
-    candidates who believe such a fact incorrectly, alone or with others. The effect of such a fact
-    is unknown: any label may be 0 instead of 1, and answers show which labels are.
+    candidates with such a fact, alone or with other facts. The effect of such a fact is unknown:
+    any label may be 0 instead of 1, and the answers show which labels are 0.
 
     Attributes:
         hypotheses: hypotheses with features, including the candidates with unwritten facts.
@@ -160,17 +161,17 @@ class KnownTransitions:
     def of(cls, hypotheses: Hypotheses) -> KnownTransitions:
         """Groups the transitions of hypotheses by their features."""
         assert hypotheses.features is not None
-        hypotheses, unwritten = _with_unwritten(hypotheses)
+        hypotheses, unwritten = _add_unwritten(hypotheses)
         rows = np.asarray(hypotheses.features, dtype=np.float32)
         distinct, which = np.unique(rows, axis=0, return_inverse=True)
         member = which.ravel() == np.arange(len(distinct))[:, None]
         share = hypotheses.tables @ (member / member.sum(axis=1, keepdims=True)).T
-        share *= _certain(hypotheses.facts, unwritten)[:, None]
+        share *= _compute_certainty(hypotheses.facts, unwritten)[:, None]
         return cls(hypotheses, distinct, share, unwritten)
 
     def grow(self, answers: Answers) -> KnownTransitions:
         """Adds the candidates that the answers of one type make likely, and their neighbours."""
-        found = grow(self.hypotheses, lambda known: self._posterior(known, answers))
+        found = grow(self.hypotheses, lambda known: self._compute_posterior(known, answers))
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
     def with_sets(self, facts: NDArray[np.int64]) -> KnownTransitions:
@@ -183,11 +184,12 @@ class KnownTransitions:
         type, ascending. If all sets are candidates, returns the essential facts of all."""
         if self.hypotheses.complete:
             return np.unique(self.essential)
-        posterior = self._posterior(self.hypotheses, answers)
+        posterior = self._compute_posterior(self.hypotheses, answers)
         return np.unique(self.essential[posterior >= min(SUPPORTED, posterior.max())])
 
-    def _posterior(self, hypotheses: Hypotheses, answers: Answers) -> NDArray[np.float64]:
-        """[C] posterior of the candidates. One transition represents all with the same features."""
+    def _compute_posterior(self, hypotheses: Hypotheses, answers: Answers) -> NDArray[np.float64]:
+        """Computes [C] the posterior of the candidates. One transition represents all transitions
+        with the same features."""
         column = self._column[answers.transition]
         return posterior_by(hypotheses, column, answers.message_set, answers.label)
 
@@ -204,7 +206,7 @@ class KnownTransitions:
         return self.hypotheses.essential | self.hypotheses.facts & self.unwritten
 
     def prior_of(self, facts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """[R] prior of the candidates with these essential facts."""
+        """Computes [R] the prior of the candidates with these essential facts."""
         every, which = np.unique(self.essential, return_inverse=True)
         prior = np.bincount(which.ravel(), self.hypotheses.prior)
         return np.asarray(prior[np.searchsorted(every, facts)], np.float64)
@@ -217,10 +219,10 @@ class KnownTransitions:
     def exactly(
         self, held: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """[P, 1 + V, D] P(f = 1) of single transitions [P], even if they share features, for people
-        who believe the facts ``held`` [P] incorrectly."""
+        """Computes [P, 1 + V, D] P(f = 1) of single transitions [P], even if some have the same
+        features, for people who believe the facts ``held`` [P] incorrectly."""
         labels = self.hypotheses.tables[:, self.hypotheses.row(held), transitions]
-        return self._deviating((labels * _certain(held, self.unwritten)).T)
+        return self._add_deviations((labels * _compute_certainty(held, self.unwritten)).T)
 
     @cached_property
     def _by_cell(self) -> NDArray[np.float64]:
@@ -228,12 +230,12 @@ class KnownTransitions:
         return np.ascontiguousarray(self.share.reshape(len(self.share), -1).T)
 
     def truth(self, key: NDArray[np.int64]) -> NDArray[np.float64]:
-        """[*, 1 + V, D] P(f = 1) of cells [*], by variant and δ."""
-        return self._deviating(self._by_cell[key])
+        """Computes [*, 1 + V, D] P(f = 1) of cells [*], by variant and δ."""
+        return self._add_deviations(self._by_cell[key])
 
-    def _deviating(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Computes P(f = 1) if the hypotheses predict ``share`` [*, 1 + V]. If variants with
-        different sizes disagree, δ is larger."""
+    def _add_deviations(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Computes [*, 1 + V, D] P(f = 1), by variant and δ, if the hypotheses predict ``share``
+        [*, 1 + V]. If variants with different sizes of the same values disagree, δ is larger."""
         of_sizes = share[..., self.hypotheses.sizes]
         disputed = of_sizes.min(axis=-1) != of_sizes.max(axis=-1)
         more = np.minimum(DISPUTED * DEVIATION, DEVIATION[-1])
@@ -257,8 +259,8 @@ class KnownTransitions:
     def find_exactly(
         self, features: NDArray[np.float64], states: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """[P] the transitions of the hypotheses with these features [P, F] and states [P, 2]; −1 if
-        there is none."""
+        """Returns [P] the transitions of the hypotheses with these features [P, F] and states [P,
+        2]; −1 if there is no such transition."""
         return places(np.hstack([states, features.astype(np.float32)]), self._exact)
 
     @cached_property
@@ -266,16 +268,16 @@ class KnownTransitions:
         return number_rows(self.features)
 
     def find(self, features: NDArray[np.floating]) -> NDArray[np.int64]:
-        """[P] indices of rows of features [P, F]; −1 for rows that the hypotheses do not
-        contain."""
+        """Returns [P] the indices of rows of features [P, F]; −1 for rows that the hypotheses do
+        not contain."""
         return places(features.astype(np.float32), self._place)
 
 
-def _with_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
+def _add_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
     """Adds unwritten facts: facts with a message that no candidate believes incorrectly.
 
-    For each candidate and unwritten fact there is a further candidate who also believes this fact
-    incorrectly, with the same labels. Returns the hypotheses and the unwritten facts.
+    For each candidate and each unwritten fact, a further candidate has this fact in addition, and
+    the same labels. Returns the hypotheses and the unwritten facts.
     """
     written = int(np.bitwise_or.reduce(hypotheses.facts))
     open_facts = [1 << j for j in range(hypotheses.n_messages) if not written >> j & 1]
@@ -297,13 +299,14 @@ def _with_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
     return extended, sum(open_facts)
 
 
-def _certain(held: NDArray[np.int64], unwritten: int) -> NDArray[np.float64]:
-    """P(the label is that of the hypotheses) for people who believe these facts incorrectly."""
+def _compute_certainty(held: NDArray[np.int64], unwritten: int) -> NDArray[np.float64]:
+    """Computes P(the label is the label of the hypotheses) for people who believe these facts
+    incorrectly."""
     return np.where(held & unwritten, 1 - MATTERS, 1.0)
 
 
 DEVIATION = np.array([0.0005, 0.005, 0.05, 1 / 3])
-"""The possible values of δ. The last one is for people whom no hypothesis fits."""
+"""The possible values of δ. The last value is for people whom no hypothesis fits."""
 DEVIATION_PRIOR = np.array([0.9, 0.06, 0.03, 0.01])
 DISPUTED = 20.0
 """Factor on δ if variants of the hypotheses disagree; the product is at most ⅓."""
@@ -312,19 +315,21 @@ ERROR = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 
 
 def by_level(label: NDArray[np.int64]) -> NDArray[np.float64]:
-    """[P, 2, E] log P(answer | f, ε) of answers [P], for f = 0 and 1 and every level of ε."""
+    """Computes [P, 2, E] log P(answer | f, ε) of answers [P], for f = 0 and 1 and every level of
+    ε."""
     right = label[:, None] == np.arange(2)
     return np.asarray(np.where(right[:, :, None], np.log1p(-ERROR), np.log(ERROR)))
 
 
 SCALE = np.array([0.05, 0.15, 0.4, 1.0, 2.0])
-"""Possible factors of one type on all learned slips, guesses and error rates, equally likely. Many
-contradictions in a cell are then explained by f rather than by slips if f fits as well."""
+"""Possible factors by which one type's slips, guesses and error rates differ from the learned ones,
+equally likely. Many contradictions in a cell are then explained by f rather than by slips if f fits
+as well."""
 
 
 def scale_errors(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArray[np.float64]:
-    """[P, 2, E] log P(answer | f) of answers [P], with error rates multiplied by each level of
-    :data:`SCALE`; ``given`` [P, 2] holds the values without a factor."""
+    """Computes [P, 2, E] log P(answer | f) of answers [P], with error rates multiplied by each
+    level of :data:`SCALE`; ``given`` [P, 2] holds the values without a factor."""
     right = label[:, None] == np.arange(2)
     wrong = np.exp(np.where(right, np.log(-np.expm1(given)), given))[:, :, None] * SCALE
     wrong = np.minimum(wrong, 0.45)
@@ -359,14 +364,14 @@ class Cells:
         return cls(cells // size, where.reshape(held.shape), key, known.truth(key))
 
     def sum_evidence(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[2, N, 1, 1, E] log P(answers in the cell | f) for f = 0 and 1 and E error levels, from
-        log P(answer | f) ``given`` [P, 2, E]."""
+        """Computes [2, N, 1, 1, E] log P(answers in the cell | f) for f = 0 and 1 and E error
+        levels, from log P(answer | f) ``given`` [P, 2, E]."""
         every = np.tile(given, (len(self.where), 1, 1))
         total = sum_by_group(every, self.where.ravel(), len(self.key))
         return np.moveaxis(total, 1, 0)[:, :, None, None]
 
     def log_likelihood(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[R, 1 + V, D, E] log P(answers | R, variant, δ, level), from log P(answer | f) ``given``
-        [P, 2, E]."""
+        """Computes [R, 1 + V, D, E] log P(answers | R, variant, δ, level), from log P(answer | f)
+        ``given`` [P, 2, E]."""
         value = log_cell(self.one[..., None], *self.sum_evidence(given))
         return sum_by_group(value, self.which, len(self.where))

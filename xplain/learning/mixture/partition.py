@@ -1,13 +1,14 @@
-"""Finds the fact sets of observers and the error rates of their answers.
+"""Finds the types of observers, as fact sets, and the error rates of their answers.
 
-The first step is a mixture over all people. Expectation maximisation finds the shares of (fact set,
-variant, deviation), the f of each cell, slips, guesses and error rates together, as in cognitive
-diagnosis (DINA), but there f is given. All assignments are soft: with hard assignments each person
-would get the type that explains their mistakes, and nobody would seem to make any.
+The first step fits a mixture over all people by expectation maximisation. It estimates together:
+the shares of (fact set, variant, deviation), the label f of each cell, slips, guesses and error
+rates. Cognitive diagnosis (DINA) is similar, but there f is given. Each person has a probability of
+each fact set. If each person had only the best fact set, this set would also explain the person's
+errors, and people would seem to make none.
 
-In the second step a Chinese restaurant process assigns observers to types, as in
-:mod:`xplain.learning.mixture.sampler`. Nothing is sampled: with hypotheses there are so few fact
-sets that merging finds the most likely partition (compared in benchmarks/README.md).
+The second step assigns observers to types by a Chinese restaurant process, as in
+:mod:`xplain.learning.mixture.sampler`, but without sampling. Hypotheses leave so few fact sets that
+merging types finds the most likely partition (both methods are compared in benchmarks/README.md).
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ def mixture(
     """Fits the mixture over all people.
 
     Returns P(fact set) of each person [O, R]; the error model of answers; and [O, U] P(answer 1) of
-    each person without messages, for all rows of features in the hypotheses. The last is None if
-    some people received messages.
+    each person without messages, for all rows of features in the hypotheses. The last result is
+    None if some people received messages.
 
     Args:
         known: the hypotheses.
@@ -61,7 +62,7 @@ def mixture(
         people: O, including people without answers.
         facts: [R] candidates.
         log_new: [R] log prior weight of each candidate.
-        level: initial slip and guess.
+        level: initial value of slips and guesses.
     """
     cells, questions = Cells.of(known, answers, facts), known.share.shape[2]
     group = cells.where.T.ravel()
@@ -78,11 +79,11 @@ def mixture(
         weight = softmax(joint, axis=(1, 2))  # [O, R, (1 + V) D]
         share = (weight.sum(axis=0) + prior) / (people + 1)
         others = softmax(joint[person] - log_each, axis=(1, 2))
-        f = (others * one).sum(axis=(1, 2))  # of each answer, from the person's other answers
+        f = (others * one).sum(axis=(1, 2))  # f of each answer, from the person's other answers
         made = answer_model.learn_answers(each, f, questions, people, made, STEPS)
         given = made.log_given(*about)
-        said = weight[person] * np.diff(given)[:, :, None]  # for f = 1, by the person's types
-        if turn >= AS_SAID:  # … and from all other answers in its cell
+        said = weight[person] * np.diff(given)[:, :, None]  # log odds of f = 1, by fact set
+        if turn >= AS_SAID:  # f also depends on all other answers in the cell
             total = sum_by_group(said.reshape(len(group), -1), group, len(cells.key))
             one = cell_posterior(before, total[group].reshape(said.shape) - said)
     assert isinstance(made, AnswerModel)
@@ -91,7 +92,7 @@ def mixture(
     key = known.hypotheses.row(facts) * questions + np.arange(questions)[:, None]
     said = sum_by_group(said, answers.transition, questions)
     f = cell_posterior(known.truth(key).reshape(said.shape), said)
-    zero, both = made.predict(np.arange(questions))[:, :, 0].T[:, :, None, None]  # of rate 0
+    zero, both = made.predict(np.arange(questions))[:, :, 0].T[:, :, None, None]  # for error rate 0
     one = ((1 - f) * zero + f * both).reshape(questions, -1)
     expected = weight.reshape(people, -1) @ one.T
     rate = (made.person[:-1] @ answer_model.RATES)[:, None]
@@ -99,7 +100,7 @@ def mixture(
 
 
 CANDIDATE = 0.01
-"""A fact set is a candidate at first if one person's own answers give it at least this
+"""A fact set is a first candidate if the answers of one person alone give it at least this
 posterior."""
 SURER = 1e-6
 """Minimum gain in log probability of a move."""
@@ -114,8 +115,8 @@ class Partition(NamedTuple):
         facts: [O] facts that each observer's type believes incorrectly.
         answers: error model; its questions are the rows of features of the hypotheses.
         expected: [O, U] P(answer 1) of each observer without messages, by the mixture over all
-            people, for every row of features. It trusts hypotheses more than types do. None if some
-            observers received messages.
+            people, for every row of features. The hypotheses have more weight in this mixture than
+            in the types. None if some observers received messages.
     """
 
     facts: NDArray[np.int64]
@@ -126,8 +127,8 @@ class Partition(NamedTuple):
 def partition(known: KnownTransitions, observers: list[Answers], concentration: float) -> Partition:
     """Finds the most likely partition of observers into types.
 
-    At first each observer has their own best fact set. Types are merged while this increases the
-    probability, both before and after the error model is learned.
+    At first each observer has the fact set that explains their own answers best. Types are merged
+    while this increases the probability, both before and after the error model is learned.
 
     Args:
         known: the hypotheses.
@@ -135,7 +136,7 @@ def partition(known: KnownTransitions, observers: list[Answers], concentration: 
         concentration: α of the Chinese restaurant process.
     """
     search = _Search(known, observers, concentration)
-    alone = search.alike()
+    alone = search.set_common_error()
     kept = np.union1d(alone.argmax(axis=1), np.flatnonzero(alone.max(axis=0) > CANDIDATE))
     about = known, search.every, search.person, len(observers)
     candidates = search.facts[kept], search.log_new[kept]
@@ -153,7 +154,7 @@ def errors_of(
 ) -> AnswerModel:
     """Learns the error model of answers, given the types [O] of the observers."""
     search = _Search(known, observers, 1.0)
-    search.alike()
+    search.set_common_error()
     search.learn(search.best_of(types))
     return search.learn(search.best_of(types))
 
@@ -169,11 +170,11 @@ class _Search:
         sizes = [len(one.label) for one in observers]
         self.person = np.repeat(np.arange(len(observers)), sizes)
         self.rows = np.split(np.arange(len(self.person)), np.cumsum(sizes)[:-1])
-        # One candidate represents all that behave alike.
+        # One candidate represents all candidates that behave alike.
         self.facts = reduce(np.union1d, [known.find_supported(answers) for answers in observers])
         self.log_new = np.log(concentration) + np.log(known.prior_of(self.facts))
 
-    def alike(self) -> NDArray[np.float64]:
+    def set_common_error(self) -> NDArray[np.float64]:
         """Sets one error rate for all answers: the most likely one if every observer has a separate
         type. Returns the posterior [O, R] of each observer's fact set."""
         levels = by_level(self.every.label)
@@ -200,28 +201,31 @@ class _Search:
         return made
 
     def use_errors(self, answers: AnswerModel) -> None:
-        """Changes the error model that the search uses."""
+        """Makes the search use this error model."""
         about = self.every.transition, self.person, self.every.label
         self.given = answers.log_given(*about)[:, :, None]
 
     def best_of(self, types: NDArray[np.int64]) -> NDArray[np.int64]:
-        """[O] the most likely fact set of each observer's type, given its members."""
+        """Returns [O] the most likely fact set of each observer's type, given the members of the
+        type."""
         state = np.zeros(len(types), dtype=np.int64)
         for one in np.unique(types):
             members = np.flatnonzero(types == one)
-            state[members] = (self._together(members.tolist(), self.facts) + self.log_new).argmax()
+            state[members] = (
+                self._log_members(members.tolist(), self.facts) + self.log_new
+            ).argmax()
         return state
 
-    def _together(self, members: Sequence[int], facts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """[R] log P(answers of the members | all have type R), for some fact sets."""
+    def _log_members(self, members: Sequence[int], facts: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Computes [R] log P(answers of the members | all have fact set R), for some fact sets."""
         rows = np.concatenate([self.rows[o] for o in members])
         return self._log_sum(rows, facts, self.given)[:, 0]
 
     def _log_sum(
         self, rows: NDArray[np.int64], facts: NDArray[np.int64], given: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """[R, E] log P(some answers | all have type R, level), from log P(answer | f) ``given`` [P,
-        2, E]."""
+        """Computes [R, E] log P(some answers | all have fact set R, level), from log P(answer | f)
+        ``given`` [P, 2, E]."""
         value = Cells.of(self.known, self.every.take(rows), facts).log_likelihood(given[rows])
         return np.asarray(logsumexp(value + self.known.log_prior[:, :, None], axis=(1, 2)))
 
@@ -236,7 +240,7 @@ class _Search:
             members = [tuple(np.flatnonzero(state == r).tolist()) for r in used]
             for own in members:
                 if own not in alone:
-                    alone[own] = self._together(own, self.facts) + self.log_new
+                    alone[own] = self._log_members(own, self.facts) + self.log_new
             now = [alone[m][r] + gammaln(len(m)) for m, r in zip(members, used, strict=True)]
             best, gain = None, SURER
             for m, value in zip(members, now, strict=True):
@@ -250,7 +254,7 @@ class _Search:
                 rough[np.setdiff1d(used, used[[i, j]])] = -np.inf
                 for r in np.argsort(-rough, kind="stable")[:TRIED].tolist():
                     if (r, *pair) not in both:
-                        value = self._together(pair, self.facts[[r]])[0]
+                        value = self._log_members(pair, self.facts[[r]])[0]
                         both[r, *pair] = float(value + self.log_new[r] + gammaln(len(pair)))
                     if (more := both[r, *pair] - now[i] - now[j]) > gain and rough[r] > -np.inf:
                         best, gain = (pair, r), more

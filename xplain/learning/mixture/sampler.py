@@ -8,21 +8,21 @@ M::
     label(τ, H) = f_τ(M ∩ S_τ), flipped with probability ε_τ
 
 f_τ is a table of 0 and 1 over the few facts S_τ that matter at τ. f, S and ε are learned from the
-labels of all observers together, so different questions still inform the same parameters. The
+labels of all observers together, so answers to different questions inform the same parameters. The
 paper's assumptions hold: a message about a fact that a person knows changes nothing, and people who
-believe the same facts incorrectly expect the same.
+believe the same facts incorrectly have the same labels.
 
-Inference is collapsed Gibbs sampling (f integrated out, for each cell: with a two-point prior the
-predictive probability depends only on ones − zeros). It draws R of each observer given the others'
-answers, then (S_τ, ε_τ) of each transition. A Chinese restaurant process assigns observers to types
-(Neal 2000, "Markov chain sampling methods for Dirichlet process mixture models"), with a uniform
-base measure over fact sets.
+Inference is collapsed Gibbs sampling: f is integrated out for each cell. As f is 0 or 1, the
+predictive probability depends only on ones − zeros. The sampler draws R of each observer given the
+answers of all others, then (S_τ, ε_τ) of each transition. A Chinese restaurant process assigns
+observers to types (Neal 2000, "Markov chain sampling methods for Dirichlet process mixture
+models"), with a uniform base measure over fact sets.
 
 A sweep draws (S, ε) of every transition, then R of every observer. With many observers it then
 tries to split and merge whole types, after Jain & Neal (2004), "A split-merge Markov chain Monte
 Carlo procedure for the Dirichlet process mixture model", in its plain form: the observers of a new
 type are drawn at random, without Gibbs scans. Without these moves two types with equal answers
-merge only one observer at a time, which takes as many sweeps as they have observers.
+merge only one observer at a time, which takes as many sweeps as the types have observers.
 """
 
 from __future__ import annotations
@@ -189,8 +189,8 @@ class ChainState(NamedTuple):
 
 
 def facts_that_matter(prior: Prior, state: ChainState) -> int:
-    """The facts that matter at some transition, as a bitmask. Types that differ only in other facts
-    behave alike."""
+    """Returns the facts that matter at some transition, as a bitmask. Types that differ only in
+    other facts behave alike."""
     return int(np.bitwise_or.reduce(prior.members[state.subset]))
 
 
@@ -198,7 +198,7 @@ class Chain(NamedTuple):
     """One run of the sampler.
 
     Attributes:
-        best: the state with the highest score.
+        best: state with the highest score.
         score: log joint probability of that state and the labels, with f integrated out; for up to
             12 messages S and ε are summed out too.
         types: [sweeps / 2] int64, number of distinct types after each sweep of the second half (the
@@ -253,8 +253,8 @@ def sample(
 
 
 def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> ChainState:
-    """The state in which observers believe ``first`` [O] incorrectly, no fact matters, and all
-    noise levels are equally likely. It has no counts yet."""
+    """Makes the state in which observers believe ``first`` [O] incorrectly, no fact matters, and
+    all noise levels are equally likely. The state has no counts yet."""
     transitions, levels = len(answers.transition_start) - 1, len(prior.log_flip)
     return ChainState(
         facts=first.copy(),
@@ -274,7 +274,7 @@ def _log_restaurant(members: NDArray[np.int64], log_new: float) -> float:
 
 
 MANY_OBSERVERS = 100
-"""Number of observers from which whole types are moved too."""
+"""With at least this number of observers, whole types are split and merged, too."""
 MOVES = 20
 """Split and merge moves in one sweep."""
 
@@ -297,15 +297,16 @@ def split_merge(
     """
     now = log_likelihood(state, prior)
     for _ in range(MOVES):
-        move = _propose(state.facts, answers.n_messages, exp(log_new), rng)
+        move = _propose_move(state.facts, answers.n_messages, exp(log_new), rng)
         if move is not None:
             members, new, log_prior, log_proposal = move
             least = temperature * (math.log(rng.random()) - log_proposal) - log_prior
-            now += _take(members, new, least, now, answers, prior, state)
+            now += _try_relabel(members, new, least, now, answers, prior, state)
 
 
 def merge_types(answers: SortedLabels, prior: Prior, state: ChainState, log_new: float) -> float:
-    """Gives a type the fact set of another wherever this makes ``state`` more likely.
+    """Gives all observers of a type the fact set of another type, wherever this makes ``state``
+    more likely.
 
     Returns:
         The total increase of the log-likelihood.
@@ -319,14 +320,14 @@ def merge_types(answers: SortedLabels, prior: Prior, state: ChainState, log_new:
             if new == old or others == 0:
                 continue
             urn, now = _log_merged(len(members), others, exp(log_new)), log_likelihood(state, prior)
-            gained += _take(members, new, -urn, now, answers, prior, state)
+            gained += _try_relabel(members, new, -urn, now, answers, prior, state)
             if facts[members[0]] == new:
                 gained += urn
                 break
     return gained
 
 
-def _take(
+def _try_relabel(
     members: NDArray[np.int64],
     new: int,
     least: float,
@@ -347,14 +348,15 @@ def _take(
     return 0.0
 
 
-def _propose(
+def _propose_move(
     facts: NDArray[np.int64], n: int, urn: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], int, float, float] | None:
-    """Proposes a merge (all observers of a type take the fact set of another) or a split (a random
-    part of a type takes an unused fact set).
+    """Proposes a merge (all observers of a type take the fact set of another type) or a split (a
+    random part of a type takes an unused fact set).
 
     Returns the observers, their new fact set, the log ratio of the priors (after / before), and the
-    log ratio of the proposal probabilities (back / forth). None if there is no such type or part.
+    log ratio of the proposal probabilities (back / forth). None if there is no such type or no such
+    part.
     """
     used = np.unique(facts)
     a = rng.integers(0, len(used))
@@ -395,7 +397,7 @@ FEWEST_SWEEPS = 20
 MANY = 38
 """Number of messages above which there are too many sets of four facts."""
 MAX_SUBSETS = 1 << 15
-"""Maximum number of candidates for S; every sweep weighs all of them."""
+"""Maximum number of candidates for S; every sweep weighs all candidates."""
 
 
 @checks("clusterer")
@@ -407,10 +409,11 @@ class DirichletMixture(Clusterer):
     Attributes:
         concentration: α > 0 of the Chinese restaurant process; a larger α makes new types more
             likely.
-        depth: maximum number of facts in S_τ. None chooses 5, or 4 for more than 12 messages or for
+        depth: maximum number of facts in S_τ. None means 5, or 4 for more than 12 messages or for
             so many observers that ``updates`` ends chains early, or 3 for more than 38 messages.
-        chains: independent runs; half of them start with one type, half with random types.
-        sweeps: sweeps of each chain; the first half are heated. Large data need few.
+        chains: number of independent runs; half of the runs start with one type, half with random
+            types.
+        sweeps: sweeps of each chain; the first half is heated. Large data sets need few sweeps.
         updates: a chain stops after this many updates of an observer (but not before 20 sweeps).
         heat: initial temperature.
     """
@@ -423,7 +426,8 @@ class DirichletMixture(Clusterer):
     heat: Annotated[float, Range(1)] = 4.0
 
     def cluster(self, observed: Observed, seed: int) -> Clustering:
-        """Finds the types, the messages that each needs, and the posterior over their number.
+        """Finds the types, the messages that each type needs, and the posterior over the number of
+        types.
 
         Without messages in the data, types are classes of answers
         (:mod:`xplain.learning.mixture.classes`). If the trainer has hypotheses, they replace the
@@ -437,7 +441,7 @@ class DirichletMixture(Clusterer):
         if found is not None:
             return found
         if dataset.message_set.any():
-            found = self._sampled(dataset, seed)
+            found = self._sample_types(dataset, seed)
         else:
             found = answer_classes(dataset, self.concentration, self.chains, seed)
         assert found.posterior is not None
@@ -446,7 +450,7 @@ class DirichletMixture(Clusterer):
         log.info(types, found.n_types, share)
         return found
 
-    def _sampled(self, dataset: Dataset, seed: int) -> Clustering:
+    def _sample_types(self, dataset: Dataset, seed: int) -> Clustering:
         """Finds types by sampling fact sets, for data with messages."""
         observers, n = len(dataset.observers), dataset.n_messages
         long = observers * self.sweeps <= self.updates
@@ -464,7 +468,7 @@ class DirichletMixture(Clusterer):
                 answers,
                 prior,
                 self.concentration,
-                self._first(observers, n, chain, seed),
+                self._make_first(observers, n, chain, seed),
                 sweeps,
                 self.heat,
                 stream(seed, "dirichlet", chain),
@@ -476,21 +480,22 @@ class DirichletMixture(Clusterer):
             best.facts & facts_that_matter(prior, best),
             "posterior",
             posterior=shares_of(np.concatenate([chain.types for chain in chains])),
-            answers=_errors(dataset, prior, best),
+            answers=_estimate_errors(dataset, prior, best),
         )
 
-    def _first(self, observers: int, n: int, chain: int, seed: int) -> NDArray[np.int64]:
+    def _make_first(self, observers: int, n: int, chain: int, seed: int) -> NDArray[np.int64]:
         everything = np.full(observers, (1 << n) - 1, dtype=np.int64)
         if chain % 2 == 0:
             return everything
         return stream(seed, "dirichlet", "first", chain).integers(0, 1 << n, observers)
 
 
-def _errors(dataset: Dataset, prior: Prior, state: ChainState) -> AnswerModel:
+def _estimate_errors(dataset: Dataset, prior: Prior, state: ChainState) -> AnswerModel:
     """Estimates slips, guesses and error rates, given the cells of ``state``.
 
-    The sampler itself has one error rate for each transition. With an error rate for each observer
-    the labels of a cell would have different weights, and its tables hold only ones − zeros.
+    The sampler itself has one error rate for each transition. With an error rate for each observer,
+    the labels of a cell would have different weights, but the tables of the sampler hold only ones
+    − zeros.
     """
     held = state.facts[dataset.observer] & ~dataset.message_set
     matters = held & prior.members[state.subset[dataset.transition]]
