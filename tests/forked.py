@@ -39,10 +39,10 @@ _WRITTEN = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
 def run(folder: Path, *arguments: str) -> tuple[int, str]:
-    """``xplain …`` in this folder: exit code and all output.
+    """Runs ``xplain …`` in this folder; returns exit code and all output.
 
     Raises:
-        TimeoutError: it has not ended by itself; then it is killed.
+        TimeoutError: the command has not ended by itself; it is then killed.
     """
     return wait(folder, start(folder, *arguments))
 
@@ -57,7 +57,7 @@ def captured(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def start(folder: Path, *arguments: str) -> BaseProcess:
-    """``xplain …`` in this folder, or ``python script.py``, for :func:`wait`."""
+    """Starts ``xplain …`` in this folder, or ``python script.py``, for :func:`wait`."""
     folder.mkdir(parents=True, exist_ok=True)
     return _start(folder, arguments, folder / OUTPUT, folder / OUTPUT)
 
@@ -72,7 +72,7 @@ def wait(folder: Path, process: BaseProcess) -> tuple[int, str]:
     """Exit code and all output, once it has ended by itself.
 
     Raises:
-        TimeoutError: it has not; then it is killed.
+        TimeoutError: the process has not ended; it is then killed.
     """
     return _wait(process, folder / OUTPUT)
 
@@ -86,7 +86,8 @@ def _wait(process: BaseProcess, output: Path) -> tuple[int, str]:
 
 
 def leave_out_pictures(patch: Any = setattr) -> None:
-    """Figures are saved as files without content: drawing takes most of the time of a small run."""
+    """Saves figures as files without content, because drawing takes most of the time of a small
+    run."""
     from matplotlib.figure import Figure
 
     def save(figure: Figure, file: str | Path | IO[bytes], **_: object) -> None:
@@ -97,7 +98,7 @@ def leave_out_pictures(patch: Any = setattr) -> None:
 
 
 def make_store(path: Path) -> None:
-    """An SQLite database with MLflow's tables and nothing in them: four seconds of work."""
+    """Makes an SQLite database with MLflow's empty tables, which takes four seconds."""
     process = _PROCESSES.Process(target=_make_store, args=(path,))
     process.start()
     process.join(_SECONDS)

@@ -15,7 +15,7 @@ from xplain.interaction.episode import Episode
 
 def a_case(seed: int, steps: int = 2, perfect: bool = True) -> Case:
     """Makes a trace with this number of transitions, two messages, two learned types and three true
-    ones."""
+    types."""
     rng = np.random.default_rng(seed)
     return Case(
         transitions=rng.integers(0, 9, (steps, 3)),
@@ -50,7 +50,7 @@ def a_prepared(perfect: bool = True, seed: int = 0, steps: tuple[int, ...] = (2,
 
 
 def with_cases(prepared: Prepared, *cases: Case) -> Prepared:
-    """Returns the same with these traces."""
+    """Returns the same data with these traces."""
     return replace(prepared, cases=cases)
 
 

@@ -1,6 +1,6 @@
 """Processes in separate sessions, which end with the tests.
 
-Such a process gets no signal when the terminal of the tests is closed, or on Ctrl-C.
+Such a process gets no signal on Ctrl-C, or when the tests' terminal is closed.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ _started: list[subprocess.Popen[str]] = []
 
 
 def start(command: Sequence[str], **how: Any) -> subprocess.Popen[str]:
-    """As ``subprocess.Popen``; the process leads a session, and is killed with its group when
-    the tests end before it does."""
+    """Starts a process like ``subprocess.Popen``. The process leads a session, and is killed with
+    its group if the tests end first."""
     process: subprocess.Popen[str] = subprocess.Popen(
         command, text=True, start_new_session=True, **how
     )
@@ -26,14 +26,14 @@ def start(command: Sequence[str], **how: Any) -> subprocess.Popen[str]:
 
 
 def kill(process: subprocess.Popen[str]) -> None:
-    """kill -9 of the process and of all that it started."""
+    """Kills the process, and all processes that it started, with kill -9."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
 
 
 def kill_all() -> None:
-    """kill -9 of those that still run."""
+    """Kills the processes that still run with kill -9."""
     while _started:
         process = _started.pop()
         if process.poll() is None:
@@ -41,7 +41,8 @@ def kill_all() -> None:
 
 
 def end_as_on_ctrl_c() -> None:
-    """SIGTERM and a closed terminal end the tests as Ctrl-C does: what they opened is closed."""
+    """Makes SIGTERM and a closed terminal end the tests like Ctrl-C, so that everything open is
+    closed."""
     # A shell's background job ignores Ctrl-C, and so would all that the tests start.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in _ENDS:
@@ -53,7 +54,7 @@ _ENDS = (signal.SIGTERM, signal.SIGHUP)
 
 
 def _end(*_: object) -> None:
-    """The kernel tells of a closed terminal, and then the shell does: once is enough."""
+    """Ends the tests once, although both the kernel and the shell report a closed terminal."""
     for number in _ENDS:
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt

@@ -20,7 +20,7 @@ Kept = dict[str, Any]
 
 
 def xplain(folder: Path, *words: str) -> str:
-    """Standard output of a command."""
+    """Runs a command; returns its standard output."""
     done = forked.captured(folder, *words)
     assert done.returncode == 0, f"{words}: {done.stderr}"
     return done.stdout
@@ -31,7 +31,7 @@ SOLVERS = ("qmdp", "pomcp", "certified", "qhr")
 
 
 def explanations(folder: Path, domain: str) -> Kept:
-    """Four solvers explain the same traces of one domain."""
+    """Explains the same traces of one domain with four solvers."""
     return jobs(folder, f"domain={domain}", f"solver={','.join(SOLVERS)}", *SMALL)
 
 
@@ -60,7 +60,7 @@ def jobs(folder: Path, *words: str) -> Kept:
 
 
 def episode(line: Kept) -> Kept:
-    """Decisions, beliefs and cost of one explanation."""
+    """Returns decisions, beliefs and cost of one explanation."""
     return {
         "of": f"{line['solver']}, trace {line['trace']}, {line['type']}",
         "cost": line["cost"],
@@ -86,7 +86,7 @@ def discovery(folder: Path) -> Kept:
 
 
 def numbers(path: Path) -> Kept:
-    """The numbers of saved types; of tables the means over message sets."""
+    """Returns the numbers of saved types; tables are replaced by their means over message sets."""
     types = LearnedTypes.load(path)
     labelers, habits = [*types.labelers, types.about_everything], types.habits
     values = {
@@ -120,8 +120,8 @@ def study(folder: Path) -> Kept:
 
 
 def served(folder: Path, command: str, people: int, *words: str) -> Path:
-    """The export of a server that simulated people visited, one after the other, and whose log
-    was replayed."""
+    """Runs a server that simulated people visit, one after the other, replays its log, and returns
+    the export."""
     rate = ("server.requests_per_second=1000", "server.burst=1000")
     with ServerProcess(folder / "d.sqlite", *words, *rate, command=command) as server:
         where = ("--url", server.url, "--key", server.key, "--save", "out.zip")
@@ -137,7 +137,7 @@ CHANCE = re.compile(r"(^|_)(s|seconds|time|entered|seen|hash|code)$")
 
 
 def read(path: Path) -> list[list[str]]:
-    """A CSV file's head and rows."""
+    """Reads a CSV file's head and rows."""
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.reader(file))
 
@@ -147,8 +147,8 @@ def table(path: Path, order: Mapping[str, int] | None = None) -> list[list[Any]]
     (beliefs, values) are read as JSON.
 
     Args:
-        path: of the file.
-        order: order in which people came, by their (random) names; None keeps the order of the
+        path: the path of the file.
+        order: the order of people's visits, by their (random) names; None keeps the order of the
             file.
     """
     head, *rows = read(path)
@@ -161,7 +161,7 @@ def table(path: Path, order: Mapping[str, int] | None = None) -> list[list[Any]]
 
 
 def read_cell(cell: str) -> Any:
-    """Lists and mappings of JSON; all else is text."""
+    """Reads lists and mappings from JSON; all else is text."""
     return json.loads(cell) if cell[:1] in ("[", "{") else cell
 
 

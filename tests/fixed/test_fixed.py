@@ -13,8 +13,8 @@ from tests.fixed.commands import RUNS
 
 
 def differences(kept: Any, now: Any, where: str = "") -> list[str]:
-    """Lists the differences of two results: any in text and whole numbers, more than 1e-9 in other
-    numbers."""
+    """Lists the differences of two results: any difference of text and whole numbers, and
+    differences above 1e-9 of other numbers."""
     if isinstance(kept, dict) and isinstance(now, dict) and kept.keys() == now.keys():
         pairs = [(f"{where}/{key}", kept[key], now[key]) for key in kept]
     elif isinstance(kept, list) and isinstance(now, list) and len(kept) == len(now):
@@ -25,7 +25,8 @@ def differences(kept: Any, now: Any, where: str = "") -> list[str]:
 
 
 def alike(kept: Any, now: Any) -> bool:
-    """Equal, or numbers (also written as text in a table) within 1e-9, or missing in both."""
+    """True if two values are equal, or numbers (also as text in a table) within 1e-9, or missing in
+    both."""
     if kept == now:
         return True
     try:

@@ -1,4 +1,4 @@
-"""An embedded explainer expects people nobody assumed if facts are known, and reports that no type
+"""An embedded explainer expects people of other types if facts are known, and reports that no type
 fits."""
 
 import logging
@@ -23,7 +23,7 @@ SETS = np.arange(1 << N)
 
 
 def types_with_facts(seed: int = 0) -> Types:
-    """Two types who each believe one fact incorrectly; labels are nearly certain."""
+    """Makes two types that believe one fact incorrectly each; labels are nearly certain."""
     labels = np.random.default_rng(seed).choice([0.02, 0.98], (STEPS, 1 << N))
     labels[:, 0] = 0.98
     table = np.stack([labels[:, wrong & ~SETS] for wrong in (1, 2)])
@@ -48,7 +48,7 @@ def test_people_may_be_of_no_type_where_facts_are_known() -> None:
 
 
 def test_answers_that_fit_no_type_are_told_of() -> None:
-    """A person who answers at random soon fits no type, and is restored as such."""
+    """A person who answers at random soon fits no type; a restored session says the same."""
     explainer, rng = Explainer(types_with_facts(), trade_off=100), np.random.default_rng(0)
     session = explainer.session(range(STEPS))
     while not session.finished:

@@ -46,8 +46,8 @@ def interactions(draw):
 @given(interactions(), st.sampled_from([Independent(), Persistent()]))
 @settings(max_examples=80, deadline=None)
 def test_cost_is_definition_2_and_beliefs_are_bayes(interaction, way):
-    """The belief is over all labels, or over those that were not given before with the same
-    messages."""
+    """The belief follows from all labels, or from the labels that were not given before with the
+    same messages."""
     problem, table, script = interaction
     episode = explain(problem, CachedPolicy(Scripted(script)), SimulatedUser.of(table), way)
     total, zeros, weight = 0.0, 0, problem.prior.copy()

@@ -103,7 +103,7 @@ def test_a_person_errs_alike_about_copies_of_a_transition() -> None:
 
 
 def knowing(steps: int = STEPS) -> LabelTable:
-    """Makes transitions that make sense exactly if message 0 is known."""
+    """Makes a table of transitions that make sense exactly if message 0 is known."""
     return LabelTable.dense(np.tile([0.0, 1.0], (1, steps, 1)))
 
 
@@ -250,7 +250,7 @@ def test_messages_that_are_misread_tell_each_others_facts() -> None:
 
 
 def test_a_fact_is_found_out_two_steps_after_it_mattered() -> None:
-    """From the third transition on everything depends on the message."""
+    """From the third transition on, every label depends on the message."""
     table = LabelTable.dense([[[1.0, 1.0]] * 2 + [[0.0, 1.0]] * (STEPS - 2)])
     zeros = [int((thoughts == 0).sum()) for thoughts, _ in reactions(LearnsUntold(), table)]
     assert zeros == [0, 0, 1, 2, 0, 0, 0, 0]

@@ -22,7 +22,7 @@ SOLVERS = [QMDP(), QHR(), Conformant(), POMCP(), Lookahead()]
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda s: type(s).__name__)
 def test_without_messages_there_is_nothing_to_say(solver):
-    """Labels update the belief all the same: 0 is three times likelier for the second type."""
+    """Labels still update the belief: label 0 is three times likelier for the second type."""
     types = GivenTypes(np.array([[[0.9]] * 3, [[0.7]] * 3]), (), ("a", "b"))
     session = Explainer(types, solver).session([0, 1, 2])
     while not session.finished:
@@ -182,7 +182,7 @@ def test_a_message_that_was_not_taken_in_is_said_again():
 
 
 def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
-    """Half of the messages are missed. So messages are repeated sooner, and also to other
+    """Half of the messages are missed. So messages are repeated earlier, and also to other
     people."""
     weighs = Independent(0.0, "learned", "learned")
     missed, took_in = [], []

@@ -65,8 +65,8 @@ def test_every_two_features_meet_twice() -> None:
 
 @cache
 def learned_types(messages: int) -> LearnedTypes:
-    """Two types, learned from labels: one needs the first message where a transition's feature is
-    large, the other the second."""
+    """Makes two types, learned from labels. If a transition's feature is large, one type needs the
+    first message, the other type the second."""
     rng = np.random.default_rng(0)
     transition, observer = rng.integers(TRANSITIONS, size=500), rng.integers(4, size=500)
     given = rng.integers(4, size=500)
@@ -87,8 +87,8 @@ def learned_types(messages: int) -> LearnedTypes:
 
 
 def given_types(rng: np.random.Generator, messages: int, own: bool) -> GivenTypes:
-    """Three types that each look at two messages: as an array of numbered transitions, or of
-    somebody's own transitions."""
+    """Makes three types whose labels depend on two messages each, for numbered transitions or a
+    user's own transitions."""
     relevant = np.array([np.sort(rng.choice(messages, 2, replace=False)) for _ in range(3)])
     table = LabelTable.by_type(relevant, rng.choice([0.05, 0.3, 0.95], (3, TRANSITIONS, 4)))
     names = tuple(f"m{j}" for j in range(messages)), ("x", "y", "z")
@@ -148,9 +148,9 @@ class Situation:
 
 
 def literal_belief(talk: Dialogue) -> NDArray[np.float64] | None:
-    """[rows, N] by Bayes' rule over the states of the literal POMDP; None where no state answers
-    so. Those who repeat themselves are asked about a transition once while they know the same:
-    their other labels of a prefix may be any."""
+    """Computes the belief [rows, N] by Bayes' rule over the states of the literal POMDP; None if no
+    state gives these answers. People who repeat themselves answer about a transition once while
+    their knowledge is the same: their other labels are ignored."""
     problem, pomdp = talk.problem, LiteralPOMDP(talk.problem)
     states, asked, heard = pomdp.initial(), 0, set[int]()
     repeats = not talk.belief_update.fresh_labels

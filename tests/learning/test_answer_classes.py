@@ -38,7 +38,7 @@ def people(seed: int, per_class: int = 60, items: int = 12) -> tuple[Dataset, np
 
 
 def partitions(count: int):
-    """All ways to share classes, as the class of each."""
+    """Lists all partitions into classes, as the class of each person."""
 
     def grow(begun: list[int]):
         if len(begun) == count:
@@ -51,7 +51,7 @@ def partitions(count: int):
 
 
 def restaurant(sizes: np.ndarray) -> float:
-    """log P(partition), α drawn from an exponential of mean 1."""
+    """Computes log P(partition), where α is drawn from an exponential of mean 1."""
     n, k = int(sizes.sum()), len(sizes)
 
     def weigh(alpha: float) -> float:

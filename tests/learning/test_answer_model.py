@@ -15,7 +15,7 @@ from xplain.learning.answers import (
 
 
 def simulated(seed, errors, slips, people=20, each=40, types=4, sure=0.9995):
-    """Answers of people with these error rates, in turn, to questions with these slips; f is
+    """Draws answers of people with these error rates, in turn, to questions with these slips; f is
     mostly as expected. The cells are (type, question)."""
     rng = np.random.default_rng(seed)
     questions = len(slips)

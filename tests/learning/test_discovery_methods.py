@@ -27,7 +27,8 @@ TYPES = [[0, 1], [2], [1, 3]]
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.1, 0.15])
 def test_types_are_found_and_noise_makes_none(noise: float) -> None:
-    """Nobody answers the same questions. A model that fits the errors finds a type an observer."""
+    """Nobody answers the same questions. A model that fits the errors would find one type for each
+    observer."""
     seed = int(100 * noise)
     dataset, truth = made(np.random.default_rng(seed), TYPES, size=250, noise=noise)
     found = DirichletMixture().cluster(Observed(dataset), seed)

@@ -56,7 +56,7 @@ def test_confidence_is_the_smoothed_share_of_held_out_questions_got_right(
     rng: np.random.Generator, repeats: int
 ) -> None:
     """Each question counts once, however often it was answered; with different answers the share of
-    right ones counts."""
+    right answers counts."""
     once, _ = made(rng, [[0, 1]], noise=0.15)
     dataset = once.take(np.repeat(np.arange(len(once)), repeats))
     labeler, seed = LabelerTrainer().fit(dataset, 7), derive_seed(7, "labelers")
@@ -113,7 +113,7 @@ def test_the_table_over_what_a_tree_looks_at_is_the_whole_table(seed: int, n: in
 
 
 def test_sixteen_messages_are_the_most_that_are_looked_at() -> None:
-    """A tree of one path a message, in a row."""
+    """Makes a tree with one path for each message, one after the other."""
     for count in (16, 17):
         x = np.zeros((count + 1, 24), dtype=np.float32)
         x[np.arange(count), 1 + np.arange(count)] = 1
@@ -194,7 +194,7 @@ def test_it_is_what_fresh_questions_show() -> None:
 
 
 def test_who_gave_no_label_before_is_predicted_by_everybodys(rng: np.random.Generator) -> None:
-    """The second type's labels are all held out: nothing is known of it but what all say."""
+    """All labels of the second type are held out, so only everybody's labels predict it."""
     dataset, truth = made(rng, [[0], [1]], per_type=1, size=300)
     train, test = (dataset.of(np.array([o])) for o in range(2))
     given = Clustering(truth, "", "")

@@ -1,4 +1,4 @@
-"""Missed messages, of people whose α, slips and guesses are known."""
+"""Missed messages of simulated people, whose α, slips and guesses are known."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ WRONG = np.array([(w, k) for w in FACTS for k in FACTS if not k & ~w])
 
 
 def taught(rng: np.random.Generator, accept: NDArray[np.float64]) -> Dataset:
-    """Everybody answers all items before and after three messages."""
+    """Makes answers of people to all items, before and after three messages."""
     wrong = rng.integers(0, 8, PEOPLE)
     landed = (rng.random((PEOPLE, 3)) < accept) @ (1 << np.arange(3))
     one = np.concatenate([TABLE[wrong], TABLE[wrong & ~landed]], axis=1)
@@ -55,8 +55,8 @@ def test_alpha_is_learned_by_message(accept: tuple[float, ...]) -> None:
 
 
 def test_answers_after_messages_are_predicted_nearly_as_by_who_knows_all_rates() -> None:
-    """People whose answers after the messages nobody saw; beside them Bayes' rule by enumeration
-    of all (W, what does not land), all rates known."""
+    """Predicts answers after messages that were not observed, and compares with Bayes' rule, which
+    knows all rates and enumerates all (W, missed messages)."""
     accept = np.array([0.2, 0.5, 0.8])
     dataset = taught(np.random.default_rng(5), accept)
     test = (dataset.observer % 3 == 0) & (dataset.message_set > 0)

@@ -25,7 +25,7 @@ class Told(Labeler):
         self.n_messages, self.step = n_messages, step
 
     def table(self, features: NDArray[np.float64], transitions: Any = None) -> LabelTable:
-        """The same of all transitions."""
+        """Returns the table of all transitions."""
         told = np.bitwise_count(np.arange(1 << self.n_messages))
         return LabelTable.dense([np.tile(0.1 + self.step * told, (len(features), 1))])
 
@@ -34,7 +34,7 @@ class FirstAndRest:
     """The first observer is one type, all others are another."""
 
     def find(self, observed: Observed, seed: int) -> UserTypes:
-        """As promised."""
+        """Finds the two types."""
         n = observed.dataset.n_messages
         group = (np.arange(len(observed.dataset.observers)) > 0).astype(np.int64)
         found = Clustering(group, "own", "the first")

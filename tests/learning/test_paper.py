@@ -36,8 +36,8 @@ def enumerated(classifier: object, features: NDArray[np.float64], n: int) -> int
 
 
 def fitted(model: object, seed: int, n: int, ones: float, rows: int = 80) -> tuple[object, NDArray]:
-    """Fits a classifier to random labels: harder than any data, because no message set helps
-    all."""
+    """Fits a classifier to random labels. These are harder than any data, because no message set
+    helps all observers."""
     rng = np.random.default_rng(seed)
     features = rng.random((8, 2)).round(2)
     x = inputs(features[rng.integers(8, size=rows)], rng.integers(1 << n, size=rows), n)
@@ -143,7 +143,7 @@ def test_rules(curve: list[int], k: int, rule: str, caplog: pytest.LogCaptureFix
 @given(st.lists(st.integers(0, 500), min_size=1, max_size=15), st.floats(0, 0.3))
 @settings(max_examples=300, deadline=None)
 def test_a_knee_that_kneedle_finds_stands(drops: list[int], few: float) -> None:
-    """It is kept for any remaining disagreements; the other rules hold for curves without a
+    """The knee is used for any remaining disagreements; the other rules are for curves without a
     knee."""
     curve = np.array(drops)
     k, rule = elbow(curve, few)

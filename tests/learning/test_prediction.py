@@ -45,7 +45,7 @@ def test_an_observer_is_predicted_by_the_types_that_their_labels_speak_for(
 
 
 def test_intervals_of_calibration_are_wilsons():
-    """Solved from |ones − p| = z √(p (1 − p) / n) at their ends."""
+    """The ends of an interval solve |ones − p| = z √(p (1 − p) / n)."""
     [one] = calibration(np.full(1, 0.5), np.array([1], dtype=np.uint8))
     many = calibration(np.linspace(0, 1, 57), np.tile([1, 0, 0], 19).astype(np.uint8))
     for part in (one, *many):
@@ -57,7 +57,7 @@ def test_intervals_of_calibration_are_wilsons():
 
 @pytest.mark.parametrize("count", [2, 4])
 def test_of_few_labels_one_is_held_out_and_one_is_learned_from(count: int) -> None:
-    """Nobody was told anything; each label is held out with probability 1/4."""
+    """Labels are without messages; each label is held out with probability 1/4."""
     rows = np.arange(count)
     dataset = Dataset(
         rows[:, None].astype(float), ("place",), ("m",), ("a", "b"),

@@ -50,7 +50,7 @@ def learned(classifier, confidence="accuracy"):
 # Some processors' matrix products raise the flag of numbers that they read beyond the matrix.
 @pytest.mark.filterwarnings("ignore:invalid value encountered in matmul:RuntimeWarning")
 def array_of(types, rows):
-    """[N, T, 2^n] of rows of features."""
+    """Computes the label table [N, T, 2^n] of rows of features."""
     return types.label_table(rows).array(len(types.messages))
 
 

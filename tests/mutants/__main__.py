@@ -4,7 +4,7 @@
     python -m tests.mutants --each 8 --seed 1 --areas solvers  of these folders alone
 
 A mistake is one of cosmic-ray's, or a statement that is left out (:mod:`tests.mutants.operators`).
-It meets first the tests that import its module, then all tests of the folder's mirror in tests/.
+The tests that import its module run first, then all tests of the mirrored folder in tests/.
 Outcomes are in outputs/mutants-SEED.jsonl: an interrupted campaign goes on from there. The tests
 must pass without a mistake (`make mutants` runs them before).
 """
@@ -35,7 +35,8 @@ LEFT_OUT = (".*", "outputs", "build", "dist", "__pycache__")
 
 
 class Mutant(NamedTuple):
-    """A mistake: the file, the operator, which of its occurrences there, and the lines changed."""
+    """A mistake: the file, the operator, the number of its occurrence there, and the changed
+    lines."""
 
     area: str
     path: str
@@ -45,7 +46,7 @@ class Mutant(NamedTuple):
 
 
 def areas() -> dict[str, list[Path]]:
-    """The modules of each folder of the package; single modules are one area."""
+    """Lists the modules of each folder of the package; single modules are one area."""
     found = defaultdict(list)
     for path in sorted((ROOT / "xplain").rglob("*.py")):
         inside = path.relative_to(ROOT / "xplain").parts
@@ -55,7 +56,8 @@ def areas() -> dict[str, list[Path]]:
 
 
 def draw(area: str, paths: list[Path], seed: int) -> Iterator[Mutant]:
-    """All mutants of an area in random order: a place in the source, then one mistake there."""
+    """Yields all mutants of an area in random order: a place in the source, then one mistake
+    there."""
     places = defaultdict(list)
     for path in paths:
         for operator, occurrence, span in operators.places(path.read_text("utf-8")):
@@ -74,7 +76,8 @@ def draw(area: str, paths: list[Path], seed: int) -> Iterator[Mutant]:
 
 
 def stages(mutant: Mutant) -> list[list[str]]:
-    """The test files that a mutant meets: those that import its module, then the mirror's."""
+    """Lists the test files for a mutant: files that import its module, then the files of the
+    mirrored folder."""
     module = mutant.path.removesuffix(".py").replace("/", ".")
     package, _, name = module.rpartition(".")
     near, mirror = [], []
@@ -88,7 +91,8 @@ def stages(mutant: Mutant) -> list[list[str]]:
 
 
 def noticed(mutant: Mutant, copy: Path, scratch: Path) -> str:
-    """The first test that fails with the mistake; "" if none does, "time" where they never end."""
+    """Returns the first test that fails with the mistake; "" if all pass, "time" if the tests never
+    end."""
     path = copy / mutant.path
     source = path.read_text("utf-8")
     mutated = operators.mutate(source, mutant.operator, mutant.occurrence)
@@ -121,7 +125,7 @@ def noticed(mutant: Mutant, copy: Path, scratch: Path) -> str:
 
 
 def report(outcomes: dict[Mutant, str]) -> str:
-    """The share noticed by area, and every survivor as a difference."""
+    """Prints the share of noticed mistakes by area, and every other mistake as a difference."""
     lines = []
     for area in [*dict.fromkeys(mutant.area for mutant in outcomes), ""]:
         own = [killer for mutant, killer in outcomes.items() if area in ("", mutant.area)]
@@ -134,7 +138,7 @@ def report(outcomes: dict[Mutant, str]) -> str:
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
     parser.add_argument("--each", type=int, default=8, help="mutants of an area (8)")
     parser.add_argument("--seed", type=int, default=1, help="of the draw (1)")

@@ -1,7 +1,7 @@
-"""The mistakes: those of cosmic-ray that a person could make, and a missing statement.
+"""The mistakes: cosmic-ray's mistakes that a person could make, and a missing statement.
 
-Types, texts, error messages, logging, decorators and imports are left alone: a change there is no
-mistake.
+Types, texts, error messages, logging, decorators and imports stay unchanged, because a change there
+is no mistake.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class DropStatement(Operator):  # type: ignore[misc]
 
     @classmethod
     def examples(cls) -> tuple[()]:
-        """None."""
+        """Returns no examples."""
         return ()
 
     def mutation_positions(self, node: Node) -> Iterator[Span]:
@@ -67,7 +67,7 @@ class DropStatement(Operator):  # type: ignore[misc]
 
 @cache
 def operators() -> dict[str, Operator]:
-    """All operators by name."""
+    """Returns all operators by name."""
     provider = OperatorProvider()
     names = [f"ReplaceBinaryOperator_{pair}" for pair in BINARY.split()]
     names += [f"ReplaceComparisonOperator_{pair}" for pair in COMPARISON.split()]
@@ -76,7 +76,8 @@ def operators() -> dict[str, Operator]:
 
 
 def places(source: str) -> Iterator[tuple[str, int, Span]]:
-    """Every mutant of a module: operator, which of its occurrences, the span that it replaces."""
+    """Lists every mutant of a module: the operator, the number of the occurrence, and the span that
+    it replaces."""
     nodes = list(ast_nodes(get_ast(source)))
     for name, operator in operators().items():
         occurrence = 0
@@ -88,7 +89,7 @@ def places(source: str) -> Iterator[tuple[str, int, Span]]:
 
 
 def mutate(source: str, operator: str, occurrence: int) -> str | None:
-    """The mutated source; None where it is no Python, or the same."""
+    """Returns the mutated source; None if it is no Python, or unchanged."""
     mutated: str | None = mutate_code(source, operators()[operator], occurrence)
     if mutated is None or mutated == source:
         return None

@@ -37,20 +37,20 @@ def page_of(view: Mapping[str, Any]) -> Page:
 
 
 def answer(flow: Flow[Any, S], person: Bot[Any, Any], state: S) -> tuple[str, dict[str, Any]]:
-    """Kind and payload of somebody's answer to the page of a state."""
+    """Returns kind and payload of a person's answer to the page of a state."""
     kind, (filled, _) = flow.waits_for(state), person.fill(page_of(flow.view(state)))
     return kind, flow.read(state, kind, ImmutableMultiDict(filled))
 
 
 def walk(flow: Flow[Any, S], person: Bot[Any, Any], state: S) -> S:
-    """Leads a person from a state to the end, or to the page where they leave."""
+    """Leads a person from a state to the end, or to the page where the person leaves."""
     while not state.over and not person.leaves(page_of(flow.view(state))):
         state = flow.advance(state, *answer(flow, person, state))
     return state
 
 
 def take_part(study: Study, person: StudyBot, user_type: int, condition: str) -> StudyState:
-    """One simulated participant of a study, from the briefing on."""
+    """Simulates one participant of a study, from the briefing on."""
     role = study.plan.roles[user_type]
     orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}
     place = {"position": None, "user_type": user_type, "condition": condition}
@@ -66,13 +66,14 @@ def observe(
     others: Mapping[str, float] | None = None,
     role: int | None = None,
 ) -> CollectState:
-    """One simulated observer of a collection; ``others``: what those before believe incorrectly."""
+    """Simulates one observer of a collection; ``others`` is the distribution of earlier observers'
+    incorrect beliefs."""
     consent = {"number": number, "role": role, "others": others or {}}
     return walk(collection, person, collection.after(CollectState(), **consent))
 
 
 def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[CollectState]:
-    """Simulated observers one after the other; the roles take turns."""
+    """Simulates observers one after the other; the roles take turns."""
     collection, states = Collection(plan), list[CollectState]()
     for number in range(people):
         person = bot(plan, habits, seed, number)
@@ -84,16 +85,16 @@ def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[Col
 
 
 def truth_of(plan: CollectPlan, people: int) -> NDArray[np.int64]:
-    """[people] the facts that each simulated observer believes incorrectly; roles that behave alike
-    are one."""
+    """Returns [people] the facts that each simulated observer believes incorrectly; roles that
+    behave alike have the same facts."""
     known = plan.hypotheses
     held = np.array([plan.roles[i % len(plan.roles)].held for i in range(people)])
     return known.essential[known.row(held)]
 
 
 def attend(store: Store, person: Bot[Any, Any], stream: str = "person") -> str:
-    """Somebody with a new invitation, without pages: to the end, or to the page where they leave.
-    Everything is stored that a server would store. Returns their id."""
+    """Leads a person with a new invitation, without pages, to the end or to the page where the
+    person leaves. Stores everything that a server would store. Returns the person's id."""
     flow, who = store.flow, store.enter_invited(store.invite(1, stream)[0])
     state, text = flow.STATE(), flow.plan.texts.consent_hash
     while not state.over and not person.leaves(page_of(flow.view(state))):

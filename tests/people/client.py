@@ -18,7 +18,7 @@ _in_a_thread = anyio.to_thread.run_sync
 
 
 async def _at_once(function: Any, *args: Any, **more: Any) -> Any:
-    """Calls a handler where a client waits for it: a thread for each takes as long as the rest."""
+    """Calls a handler in the client's thread, because new threads would take half of the time."""
     if hasattr(LOCAL, "runner"):
         return function(*args)
     return await _in_a_thread(function, *args, **more)

@@ -28,7 +28,7 @@ class Person(Protocol):
     """Fills in pages."""
 
     def fill(self, page: Page) -> Any:
-        """The fields of a page's answer, first of a tuple."""
+        """Returns the fields of a page's answer, as the first item of a tuple."""
 
 
 class Careful:
@@ -40,7 +40,8 @@ class Careful:
         self.acknowledged: list[int] = []
 
     def take_part(self) -> str:
-        """To the end, however often the server dies; the outbox is this loop."""
+        """Takes part to the end, however often the server dies; this loop sends unacknowledged
+        answers again."""
         _, html = self.browser.get(f"/?invitation={self.invitation}")
         fields = [*Page.of_html(html).hidden.items(), ("invitation", self.invitation)]
         page = Page.of_html(self.browser.post("/enter", fields)[1])
@@ -65,12 +66,12 @@ def survive(
     """Kills the server while people answer, and compares stored with acknowledged answers.
 
     Args:
-        database: with a plan in it.
-        flow: of the plan, as the server runs it.
+        database: a database with a plan.
+        flow: the flow of the plan, as the server runs it.
         command: ``study`` or ``collect``.
-        person: who comes as the i-th into the place of the j-th.
-        kills: of the server.
-        people: at a time.
+        person: makes the i-th person of place j.
+        kills: number of kills of the server.
+        people: number of people at a time.
 
     Returns:
         The numbers of acknowledged and of stored answers.
@@ -80,7 +81,7 @@ def survive(
     ended = threading.Event()
 
     def parade(place: int) -> list[Careful]:
-        """One person after another, until the last kill."""
+        """Sends one person after another, until the last kill."""
         own: list[Careful] = []
         while not ended.is_set():
             visitor = Careful(server.url, person(len(own), place), invitations[place].pop())
@@ -89,7 +90,7 @@ def survive(
         return own
 
     def watch() -> int:
-        """A researcher who looks at the study all the while; how many pages they saw."""
+        """Opens the researcher's page again and again; returns the number of received pages."""
         seen = 0
         while not ended.is_set():
             try:

@@ -46,7 +46,8 @@ def bot_of(flow: Flow[Any, Any], *seeds: int) -> Bot[Any, Any]:
 
 
 def filled(kind: str, path: Path, people: int = 3) -> list[str]:
-    """A database in which so many people went all the way; their ids in the order they came."""
+    """Makes a database in which this number of people reached the end; returns their ids in order
+    of arrival."""
     store = Store(path, flow_of(kind))
     app = create_app(store, GENEROUS)
     for number, token in enumerate(store.invite(people, "person")):

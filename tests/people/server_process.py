@@ -21,7 +21,7 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 def free_port() -> int:
-    """A port that was free just now."""
+    """Finds a port that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -76,9 +76,9 @@ class ServerProcess:
             self._process = None
 
     def stop(self) -> None:
-        """SIGTERM: the server answers what it has begun, then ends. For connections that browsers
-        keep open it would wait ten seconds and then kill its worker; here both are killed after
-        one."""
+        """Sends SIGTERM: the server completes the requests that have begun, then ends. It would
+        wait ten seconds for connections that browsers keep open, and then kill its worker; here
+        both are killed after one second."""
         if self._process is not None:
             self._process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):

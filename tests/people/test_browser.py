@@ -52,7 +52,7 @@ SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", ROOT / "outputs/study/sc
 
 @pytest.fixture
 def driver() -> Iterator[Driver]:
-    """A new Chromium with an empty profile."""
+    """Opens a new Chromium with an empty profile."""
     if what := missing():
         pytest.skip(f"no browser to drive: install {what}")
     with browser() as opened:
@@ -62,7 +62,8 @@ def driver() -> Iterator[Driver]:
 
 @pytest.fixture(scope="module")
 def axe(request: pytest.FixtureRequest) -> str:
-    """axe-core's script, fetched from npm once and kept in pytest's cache, not in the project."""
+    """Fetches axe-core's script from npm once, and keeps it in pytest's cache, not in the
+    project."""
     assert request.config.cache is not None
     folder = Path(request.config.cache.mkdir("axe-core"))
     with FileLock(folder / ".lock"):  # tests run in several processes
@@ -220,7 +221,7 @@ def look_at(driver: Driver, axe: str, name: str) -> None:
 
 
 def preview(driver: Driver, server: ServerProcess, cell: int) -> None:
-    """Begins as a pilot of that type and condition, from the researcher's page."""
+    """Begins as a pilot participant of this type and condition, from the researcher's page."""
     driver.get(f"{server.url}/researcher")
     if driver.find_elements(By.ID, "key"):
         driver.find_element(By.ID, "key").send_keys(server.key)
@@ -255,8 +256,8 @@ SIZES = (1920, 1080), (1280, 800), (390, 844)
 
 
 def scrolled(driver: Driver, person: StudyBot) -> dict[int, float]:
-    """Pixels that a participant scrolls in the evaluation, by the window's width: to every answer
-    that they click, and to the button, no further than they have to."""
+    """Measures the pixels that a participant scrolls in the evaluation, by the window's width: to
+    every clicked answer and to the button, no further than necessary."""
     total = {width: 0.0 for width, _ in SIZES}
     while (page := Page.of_html(driver.page_source)).hidden:
         fields = person.fill(page)[0]
@@ -333,7 +334,8 @@ document.querySelector('fieldset.newest legend').textContent = step;
 def test_a_question_is_accessible_in_sight_and_photographed(
     driver: Driver, axe: str, asking: Study, tmp_path: Path
 ) -> None:
-    """On a phone and on a small laptop, before the first step and with messages on the page."""
+    """The page is tested on a phone and on a small laptop, before the first step and with messages
+    on the page."""
     plan, path = asking.plan, tmp_path / "s.sqlite"
     seen: list[tuple[int, int]] = []
     said = (f"Before this: {' '.join(clip.situation)}" for clip in plan.clips)
@@ -366,7 +368,7 @@ def test_a_question_is_accessible_in_sight_and_photographed(
 
 
 def test_scrolling_hangs_on_no_condition(driver: Driver, rescue: Study, tmp_path: Path) -> None:
-    """At three window sizes: over a whole study the conditions differ by less than a tenth."""
+    """At three window sizes, the conditions differ by less than a tenth over a whole study."""
     plan, measured = rescue.plan, {}
     with serving(tmp_path / "s.sqlite", rescue) as server:
         for cell, (user_type, condition) in enumerate(plan.cells):
@@ -431,7 +433,8 @@ def test_the_keyboard_is_enough(driver: Driver, kind: str, tmp_path: Path) -> No
 
 
 def _tab_to(driver: Driver, selector: str) -> None:
-    """Presses Tab until what has the focus is wanted; every stop shows where it is."""
+    """Presses Tab until the wanted element has the focus; every focused element must be visibly
+    focused."""
     for _ in range(80):
         focus = driver.switch_to.active_element
         if driver.execute_script("return arguments[0].matches(arguments[1])", focus, selector):

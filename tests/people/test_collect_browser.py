@@ -103,7 +103,8 @@ def test_every_page_is_accessible_and_is_photographed(
 def test_under_three_messages_the_button_is_in_sight(
     driver: Driver, rescue: Collection, tmp_path: Path
 ) -> None:
-    """On a phone, in the practice too, where every half is answered wrong first."""
+    """This holds on a phone, also in the practice, in which the first answer to each half is
+    wrong."""
     plan, rng = rescue.plan, np.random.default_rng(0)
     threes = [told for told in range(1 << len(plan.facts)) if told.bit_count() == 3]
     steps = rng.integers(plan.hypotheses.n_transitions, size=8)

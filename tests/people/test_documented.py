@@ -20,7 +20,7 @@ OF_FILES = ("hydra.searchpath", "types", "key")
 
 
 def settings() -> list[tuple[str, str]]:
-    """Every ``key=value`` that the text of a page names; what is to be filled in is."""
+    """Lists every ``key=value`` in the text of a page; placeholders are filled in."""
     found: list[tuple[str, str]] = []
     for kind in ("study", "collect"):
         text = (DOCS / f"{kind}.md").read_text(encoding="utf-8")

@@ -92,7 +92,8 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In all three conditions of the study: the server dies while people are asked, too."""
+    """This holds in all three conditions of the study; the server also dies while people are asked
+    questions."""
     flow: Any = street_study(ask=ASK) if kind == "study" else flow_of(kind)
     person: Callable[..., Person] = partial(err if kind == "study" else bot_of, flow)
     path = tmp_path / "s.sqlite"

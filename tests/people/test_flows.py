@@ -50,7 +50,7 @@ def states(kind: str) -> list[Any]:
 
 
 def at(kind: str, kind_of_event: str) -> Any:
-    """The first state that waits for such an event."""
+    """Returns the first state that waits for such an event."""
     flow = flow_of(kind)
     return next(state for state in states(kind) if flow.waits_for(state) == kind_of_event)
 

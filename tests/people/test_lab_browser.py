@@ -52,7 +52,7 @@ LIMITS = ("server.burst=1e6", "server.visitor_burst=1e6", "server.blinded=false"
 
 
 def png(number: int, width: int = 320, height: int = 240) -> bytes:
-    """A picture of so many bars."""
+    """Draws a picture with this number of bars."""
     y, x = np.mgrid[:height, :width]
     bars = (x // 24 % 2 == 1) & (x < 48 * (number + 1)) & (abs(y - height // 2) < 70)
     grey = np.where(bars, 60, 200 + 8 * number).astype(np.uint8)
@@ -69,7 +69,7 @@ def png(number: int, width: int = 320, height: int = 240) -> bytes:
 
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with two tables, images, and the lab's own texts."""
+    """Makes a folder with two tables, images, and the lab's own texts."""
     rows = [f"{line},{i}.png" for i, line in enumerate(STEPS.splitlines())]
     own = "\n".join(["text,inexplicable_if,step,alt,image", *rows])
     (tmp_path / "own.csv").write_text(f"{own}\n", encoding="utf-8")

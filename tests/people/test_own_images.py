@@ -16,7 +16,7 @@ FACTS = "fact,message,belief\ncable,Cables are fine.,Cables stop it.\n"
 
 
 def table(folder: Path, image: str) -> Path:
-    """A table with one image, and its facts."""
+    """Makes a table with one image, and its facts."""
     (folder / "facts.csv").write_text(FACTS)
     (folder / "own.csv").write_text(
         f"text,image,alt,inexplicable_if,floor\nDrives over it,{image},A cable,cable,0\n"
@@ -26,7 +26,7 @@ def table(folder: Path, image: str) -> Path:
 
 
 def shown(folder: Path, image: str) -> Image.Image:
-    """The picture that participants get."""
+    """Returns the picture that participants get."""
     source = read_own_table(table(folder, image), str(folder / "facts.csv"), 0)
     picture = source.clips[0].picture
     assert picture is not None
@@ -60,7 +60,7 @@ def test_what_is_no_picture_of_the_folder_is_refused(tmp_path: Path, name: str) 
 
 
 def test_a_picture_of_too_many_pixels_is_refused_before_they_are_read(tmp_path: Path) -> None:
-    """The header alone says 60,000 × 60,000; a decoder would take 10 GB."""
+    """Only the header says 60,000 × 60,000; decoding would take 10 GB."""
     picture = io.BytesIO()
     Image.new("1", (8, 8)).save(picture, "PNG")
     data = bytearray(picture.getvalue())

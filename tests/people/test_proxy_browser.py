@@ -30,11 +30,11 @@ pytestmark = pytest.mark.browser
 
 
 class Proxy(ThreadingHTTPServer):
-    """Hands requests on; answers for the server where it is told to.
+    """Forwards requests, or answers in place of the server.
 
     Attributes:
-        status: of its own answers to forms; 0 hands them on.
-        answered: how many it gave.
+        status: status of the proxy's own answers to forms; 0 forwards forms.
+        answered: number of the proxy's own answers.
     """
 
     def __init__(self, target: str) -> None:

@@ -60,7 +60,7 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module")
 def answered(kind: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[str]]:
-    """A database in which three people answered, and their ids."""
+    """Makes a database in which three people answered; returns also their ids."""
     path = tmp_path_factory.mktemp("answered") / "s.sqlite"
     people = filled(kind, path)
     with closing(sqlite3.connect(path)) as connection:
@@ -70,7 +70,7 @@ def answered(kind: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes
 
 @pytest.fixture
 def snapshot(answered: tuple[bytes, list[str]], tmp_path: Path) -> Path:
-    """A copy of one's own."""
+    """Makes a separate copy of the snapshot."""
     path = tmp_path / "s.sqlite"
     path.write_bytes(answered[0])
     path.with_name("s.sqlite.key").write_bytes(b"k" * 32)
@@ -129,7 +129,7 @@ def _copy(answered: tuple[bytes, list[str]], path: Path) -> Path:
 def test_of_whoever_was_erased_others_are_replayed(
     kind: str, snapshot: Path, answered: tuple[bytes, list[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Also people are replayed whose questions depended on the erased answers."""
+    """People whose questions depended on the erased answers are replayed, too."""
     with closing(Store(snapshot)) as database:
         reference = database.reference(answered[1][0])
     main([kind, "erase", str(snapshot), reference])

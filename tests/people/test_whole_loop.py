@@ -49,7 +49,8 @@ def over_the_pages(
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the tables of 15 people × 20 adaptive questions at 5 % wrong answers."""
+    """Makes a folder with the tables of 15 people × 20 adaptive questions, with 5 % wrong
+    answers."""
     folder = tmp_path_factory.mktemp("labels")
     cfg = compose_config("collect", [])
     plan = assemble(
@@ -68,7 +69,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def found(data: Path, folder: Path, *arguments: str) -> Path:
-    """The file of the types in these labels."""
+    """Finds the types in these labels; returns their file."""
     given = (f"data={data}/labels_bot.csv", f"hypotheses={data}/hypotheses.npz", "held_out=false")
     main(["discover", *given, "labeler=hypotheses", f"output={folder}", *arguments])
     return folder / "types.npz"

@@ -37,7 +37,7 @@ class Visitor(Browser):
 
 
 def field(html: str, name: str) -> str:
-    """The value of a hidden field."""
+    """Returns the value of a hidden field."""
     found = re.search(rf'name="{name}" value="([^"]*)"', html)
     assert found, f"no field {name} in {html}"
     return found.group(1)
@@ -53,19 +53,19 @@ def enter(visitor: Visitor, invitation: str) -> str:
 
 
 def arrive(store: Store, server: Server = GENEROUS, stream: str = "person") -> tuple[Visitor, Page]:
-    """Somebody with a new invitation and a new browser, at the consent."""
+    """Makes a visitor with a new invitation and a new browser, at the consent page."""
     visitor = Visitor(Client(create_app(store, server)))
     return visitor, Page.of_html(enter(visitor, store.invite(1, stream)[0]))
 
 
 def consent(store: Store, who: str) -> Any:
-    """Agrees, directly in the store."""
+    """Gives consent, directly in the store."""
     payload = {"agree": 1, "text": store.flow.plan.texts.consent_hash}
     return store.submit(who, 0, "consent", payload)
 
 
 def pages(visitor: Visitor, person: StudyBot, invitation: str) -> Iterator[tuple[str, Page]]:
-    """Every page on the way, before it is answered."""
+    """Yields every page, before it is answered."""
     html = enter(visitor, invitation)
     while True:
         page = Page.of_html(html)
@@ -82,7 +82,7 @@ def differences(store: Store) -> list[str]:
 
 
 def query(store: Store, sql: str, values: Any = ()) -> list[dict[str, Any]]:
-    """Rows of the database that a store has open."""
+    """Returns rows of the database that a store has open."""
     found = store._connection.execute(sql, values)
     names = [column[0] for column in found.description]
     return [dict(zip(names, row, strict=True)) for row in found]

@@ -126,7 +126,7 @@ def test_files_that_are_no_tables(
 
 
 def test_a_feature_may_have_thousands_of_values(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Different rows are distinguished, and equal rows are one, whatever columns differ."""
+    """Different rows are different steps, and equal rows are one step, whatever columns differ."""
     count = 4000
     rows = pd.DataFrame(
         {
@@ -347,8 +347,8 @@ def test_a_number_of_the_row_is_no_feature_however_it_counts(
 
 
 def test_numbers_that_name_the_steps_are_features(tmp_path: Path) -> None:
-    """They rise from row to row of each person, but each is one step, asked about under different
-    messages."""
+    """The numbers rise from row to row of each person, but each number is one step, asked about
+    with different messages."""
     people = ["a", "b", "c"]
     path = table(
         tmp_path,

@@ -92,7 +92,7 @@ def small() -> MDP:
 
 @pytest.fixture(scope="module")
 def traces() -> list[list[tuple[int, int, int]]]:
-    """From states 0 and 1."""
+    """Draws traces from states 0 and 1."""
     rng = np.random.default_rng(5)
     found = [sample_trace(small(), np.array([0, 1]), rng, 3) for _ in range(COUNT)]
     return [[tuple(step) for step in trace.tolist()] for trace in found]

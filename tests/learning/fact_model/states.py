@@ -18,7 +18,7 @@ def begun(
 
 
 def counted(answers: SortedLabels, prior: Prior, state: ChainState) -> NDArray[np.int64]:
-    """[T, 2^depth, 2] the labels 0 and 1 of each cell, from the labels themselves."""
+    """Counts [T, 2^depth, 2] the labels 0 and 1 of each cell, from the labels themselves."""
     counts = np.zeros_like(state.counts)
     held = state.facts[answers.owner] & ~answers.message_set
     for t, mask, label in zip(answers.transition, held, answers.label, strict=True):

@@ -1,4 +1,5 @@
-"""The Gibbs step of the observers against the posterior, all of whose states are enumerated."""
+"""Compares the Gibbs step of the observers with the posterior, all states of which are
+enumerated."""
 
 from itertools import product
 
@@ -32,7 +33,8 @@ def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
 
 
 def some_answers(rng: np.random.Generator) -> SortedLabels:
-    """Two people, each asked nine times about three transitions, under any messages."""
+    """Draws the answers of two people to nine questions each, about three transitions, with any
+    messages."""
     transition = np.concatenate([np.sort(rng.integers(3, size=9)) for _ in range(2)])
     rows = np.argsort(transition, kind="stable")
     return SortedLabels(
@@ -48,7 +50,7 @@ def some_answers(rng: np.random.Generator) -> SortedLabels:
 
 
 def posterior(answers: SortedLabels, prior: Prior, state: ChainState) -> NDArray[np.float64]:
-    """[2^n, 2^n] P(R of the one, R of the other | labels, S, ε)."""
+    """Computes [2^n, 2^n] P(R of the first person, R of the second | labels, S, ε)."""
     log_joint = np.empty((1 << N, 1 << N))
     for both in product(range(1 << N), repeat=2):
         restaurant = ((both[0] == both[1]) + CONCENTRATION / 2**N) / (1 + CONCENTRATION)

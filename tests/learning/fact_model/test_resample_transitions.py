@@ -1,4 +1,4 @@
-"""The Gibbs step of the transitions against the posterior of (S, ε), all of which is enumerated."""
+"""Compares the Gibbs step of the transitions with the posterior of (S, ε), which is enumerated."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,8 @@ def log_joint(
     state: ChainState,
     log_noise: NDArray[np.float64] = LOG_NOISE,
 ) -> NDArray[np.float64]:
-    """[T, Z, E] log P(S, ε and the labels about a transition | everybody's R), f summed out."""
+    """Computes [T, Z, E] log P(S, ε and the labels about a transition | everybody's R), summed over
+    f."""
     held = state.facts[answers.owner] & ~answers.message_set
     found = np.empty((len(state.subset), len(prior.size), len(NOISE)))
     for t, z, e in np.ndindex(found.shape):
@@ -97,7 +98,7 @@ def test_subsets_and_noise_are_drawn_from_their_posterior(
 
 @pytest.mark.parametrize("ones", [0.0, 0.5, 1.0])
 def test_the_score_is_the_sum_over_all_of_them_however_many_labels_agree(ones: float) -> None:
-    """Also beyond the table's reach, where hundreds of labels of a cell are alike."""
+    """This holds also beyond the size of the table, for hundreds of equal labels of a cell."""
     rng = np.random.default_rng(4)
     answers, prior = some_answers(rng, 2, 12 * REACH, ones), Prior.of(2, 2)
     state = init(answers, prior, np.array([3, 1, 0]))

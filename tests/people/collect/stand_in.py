@@ -43,7 +43,7 @@ def street_plan(
     words: dict[str, Any] | None = None,
     **rules: Any,
 ) -> CollectPlan:
-    """A plan for the street."""
+    """Makes a plan for the street."""
     users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
     config = {"seed": seed, "briefing": briefing, "wording": words or wording(), "points": points}
     plan = assemble(
@@ -56,18 +56,18 @@ def street_plan(
 
 
 def at_work(plan: CollectPlan) -> Collection:
-    """A plan with a practice step that looks odd, as it comes from a database."""
+    """Makes a collection with a practice step that looks odd, from the text of its plan."""
     return Collection(CollectPlan.from_text(replace(plan, ahead=AHEAD).text))
 
 
 def street_collection(*args: Any, **changes: Any) -> Collection:
-    """The same, at work."""
+    """Makes the collection of the street's plan."""
     return Collection.of(street_plan(*args, **changes))
 
 
 def telling() -> Collection:
-    """Makes a collection in which every question has other messages; the street's own questions
-    need none."""
+    """Makes a collection in which every question has other messages; the street's questions need no
+    messages."""
     plan = street_plan()
     transitions = plan.hypotheses.n_transitions
     listed = tuple((told % transitions, told) for told in range(2, 14))

@@ -127,8 +127,8 @@ def test_faultless_people_are_sorted_into_the_types_they_are() -> None:
 
 @pytest.mark.parametrize("people", [5, 24, 200])
 def test_new_types_are_those_of_ewens(people: int) -> None:
-    """The concentration is the one that expects as many types as were seen; then the sums are
-    those of the Chinese restaurant process."""
+    """With the concentration that expects the observed number of types, the sums are those of the
+    Chinese restaurant process."""
     before = -1.0
     for types in range(1, people + 1, max(people // 10, 1)):
         next_new, ten = predict_new_types(types, people, 10)
@@ -146,7 +146,7 @@ def test_new_types_are_those_of_ewens(people: int) -> None:
 
 
 def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:
-    """A database in which people answered: all but the last, who withdraws amid the clips."""
+    """Makes a database in which people answered; the last person withdraws during the clips."""
     store, found = Store(path, collection), []
     for number in range(count):
         who = store.enter_invited(store.invite(1, "person")[0])

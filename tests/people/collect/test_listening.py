@@ -1,5 +1,4 @@
-"""Messages that stay valid on later pages: the questions, and what is learned about how people
-listen."""
+"""Messages that stay valid on later pages: the questions, and the learned habits of listening."""
 
 from __future__ import annotations
 
@@ -69,7 +68,8 @@ def test_what_is_told_explains_a_step_and_is_asked_about_twice_more(held: int, n
 
 
 def enumerated(asked: Asked, habits: Habits) -> NDArray[np.float64]:
-    """[F] over every way in which this person may miss and forget what each page says."""
+    """Computes [F] the posterior, over every way in which this person may miss and forget the
+    messages of each page."""
     known, found = asked.known, np.zeros(len(habits))
     for (held, share), f in product(zip(asked.held, asked.prior, strict=True), range(len(habits))):
         ways = {0: share * habits.prior[f]}
@@ -107,7 +107,7 @@ def _moved(ways: dict[int, float], right: int, wrong: int, chance: float) -> dic
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_what_one_person_tells_equals_enumeration(seed: int) -> None:
-    """Whatever the pages were; between pages that last there may be others."""
+    """This holds for any pages; pages without lasting messages may be in between."""
     rng = np.random.default_rng(seed)
     table = np.vstack([np.ones(4), rng.integers(2, size=(7, 4))])
     table[:, 0] = [not held & 1 for held in range(8)]  # some question tells candidates apart

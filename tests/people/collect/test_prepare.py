@@ -1,4 +1,4 @@
-"""From configuration to a plan: own transitions, images, lists, what is refused."""
+"""From configuration to a plan: own transitions, images, lists, and errors."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_a_task_is_either_a_domain_or_a_table(arguments: list[str]) -> None:
 
 
 def rand_index(plan: CollectPlan, people: int, error: float, seed: int) -> float:
-    """How well the types of simulated people are found in their labels: adjusted Rand index."""
+    """Finds the types of simulated people in their labels; returns the adjusted Rand index."""
     facts, _ = fact_sets(plan, crowd(plan, people, Habits(error=error), seed))
     return float(adjusted_rand_score(truth_of(plan, people), facts))
 

@@ -1,4 +1,4 @@
-"""The pure protocol: its stages, its questions and their order, and what it hides."""
+"""The protocol without a server: its stages, its questions and their order, and hidden values."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ numbers = st.integers(0, 10_000)
 def somebody(
     collection: Collection, held: int, number: int = 0, habits: Habits = FAULTLESS
 ) -> CollectState:
-    """An observer in the bare protocol, to the end."""
+    """Leads an observer through the protocol, without a server, to the end."""
     person = Observer(collection.plan, held, habits, np.random.default_rng(number))
     return observe(collection, person, number)
 
@@ -48,7 +48,7 @@ def consent(collection: Collection, **changes: Any) -> dict[str, Any]:
 
 
 def states(collection: Collection, held: int = 3, number: int = 5) -> list[CollectState]:
-    """Every state on the way."""
+    """Yields every state on the way."""
     person = Observer(collection.plan, held, FAULTLESS, np.random.default_rng(number))
     found = [CollectState()]
     kind, payload = "consent", consent(collection, number=number)
@@ -78,7 +78,7 @@ def test_a_schedule_has_every_question_one_obvious_step_and_looks_back(number: i
 
 
 def test_clips_of_several_steps_end_at_the_points_asked_for() -> None:
-    """Ten points in clips of four: the last clip has two."""
+    """There are ten points in clips of four: the last clip has two points."""
     state = somebody(street_collection(Adaptive(clip=4), points=10), held=2, number=1)
     assert [one.size for one in state.questions()] == [4, 4, 2]
 

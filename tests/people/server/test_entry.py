@@ -1,4 +1,4 @@
-"""Who comes in: invitations, platforms, signed links, a server below a path, its health."""
+"""Entry: invitations, platforms, signed links, a server below a path, and its health page."""
 
 from __future__ import annotations
 
@@ -87,7 +87,8 @@ def test_an_id_is_a_person_however_it_is_written(store: Store) -> None:
 
 
 def test_a_list_of_ids_lets_nobody_else_in(store: Store, tmp_path: Path) -> None:
-    """Any platform that tells an id in its address; the file is read when somebody comes."""
+    """This holds for any platform that sends an id in its address; the file is read when somebody
+    comes."""
     file = tmp_path / "ids.txt"
     file.write_bytes("\ufeffann \r\nbert lee\n\n".encode())
     server = Server(entry=("platform",), id_names=("code",), ids=str(file))
@@ -156,7 +157,7 @@ def test_an_invitation_is_found_however_it_was_copied(store: Store) -> None:
 
 @pytest.mark.parametrize("given", ["/robots", ""])
 def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -> None:
-    """Whether the proxy in front takes the path off or not."""
+    """The proxy may remove the path or keep it."""
     client = Client(create_app(store, replace(GENEROUS, address=ADDRESS, https=False)))
     entrance = client.get(f"{given}/?invitation=x", headers={"X-Forwarded-Prefix": "/robots"})
     assert 'action="/robots/enter"' in entrance.text
@@ -208,8 +209,8 @@ def test_nothing_in_the_data_says_who_is_who_but_a_file_apart(store: Store, tmp_
 def test_after_a_backup_is_restored_nobody_is_lost(
     store: Store, opened: Opened, tmp_path: Path
 ) -> None:
-    """A page is open that the restored server never gave out: its answer is refused, and the page
-    shown that the server knows."""
+    """The restored server does not know an open page: it refuses the page's answer, and shows the
+    page that it knows."""
     visitor, page = arrive(store)
     backup(store.path, tmp_path / "b.sqlite")  # while the server runs
     with pytest.raises(InputError, match="a new file"):
@@ -244,7 +245,8 @@ def test_pictures_and_consent_are_for_participants(store: Store) -> None:
 
 
 def test_two_studies_on_one_host_share_a_browser(store: Store, opened: Opened) -> None:
-    """Ports share cookies: those of one study leave the participant of the other where they are."""
+    """Ports share cookies, but the cookies of one study do not affect the participant of the other
+    study."""
     (one, page), other = arrive(store), opened(street_study(), name="other")
     two = Visitor(Client(create_app(other, GENEROUS)))
     two.client.cookies = one.client.cookies

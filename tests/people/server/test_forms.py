@@ -1,4 +1,4 @@
-"""Forms: what a browser sends, nearly right and quite wrong; a refusal keeps what was typed."""
+"""Forms with valid, nearly valid and invalid fields; a refusal keeps the typed text."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_questions_that_cannot_be_asked_are_refused() -> None:
 
 @pytest.mark.parametrize("name", ["getAttribute", "querySelector", "token", "connection", "ms"])
 def test_a_question_may_have_any_name(opened: Opened, name: str) -> None:
-    """Neither the form's own fields nor the scripts' names are in its way."""
+    """A question may have the name of a form's field or of a script."""
     asked = {"name": name, "label": "Q", "kind": "choice", "choices": ["a", "b"], "required": True}
     store = opened(street_study(before=[asked]))
     visitor, page = arrive(store)

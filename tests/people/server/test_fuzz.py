@@ -79,8 +79,8 @@ class Fuzzer:
 
     Args:
         rng: its stream.
-        cookies: of participants that the attacker owns, with their forms' tokens.
-        mark: in the cookies' names.
+        cookies: cookies of the attacker's own participants, with their forms' tokens.
+        mark: a text in the cookies' names.
     """
 
     def __init__(self, rng: np.random.Generator, cookies: list[tuple[str, str]], mark: str) -> None:
@@ -90,7 +90,7 @@ class Fuzzer:
         return choices[int(self.rng.integers(len(choices)))]
 
     def value(self) -> str:
-        """A text: plausible, hostile or random."""
+        """Draws a text: plausible, hostile or random."""
         draws: tuple[Callable[[], str], ...] = (
             lambda: str(self.rng.integers(-2, 30)),
             lambda: "<script>alert(1)</script>",
@@ -115,7 +115,7 @@ class Fuzzer:
         return {self.pick(NAMES): self.json(depth + 1) for _ in range(int(self.rng.integers(5)))}
 
     def request(self) -> tuple[str, str, dict[str, str], bytes]:
-        """Method, path, headers, body."""
+        """Draws method, path, headers and body."""
         method, path, kind = self.pick(METHODS), self.pick(ROUTES), self.pick(KINDS)
         cookie, token = self.pick(self.cookies)
         near = self.rng.random()
@@ -156,7 +156,7 @@ class Fuzzer:
 def attack(
     send: Send, count: int, seed: int, cookies: list[tuple[str, str]], mark: str
 ) -> Counter[int]:
-    """Sends; counts the answers by status."""
+    """Sends requests; counts the answers by status."""
     fuzzer = Fuzzer(np.random.default_rng(seed), cookies, mark)
     statuses: Counter[int] = Counter()
     for _ in range(count):
@@ -168,7 +168,7 @@ def attack(
 
 
 def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
-    """Participants at every stage: some owned by the attacker, and as many others."""
+    """Makes participants at every stage; half of them are the attacker's."""
     keys, owned, others = Keys(store.secret), [], []
     app = create_app(store, GENEROUS)
     for number in range(20):
@@ -187,7 +187,7 @@ def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
 
 
 def records(store: Store, who: list[str]) -> dict[str, Any]:
-    """Everything that is stored about some participants."""
+    """Returns everything that is stored about some participants."""
     return {one: [*store.events("participant = ?", one)] for one in who}
 
 

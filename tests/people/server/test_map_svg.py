@@ -38,7 +38,7 @@ def test_the_map_is_told_in_words_to_those_who_do_not_see_it(study: Study) -> No
 
 def test_no_two_kinds_of_things_look_alike() -> None:
     def lab(colour: str) -> NDArray[np.float64]:
-        """CIE L*a*b* of sRGB."""
+        """Converts sRGB to CIE L*a*b*."""
         share = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
         linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
         to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]

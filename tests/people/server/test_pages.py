@@ -49,7 +49,7 @@ Walk = list[tuple[str, Page]]
 
 
 def walk(store: Store, *seeds: int, stream: str = "person") -> Walk:
-    """Every page of somebody's way."""
+    """Yields every page of a person."""
     visitor = Visitor(Client(create_app(store, GENEROUS)))
     return [*pages(visitor, bot_of(store.flow, *seeds), *store.invite(1, stream))]
 
@@ -101,7 +101,7 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
 
 
 def test_a_message_is_said_again_in_words_that_blame_nobody(opened: Opened) -> None:
-    """Marked as said before, in its own place: a page never says a message twice."""
+    """A repeated message is marked, in its own place: a page never shows a message twice."""
     told = {"_target_": "xplain.explanation.belief.Independent", "accept": 0.8, "forget": 0.1}
     store = opened(Study.of(street_plan(belief=told)))
     app, marked = create_app(store, GENEROUS), []
@@ -148,7 +148,7 @@ def test_what_people_write_is_escaped_everywhere(
 
 
 def test_without_a_map_the_page_lists_what_each_step_changed(opened: Opened) -> None:
-    """Up to the step that is shown, and no further."""
+    """The list ends at the step that is shown."""
     plan = street_plan(map_shown=False)
     told = tuple((f"now past place {k}", f"no longer at <{k}>") for k in range(plan.n_steps))
     shown = tuple(replace(clip, changes=new) for clip, new in zip(plan.shown, told, strict=True))

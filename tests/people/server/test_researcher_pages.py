@@ -65,13 +65,13 @@ def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> Non
 
 
 def overview(client: Client, store: Store) -> str:
-    """The page of a researcher who has logged in."""
+    """Returns the page of a researcher who has logged in."""
     client.post("/researcher/login", data={"key": Keys(store.secret).researcher})
     return client.get("/researcher").text
 
 
 def logged_in(client: Client, store: Store) -> str:
-    """The token of the researcher's forms."""
+    """Returns the token of the researcher's forms."""
     return field(overview(client, store), "token")
 
 
@@ -143,7 +143,7 @@ def test_the_researcher_erases_who_asks_for_it(store: Store, client: Client) -> 
 
 
 def test_looking_writes_nothing(opened: Opened, study: Study) -> None:
-    """Also not that somebody has been silent for too long."""
+    """Even the time-out of a silent participant is not stored."""
     now = [1000.0]
     store = opened(study, Clock(lambda: now[0], lambda: now[0], "b"))
     client = Client(create_app(store, GENEROUS))

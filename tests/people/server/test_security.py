@@ -1,4 +1,4 @@
-"""What every request passes through: signatures, limits, headers, errors that are pages."""
+"""Checks of every request: signatures, limits, headers, and errors that are pages."""
 
 from __future__ import annotations
 

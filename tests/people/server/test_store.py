@@ -1,4 +1,5 @@
-"""The store: once and only once, balanced, on the disk, nobody else's."""
+"""The store: answers are stored exactly once, on the disk, for the right person; conditions are
+balanced."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ from xplain.people.study.plan import StudyPlan
 
 
 class Time:
-    """A clock that stands still until it is told."""
+    """A clock that changes only when it is set."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -45,19 +46,19 @@ def time() -> Time:
 
 
 def places(store: Store, own: str = "person") -> dict[int, str]:
-    """Who holds or has used up which place of a stream."""
+    """Returns the participants who have, or had, each place of a stream."""
     people = [one for one in store.present() if one.stream == own]
     return {one.state.place: one.id for one in people if one.state.place is not None}
 
 
 @pytest.fixture
 def store(opened: Opened, study: Study, time: Time) -> Store:
-    """One whose time is told."""
+    """Makes a store with a clock that the test sets."""
     return opened(study, time.clock())
 
 
 def whole(store: Store) -> str:
-    """Everything in the database, as text."""
+    """Returns everything in the database, as text."""
     return "\n".join(store._connection.iterdump())
 
 
@@ -383,7 +384,8 @@ def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time
 
 
 def test_an_acknowledged_answer_is_the_one_that_is_kept(store: Store) -> None:
-    """The same one again is acknowledged; another one, or one to no page, is a conflict."""
+    """The same answer again is acknowledged; another answer, or an answer to no page, is a
+    conflict."""
     who = store.enter_invited(store.invite(1, "person")[0])
     consent(store, who)
     store.submit(who, 1, "read", {})

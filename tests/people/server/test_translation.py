@@ -75,7 +75,7 @@ QUESTIONS = [
 
 
 def in_the_language(english: dict[str, Any]) -> dict[str, Any]:
-    """Texts of a study or a collection, every word translated."""
+    """Returns texts of a study or a collection, with every word translated."""
     own = {key: value if key in KEPT else translated(value) for key, value in english.items()}
     words = translated(english["words"]) | {"language": "q"}
     return own | LANGUAGE | {"words": words, "questions": QUESTIONS}
@@ -98,8 +98,8 @@ def foreign_collection(briefing: str) -> Collection:
 
 @pytest.fixture(params=["study", "asking", "none", "assigned"])
 def foreign(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Store]:
-    """A study, one that asks all, or a collection without or with a briefing, in the made-up
-    language."""
+    """Stores a study, a study with a condition that asks, or a collection without or with a
+    briefing, in the made-up language."""
     if request.param == "study":
         flow: Any = foreign_study()
     elif request.param == "asking":
@@ -113,7 +113,8 @@ def foreign(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Store]:
 
 
 def left_over(html: str) -> set[str]:
-    """Words of no made-up language; letters of the map and its items are none."""
+    """Lists words that are not in the made-up language; letters of the map and its items do not
+    count."""
     return {
         word for word in Words(html).found if word[0] != "Q" and not re.fullmatch("[A-Z]", word)
     }

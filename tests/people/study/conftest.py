@@ -28,7 +28,7 @@ def person(study: Study) -> Callable[..., StudyBot]:
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """Figures, kept instead of written."""
+    """Keeps figures instead of writing them."""
     figures: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
     return figures

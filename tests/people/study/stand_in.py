@@ -38,7 +38,7 @@ AHEAD = Ahead(("Qback <Qand> & Qforth", "Qfetched"), (((0, 1), (0, 0)),) * 2)
 
 
 class Street:
-    """The smallest domain with four facts; one of them is no number."""
+    """The smallest domain with four facts; the value of one parameter is not a number."""
 
     name = "street"
     actions = ("straight", "around")
@@ -149,7 +149,7 @@ CONFIG: dict[str, Any] = {
 
 
 def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
-    """A plan for the street; its one optimal trace goes straight at every crossing."""
+    """Makes a plan for the street; its only optimal trace goes straight at every crossing."""
     setting = Setting.build(Street(map_shown), TYPES)
     trace = np.array([[j, 0, j + 1] for j in range(len(PLACES))])
     labels = setting.label_table(trace)
@@ -171,5 +171,5 @@ ASK = {"kinds": ["clips"], "cost": 0.1, "most": 10, "when": "anytime", "clips": 
 
 
 def street_study(**changes: Any) -> Study:
-    """The same, at work."""
+    """Makes the study of the street's plan."""
     return Study.of(street_plan(**changes))

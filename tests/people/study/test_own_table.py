@@ -56,13 +56,14 @@ GIVEN = {
 
 
 def sense(row: int, wrong: set[str]) -> int:
-    """The label of somebody who believes these facts incorrectly, by the table."""
+    """Returns the label of a person who believes these facts incorrectly, by the table."""
     return int(not wrong & {*WHEN[row].split(";")})
 
 
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two tables, an image, and the types of people who believe one fact incorrectly each."""
+    """Writes two tables, an image, and the types of people who believe one fact incorrectly
+    each."""
     rows = [f"Step {i} & <more>,{when},{i}," for i, when in enumerate(WHEN)]
     rows[0] += "red.png,A red cable"
     rows[1:] = [f"{row}," for row in rows[1:]]

@@ -19,8 +19,8 @@ from xplain.people.web import create_app
 
 @pytest.fixture(scope="package")
 def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[bytes, str]:
-    """A snapshot with 24 bots, some of whom leave, one person, and one visitor; and the server's
-    secret."""
+    """Makes a snapshot with 24 bots, some of whom leave, one person, and one visitor. Returns also
+    the server's secret."""
     folder = tmp_path_factory.mktemp("collected")
     store = Store(folder / "study.sqlite", study)
     app = create_app(store, GENEROUS)
@@ -41,7 +41,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[b
 
 @pytest.fixture
 def snapshot(collected: tuple[bytes, str], tmp_path: Path) -> Path:
-    """A copy of one's own."""
+    """Makes a separate copy of the snapshot."""
     path = tmp_path / "snapshot.sqlite"
     path.write_bytes(collected[0])
     return path

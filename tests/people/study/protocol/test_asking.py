@@ -99,7 +99,7 @@ def test_the_other_conditions_are_as_they_were_to_the_last_bit(
     [("first", 10, 0.01, 0), ("anytime", 1, 0.01, 0), ("anytime", 10, 0.15, 0.3)],
 )
 def test_questions_keep_to_their_limits(when: str, most: int, cost: float, error: float) -> None:
-    """People answer at random; some are also asked between later steps."""
+    """People answer at random; some get questions between later steps, too."""
     ask = ASK | {"when": when, "most": most, "cost": cost}
     study = street_study(ask=ask, belief=CONFIG["belief"] | {"error": error})
     asked = later = 0

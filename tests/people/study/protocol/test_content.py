@@ -50,8 +50,8 @@ def test_roles_follow_from_the_sentences(study: Study) -> None:
 
 
 def test_no_word_of_the_quiz_gives_the_answers_away() -> None:
-    """People who tick by a word of the sentences, or by good and bad news, are right half of the
-    time, also on the rescue task, whose facts are all good news."""
+    """People who answer by a word of the sentences, or by good and bad news, are right half of the
+    time. On the rescue task, all facts are good news."""
     from hydra.utils import instantiate
 
     cfg = compose_config("study", ["seed=0"])

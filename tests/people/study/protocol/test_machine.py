@@ -1,4 +1,4 @@
-"""The protocol as a pure machine: accepted answers, hidden values, and the policies' decisions."""
+"""The protocol without a server: accepted answers, hidden values, and the policies' decisions."""
 
 from __future__ import annotations
 
