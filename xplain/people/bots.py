@@ -1,6 +1,6 @@
 """Simulated people, who use a running server (``study bots``).
 
-They use HTTP and invitations of the stream "bot", so their data is always marked. They read the
+Bots use HTTP and invitations of the stream "bot", so their data is always marked. They read the
 plan from the server's export, so the server may run anywhere.
 """
 
@@ -32,11 +32,11 @@ WIDTH = {"width": "1280"}
 """Window width that a client without scripts reports."""
 
 
-def _of_class(tag: str, name: str) -> str:
+def _select_class(tag: str, name: str) -> str:
     return f"//{tag}[contains(concat(' ', normalize-space(@class), ' '), ' {name} ')]"
 
 
-_LEAVING = f"[not(ancestor::{_of_class('details', 'leave')[2:]})]"
+_LEAVING = f"[not(ancestor::{_select_class('details', 'leave')[2:]})]"
 
 
 @dataclass(frozen=True)
@@ -68,27 +68,29 @@ class Page:
         tree = lxml.html.document_fromstring(html)
         fields: dict[str, list[tuple[str, str]]] = {}
         for one in tree.xpath(f"//input[@type='radio' or @type='checkbox']{_LEAVING}"):
-            said = _text(one.getparent())
+            said = _read_text(one.getparent())
             fields.setdefault(one.get("name"), []).append((one.get("value"), said))
         hidden = {
             one.get("name"): one.get("value") or WIDTH.get(one.get("name"), "")
             for one in tree.xpath(f"//input[@type='hidden']{_LEAVING}")
         }
-        message = _of_class("div", "message")
+        message = _select_class("div", "message")
         return cls(
             stage=tree.find("body").get("data-stage", ""),
-            facts=[_text(one) for one in tree.xpath(_of_class("ul", "facts") + "/li")],
-            messages=[_text(one) for one in tree.xpath(message)],
-            new=[_text(one) for one in tree.xpath(message) if "new" in one.get("class").split()],
+            facts=[_read_text(one) for one in tree.xpath(_select_class("ul", "facts") + "/li")],
+            messages=[_read_text(one) for one in tree.xpath(message)],
+            new=[
+                _read_text(one) for one in tree.xpath(message) if "new" in one.get("class").split()
+            ],
             fields=fields,
             steps=[int(step) for step in tree.xpath("//*[not(self::body)]/@data-step") if step],
             hidden=hidden,
-            headings=[_text(one) for one in tree.iter("h1")],
+            headings=[_read_text(one) for one in tree.iter("h1")],
         )
 
 
-def _text(element: Any) -> str:
-    """The text of an element, without "new" tags and without letters in a picture."""
+def _read_text(element: Any) -> str:
+    """Reads the text of an element, without "new" tags and without letters in a picture."""
     said = element.xpath(".//text()[not(parent::span[@class='tag'] or ancestor::svg)]")
     return " ".join("".join(said).split())
 
@@ -97,7 +99,7 @@ class Visitor(Protocol):
     """A simulated person."""
 
     def leaves(self, page: Page) -> bool:
-        """True if they drop out at this page."""
+        """True if the person drops out at this page."""
         ...
 
     def fill(self, page: Page) -> tuple[Fields, float]:
@@ -115,7 +117,7 @@ class Cookies(RequestsCookieJar):
 
 
 def new_session() -> requests.Session:
-    """A session that ignores the proxies of the environment."""
+    """Makes a session that ignores the proxies of the environment."""
     session = requests.Session()
     session.trust_env, session.cookies = False, Cookies()
     return session
@@ -174,14 +176,14 @@ def walk(
     think: Callable[[float], None] = lambda seconds: None,
     look: Callable[[Page], None] = lambda page: None,
 ) -> str:
-    """Walks from a page to the end of the flow.
+    """Answers all pages from an open page to the end of the flow.
 
     Args:
         page: the open page.
         answer: sends the fields of a page and returns the next page.
         person: the visitor who answers.
-        think: called before each answer, with the seconds that a person would take.
-        look: called with every page.
+        think: is called before each answer, with the seconds that a person would take.
+        look: is called with every page.
 
     Returns:
         The last stage, or "left" after a drop-out.
@@ -207,7 +209,7 @@ def visit(
     invitation: str,
     think: Callable[[float], None] = lambda seconds: None,
 ) -> str:
-    """Goes from the invitation to the end; see :func:`walk`.
+    """Opens an invitation, and answers all pages to the end (:func:`walk`).
 
     Raises:
         Refusal: an answer was not accepted.
@@ -247,9 +249,9 @@ P = TypeVar("P")
 class Bot(Generic[P, H]):
     """One simulated participant, who knows only what the pages say.
 
-    The method ``at_<stage>`` answers a stage's page: it returns the fields and the seconds that
-    they took. Pages without such a method need no answer except the button. Each stage draws from
-    its own random stream, so an additional page does not change the others.
+    The method ``at_<stage>`` answers a stage's page: it returns the fields, or the fields and the
+    duration in seconds. Pages without such a method need only a click. Each stage draws from its
+    own random stream, so an additional page does not change other pages.
 
     Args:
         plan: has the sentences and the true labels.
@@ -267,13 +269,13 @@ class Bot(Generic[P, H]):
         return bool(self.rng.random() < probability)
 
     def leaves(self, page: Page) -> bool:
-        """True if they drop out at this page."""
+        """True if the participant drops out at this page."""
         self.rng = self.streams(page.stage)
         return self.chance(self.habits.leaving)
 
     def practises(self, page: Page, right: int) -> Fields:
-        """Chooses the label of a practice step. The page reports an error, so a bot errs at most
-        once."""
+        """Chooses the label of a practice step. The page reports a wrong label, so a bot errs at
+        most once."""
         errs = self.chance(self.habits.mistake) and (page.stage, right) not in self.corrected
         if errs:
             self.corrected.add((page.stage, right))
@@ -296,7 +298,7 @@ class Bot(Generic[P, H]):
         return filled if isinstance(filled, tuple) else (filled, 0.0)
 
     def at_consent(self, page: Page) -> Fields:
-        """Agrees."""
+        """Agrees to take part."""
         return [("agree", "1")]
 
     def at_ahead(self, page: Page) -> Fields:
@@ -333,12 +335,12 @@ class Researcher:
         return re.findall(r"\?invitation=([\w-]+)", html)
 
     def archive(self) -> bytes:
-        """The export, as a ZIP archive."""
+        """Downloads the export, as a ZIP archive."""
         url = f"{self.browser.url}/researcher/export"
         return self.browser.session.post(url, data={"token": self.token}, timeout=60).content
 
     def plan(self, kind: type[Plan]) -> Plan:
-        """The plan in the server's export."""
+        """Reads the plan in the server's export."""
         with zipfile.ZipFile(io.BytesIO(self.archive())) as archive:
             return kind.from_text(archive.read("study/plan.json").decode())
 

@@ -32,7 +32,7 @@ MOST_BATCHES = 20
 
 
 def require_login(visit: Visiting) -> Visit:
-    """A request of a logged-in researcher, with a valid form token.
+    """Checks that a request is of a logged-in researcher, with a valid form token. Returns it.
 
     Raises:
         HTTPException: the request is not valid.
@@ -146,15 +146,16 @@ def erase(visit: Signed) -> Response:
     try:
         visit.site.store.erase_by(visit.field("reference")[:100])
     except InputError as error:
-        said = f"Nobody has this reference, or no data any more: {error.value!r}"
+        said = f"No participant has this reference, or the data was erased: {error.value!r}"
         raise HTTPException(404, said) from None
     return visit.lead("/researcher")
 
 
 @desk.post("/export")
 def export(visit: Signed) -> Response:
-    """An archive made from a snapshot: the tables without identifiers, or with ``what=identifiers``
-    the completion codes, the platform's ids and the snapshot itself."""
+    """Sends an archive made from a snapshot: the tables without identifiers. With
+    ``what=identifiers`` the archive has the completion codes, the platform's ids and the snapshot.
+    """
     name = "identifiers" if visit.field("what") == "identifiers" else "study"
     store = visit.site.store
     with tempfile.TemporaryDirectory() as folder:

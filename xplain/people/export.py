@@ -1,5 +1,5 @@
-"""Exports participants' data as tables with a codebook of every column, and checks that the plan
-leads to the same states again."""
+"""Exports participants' data as tables with a codebook of every column, and replays the events to
+check that they lead to the stored states."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 OTHERS = "…"
-"""A codebook column that ends so represents every column with the same beginning."""
+"""End of a codebook column that represents all columns with the same beginning."""
 _NUMBER = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 
 
 def find_differences(flow: Flow[Any, S], people: Iterable[Participant[S]]) -> list[str]:
-    """Replays the events of everybody. Returns a sentence for each difference between a stored
-    state and the state that the same events lead to now."""
+    """Replays the events of all participants. Returns a sentence for each difference between a
+    stored state and the replayed state."""
     differences = []
     for one in people:
         first, *later = [event for event in one.events if event.state]
@@ -62,12 +62,12 @@ def codebook(package: str) -> list[dict[str, str]]:
 
 
 def order_columns(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.DataFrame:
-    """Makes a table of rows with the columns of its codebook, in that order. Columns that one entry
-    represents (:data:`OTHERS`) come last, in their own order.
+    """Makes a table of rows with the columns of its codebook, in the codebook's order. Columns that
+    a common entry represents (:data:`OTHERS`) come last, in the order of the first row.
 
     Raises:
-        ValueError: a row has a column that the codebook lacks, or lacks one that the codebook has.
-            An export would lose it or leave it unexplained.
+        ValueError: the columns of a row differ from the columns of the codebook. An export would
+            lose such a column, or leave it unexplained.
     """
     import pandas as pd
 
@@ -78,7 +78,9 @@ def order_columns(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.
     unknown = [column for column in others if not column.startswith(beginnings)]
     missing = {column for row in rows for column in {*fixed, *others} ^ row.keys()}
     if unknown or missing:
-        raise ValueError(f"{name}: not as its codebook says: {sorted({*unknown, *missing})}")
+        raise ValueError(
+            f"{name}: these columns differ from the codebook: {sorted({*unknown, *missing})}"
+        )
     return pd.DataFrame(rows, columns=[*fixed, *others])
 
 
@@ -91,7 +93,7 @@ def defuse(cell: Any) -> Any:
 
 
 def measure_seconds(first: Event, last: Event) -> tuple[float | None, str]:
-    """Measures the time from an event to a later one. Returns it with the name of the server's
+    """Measures the time from an event to a later event. Also returns the name of the server's
     clock: the monotonic clock, or the wall clock if the machine restarted in between. The time is
     None if the wall clock was set back."""
     clock = "monotonic" if first.boot == last.boot else "wall"

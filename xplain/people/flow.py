@@ -1,13 +1,13 @@
 """A flow: the stages that lead a participant from the consent to the end, as a pure state machine.
 
-``flow.advance(state, kind, payload)`` is the only transition. It uses no clock, no storage and no
-HTTP; values from outside (a slot, a number, the orders of questions) are in the consent event. The
-same events give the same states, and the replay checks this. A stage has one page:
+``flow.advance(state, kind, payload)`` is the only change of a state. It uses no clock, no storage
+and no HTTP; values from outside (a slot, a number, the orders of questions) are in the consent
+event. The same events give the same states, and the replay checks this. A stage has one page:
 :meth:`Stage.view` makes its content, :meth:`Stage.read` reads its form, and :meth:`Stage.advance`
 gives the next state.
 
-From every stage a participant may come to an end: declined, withdrawn, timed_out, and the flow's
-own ends. After timed_out they may return to their stage.
+From every stage a participant may come to an end: declined, withdrawn, timed_out, or an end of this
+flow. After timed_out the participant may return to the earlier stage.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class State:
     """The state of a participant. The default values are the start.
 
     Attributes:
-        ENDS: final stages beside "done" and "erased".
+        ENDS: final stages besides "done" and "erased".
         stage: stage of the flow.
         accepted: number of accepted answers, which is also the number of the open page. Events of
-            the server (a time-out, a return) have no number.
+            the server (a time-out, a return) are not counted.
         part: half of the practice.
         wrong: True if the last answer of a practice or a test was wrong.
         left: the stage in which the participant was timed out.
@@ -60,7 +60,7 @@ class State:
 
     @property
     def paused(self) -> bool:
-        """True if they were timed out; they may return to their stage."""
+        """True if the participant was timed out and may return to the earlier stage."""
         return self.stage == "timed_out"
 
     @property
@@ -83,7 +83,7 @@ S = TypeVar("S", bound=State)
 
 
 class Conflict(Refused):
-    """An answer to a page that is not open, or a second, different answer to a page."""
+    """The answer is to a page that is not open, or is a second, different answer to a page."""
 
 
 class Full(Refused):
@@ -91,7 +91,7 @@ class Full(Refused):
 
 
 STREAMS = ("person", "pilot", "bot")
-"""Kinds of participants; fixed by the invitation, and never mixed in an analysis."""
+"""Kinds of participants. The way of entry decides the kind; an analysis never mixes kinds."""
 
 
 class Event(NamedTuple):
@@ -127,10 +127,10 @@ class Participant(Generic[S]):
         identity: identifiers, which no export contains: the keyed hashes ``key`` and ``session``,
             the completion ``code``, and ``kept``, outside ids in clear.
         entered: time of arrival by the server's wall clock.
-        latest: their last event.
+        latest: the last event.
         shown: number of the last page that was rendered.
-        reported: number of events that their pages reported.
-        erased: True if their data was erased.
+        reported: number of events that the participant's pages reported.
+        erased: True if the data was erased.
         events: events in order, if they were requested.
     """
 
@@ -176,11 +176,11 @@ class Participant(Generic[S]):
         return str(self.about["stream"])
 
     def answers(self, kind: str) -> list[Event]:
-        """The accepted answers of a kind, in order."""
+        """Returns the accepted answers of a kind, in order."""
         return [e for e in self.events if e.source == "protocol" and e.kind == kind]
 
     def first(self, kind: str) -> Mapping[str, Any]:
-        """The payload of the first answer of this kind; empty if there is none."""
+        """Returns the payload of the first answer of this kind; empty if there is none."""
         return next((event.payload for event in self.answers(kind)), {})
 
 
@@ -196,9 +196,9 @@ class Stage(Generic[F, S]):
     """A page, and the change of state that its answer makes.
 
     Attributes:
-        WITHIN: the stage that contains this one; "" for a stage of the main order.
+        WITHIN: the stage that contains this stage; "" for a stage of the main order.
         name: name of the stage, its template and its title.
-        kind: kind of the event that it waits for.
+        kind: kind of the event that the stage waits for.
     """
 
     WITHIN: ClassVar[str] = ""
@@ -211,11 +211,11 @@ class Stage(Generic[F, S]):
         return not self.WITHIN
 
     def enter(self, flow: F, state: S) -> S:
-        """The state after the stage is entered."""
+        """Returns the state after the stage is entered."""
         return state.to(stage=self.name)
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
-        """The content of the page, in plain values."""
+        """Makes the content of the page, in plain values."""
         return {}
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
@@ -223,7 +223,7 @@ class Stage(Generic[F, S]):
         return {}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
-        """The state after the page's event.
+        """Returns the state after the page's event.
 
         Raises:
             Refused: the payload is not valid for the stage.
@@ -233,8 +233,8 @@ class Stage(Generic[F, S]):
 
 @dataclass(frozen=True)
 class Flow(ABC, Generic[P, S]):
-    """Stages in order, with a plan, and what a server needs to run them: places, drawings, and the
-    texts of the researcher's page. Everything follows from the plan and the participants' states.
+    """Stages in order, with a plan. A flow also gives a server the participants' places, the
+    drawings, and the texts of the researcher's page. All follow from the plan and the states.
 
     Attributes:
         PLAN: class of its plans.
@@ -262,15 +262,14 @@ class Flow(ABC, Generic[P, S]):
 
     @abstractmethod
     def admit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """Returns values that the consent event must contain and the state does not, such as a
-        place.
+        """Returns values for the consent event that do not follow from the state, such as a place.
 
         Args:
             person: the participant who consents.
             people: all participants, in order of arrival.
 
         Raises:
-            Full: nobody can be admitted now.
+            Full: no place is free now.
         """
 
     def readmit(self, person: Participant[S], people: People) -> dict[str, Any]:
@@ -300,7 +299,7 @@ class Flow(ABC, Generic[P, S]):
     def find_drawing(self, what: Any) -> tuple[Way | None, int, Sequence[str]]:
         """Converts a template's (hashable) argument to the arguments of
         :func:`xplain.people.map_svg.picture`: the way, the number of steps, and the names of items
-        that are off the map."""
+        that are no longer on the map."""
 
     @property
     def titles(self) -> dict[str, str]:
@@ -319,7 +318,7 @@ class Flow(ABC, Generic[P, S]):
 
     @abstractmethod
     def step_of(self, state: S) -> str:
-        """Progress within a stage of several pages; "" in other stages."""
+        """Describes the progress within a stage of several pages; "" in other stages."""
 
     def announcement(self) -> str:
         """Describes the plan at the start of the server."""
@@ -338,11 +337,11 @@ class Flow(ABC, Generic[P, S]):
         return (*(one.name for one in self.STAGES if one.is_in(self.plan)), "done")
 
     def stage(self, name: str) -> Stage[Any, S] | None:
-        """The stage with a name; None for ends."""
+        """Finds the stage with a name; None for ends."""
         return next((one for one in self.STAGES if one.name == name), None)
 
     def part(self, name: str) -> str:
-        """The main stage that contains a stage; an end contains itself."""
+        """Names the main stage that contains a stage; an end contains itself."""
         here = self.stage(name)
         return here.WITHIN or name if here else name
 
@@ -352,7 +351,7 @@ class Flow(ABC, Generic[P, S]):
         return replace(state, stage=str(state.left), left=None) if state.paused else state
 
     def waits_for(self, state: S) -> str:
-        """The kind of the next event; "" at final ends."""
+        """Returns the kind of the next event; "" at final ends."""
         here = self.stage(state.stage)
         return here.kind if here else "return" if state.paused else ""
 
@@ -364,7 +363,7 @@ class Flow(ABC, Generic[P, S]):
         return found.enter(self, state) if found else state.to(stage="done")
 
     def advance(self, state: S, kind: str, payload: Mapping[str, Any]) -> S:
-        """The state after an event.
+        """Returns the state after an event.
 
         Raises:
             Refused: the event does not fit the stage, or its payload is not valid.
@@ -383,8 +382,8 @@ class Flow(ABC, Generic[P, S]):
         return here.advance(self, state, payload)
 
     def view(self, state: S) -> dict[str, Any]:
-        """The content of the participant's page, in plain values. It does not contain the type, the
-        condition, the belief or the right answers."""
+        """Makes the content of the participant's page, in plain values, without the type, the
+        condition, the belief and the right answers."""
         here = self.stage(state.stage)
         view = {"stage": state.stage, "sequence": state.accepted, "wrong": state.wrong}
         return view | (here.view(self, state) if here else {})
@@ -422,11 +421,11 @@ class Briefing(Stage[F, S]):
     """Screens to read: the task, a few facts on each screen, and the participants' job."""
 
     def facts(self, flow: F, state: S) -> Mapping[str, Sequence[str]]:
-        """The sentences of the briefing, by the key of their heading."""
+        """Returns the sentences of the briefing, by the key of their heading."""
         return {}
 
     def screens(self, flow: F, state: S) -> list[tuple[str, tuple[str, ...]]]:
-        """The screens: the key of the heading, and the sentences, of each."""
+        """Lists the screens: each has the key of its heading, and its sentences."""
         facts = [
             (heading, tuple(sentences[first : first + FACTS_AT_ONCE]))
             for heading, sentences in self.facts(flow, state).items()
@@ -471,7 +470,7 @@ class Practice(OneLabel[F, S]):
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """Moves to the other half or the next stage after a right label; stays after a wrong
-        one."""
+        label."""
         right = self.label(flow, payload) == state.part
         if right and state.part:
             return flow.after(state, wrong=False)
@@ -479,7 +478,7 @@ class Practice(OneLabel[F, S]):
 
 
 class LookingAhead(OneLabel[F, S]):
-    """A step that looks odd and is right because of later steps. The later steps are shown after
+    """A step that looks wrong, but is right because of later steps. The later steps are shown after
     any answer except 1."""
 
     def is_in(self, plan: Any) -> bool:

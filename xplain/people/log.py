@@ -1,7 +1,7 @@
 """The log of a study, a collection or the service: events in one SQLite file.
 
-Events are the only stored state. Each event holds the decision made with it and the state after it;
-everything else is computed from them. One process has the file open for writing. Acknowledged
+Only events are stored. Each event has the decision that was made with it, and the state after it;
+everything else is computed from events. One process has the file open for writing. Acknowledged
 events are on the disk (WAL, ``synchronous=FULL``), and a repeated event is stored once.
 """
 
@@ -29,8 +29,8 @@ Plan = TypeVar("Plan", bound=StoredPlan)
 RELEASE = 30
 """Seconds that a killed server may take to release the file."""
 LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
-"""Alphabet of ids, invitations and completion codes: no vowels, so no words, and no digits, which
-look like numbers."""
+"""Alphabet of ids, invitations and completion codes. Texts without vowels are no words, and texts
+without digits are no numbers."""
 FIXED = """CREATE TRIGGER event_fixed BEFORE UPDATE ON event
 BEGIN SELECT RAISE(ABORT, 'events are never changed'); END"""
 """A trigger that forbids changes of events. It is dropped only within the transaction that erases a
@@ -66,13 +66,12 @@ PRAGMAS = (
 
 
 def letters(count: int) -> str:
-    """Draws a random text that does not look like a word or a number, and that no mail program
-    splits."""
+    """Draws a random text of LETTERS, which no mail program splits."""
     return "".join(secrets.choice(LETTERS) for _ in range(count))
 
 
 def boot_id() -> str:
-    """The id of the machine's current boot; monotonic clock times with the same id can be
+    """Returns the id of the machine's current boot; monotonic clock times with the same id can be
     compared."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
@@ -118,7 +117,7 @@ class Log(Generic[S]):
             patience: seconds to wait for another process that has the file open.
 
         Raises:
-            XplainError: another process has the file open, or it is broken.
+            XplainError: another process has the file open, or the file is damaged.
         """
         self.path, self.kind, self.clock = path, kind, clock or Clock()
         self._lock = threading.RLock()
@@ -128,7 +127,7 @@ class Log(Generic[S]):
             try:
                 opened.enter_context(file_lock.acquire(timeout=patience))
             except Timeout:
-                wanted = "in use: another process is using it; a server offers a snapshot of it"
+                wanted = "a free file: another process is using it; a server offers a snapshot"
                 raise InputError("database", str(path), wanted) from None
             try:
                 self._connection = opened.enter_context(
@@ -156,9 +155,9 @@ class Log(Generic[S]):
         self.plan, self.paused = "", False
         self.invited, self.people, self.keys = {}, {}, {}
         for event in self.events():
-            self._take(event)
+            self._apply(event)
 
-    def _take(self, event: Event) -> None:
+    def _apply(self, event: Event) -> None:
         """Updates the state in memory by an event."""
         who, told = event.participant, event.payload
         if not who:
@@ -173,8 +172,8 @@ class Log(Generic[S]):
 
     @contextmanager
     def changes(self) -> Iterator[None]:
-        """A transaction: either all changes are stored or none. They are on the disk when it ends
-        without an error."""
+        """Makes the block a transaction: either all its changes are stored or none. All changes are
+        on the disk when the block ends without an error."""
         with self._lock:
             if self._connection.in_transaction:  # part of an open transaction
                 yield
@@ -201,8 +200,8 @@ class Log(Generic[S]):
         browser: float | None = None,
         state: str | None = None,
     ) -> None:
-        """Appends an event and the state after it, unless its source already sent it. Without
-        ``number`` it gets the next number."""
+        """Appends an event and the state after it, unless the source already sent the event.
+        Without ``number`` the event gets the next number."""
         sql = "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?"
         (sequence,) = self._connection.execute(sql, (who,)).fetchone()
         text = json.dumps(payload, sort_keys=True, allow_nan=False)
@@ -212,10 +211,10 @@ class Log(Generic[S]):
         sql = f"INSERT INTO event VALUES ({', '.join('?' * len(row))}) ON CONFLICT DO NOTHING"
         stored = self._connection.execute(sql, row)
         if stored.rowcount:
-            self._take(Event(*row[:-3], json.loads(text), state, stored.lastrowid or 0))
+            self._apply(Event(*row[:-3], json.loads(text), state, stored.lastrowid or 0))
 
     def events(self, where: str = "TRUE", *values: Any) -> Iterator[Event]:
-        """Events in order of arrival, with decoded payloads."""
+        """Yields events in order of arrival, with decoded payloads."""
         sql = f"SELECT {', '.join(Event._fields)} FROM event WHERE {where} ORDER BY number"
         with self._lock:
             rows = self._connection.execute(sql, values).fetchall()
@@ -223,7 +222,7 @@ class Log(Generic[S]):
             yield event._replace(payload=json.loads(str(event.payload)))
 
     def everybody(self) -> list[Participant[S]]:
-        """All participants except erased ones, with their events, in order of arrival."""
+        """Returns all participants except erased ones, with their events, in order of arrival."""
         own: dict[str, list[Event]] = {}
         for event in self.events():
             own.setdefault(event.participant, []).append(event)
@@ -247,7 +246,7 @@ class Log(Generic[S]):
         """Erases one participant's answers and outside ids.
 
         The erasure is an event too. The random id and the number of events stay. The keyed hash of
-        their invitation or platform id stays too, so that their link creates no new participant.
+        the invitation or platform id stays too, so that the link creates no new participant.
         """
         with self.changes():
             self.append(who, "server", "erase", {}, state='{"stage": "erased"}')
@@ -263,7 +262,7 @@ def backup(database: Path, file: Path) -> None:
     """Copies a database and its key. The server may have the database open.
 
     Raises:
-        InputError: the file is no such database, its key is missing, or the target exists.
+        InputError: the database does not exist, its key is missing, or the target exists.
     """
     key = Path(f"{database}.key")
     if not database.is_file() or not key.is_file():
@@ -278,10 +277,10 @@ def backup(database: Path, file: Path) -> None:
 
 
 def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
-    """The plan in a database, which its server may have open; None if there is no plan yet.
+    """Reads the plan in a database, which its server may have open; None if there is no plan yet.
 
     Raises:
-        InputError: the file is no such database.
+        InputError: the file is not a study's database.
     """
     if not path.exists() or not path.stat().st_size:
         return None

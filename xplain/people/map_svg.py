@@ -20,7 +20,7 @@ Cell = tuple[int, int]
 Path = Sequence[tuple[Cell, Cell]]
 
 
-def _listed(cells: Iterable[Cell]) -> str:
+def _list_cells(cells: Iterable[Cell]) -> str:
     return ", ".join(cell_name(*cell) for cell in cells)
 
 
@@ -31,7 +31,7 @@ _ENVIRONMENT = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-_ENVIRONMENT.globals |= {"cell_name": cell_name, "listed": _listed}
+_ENVIRONMENT.globals |= {"cell_name": cell_name, "listed": _list_cells}
 _DRAWN: Any = _ENVIRONMENT.get_template("map.svg").module
 
 
@@ -47,20 +47,20 @@ def picture(plan: Any, path: Path | None, steps: int, gone: Sequence[str] = ()) 
     """
     if plan.scene is None or path is None:
         return Markup()
-    items = [drawn for drawn in _looks(plan) if drawn[0].name not in gone]
+    items = [drawn for drawn in _list_looks(plan) if drawn[0].name not in gone]
     made = path[:steps]
     been = [path[0][0], *(after for _, after in made)]
     aside = any(been[-1] in item.cells for item, _, _ in items)
     words = plan.texts.words
-    return Markup(_DRAWN.map(plan.scene, items, made, been, aside, _badges(been[1:]), words))
+    return Markup(_DRAWN.map(plan.scene, items, made, been, aside, _make_badges(been[1:]), words))
 
 
 def legend(plan: Any, way: bool = False) -> list[tuple[str, Markup]]:
-    """(name, small SVG) of everything on the map, and of the robot's way if pages show it."""
+    """Lists (name, small SVG) of everything on the map, and of the robot's way if pages show it."""
     if plan.scene is None:
         return []
     words = plan.texts.words
-    drawn = [(look[0].name, _DRAWN.tile(*look)) for look in _looks(plan)]
+    drawn = [(look[0].name, _DRAWN.tile(*look)) for look in _list_looks(plan)]
     if plan.scene.walls:
         drawn.append((words["wall"], _DRAWN.wall_tile()))
     if way:
@@ -69,9 +69,9 @@ def legend(plan: Any, way: bool = False) -> list[tuple[str, Markup]]:
 
 
 def about(plan: Any, sentence: str) -> Markup:
-    """The picture of the item or icon whose name comes first in a sentence; "" if it has no such
+    """Draws the item or icon whose name comes first in a sentence; "" if the sentence has no such
     name."""
-    shown = _looks(plan) if plan.scene else []
+    shown = _list_looks(plan) if plan.scene else []
     names = {look[0].name for look in shown}
     shown += [
         (Item(name, "", ()), plan.icons[name], "#3B4252") for name in plan.icons.keys() - names
@@ -84,17 +84,18 @@ def about(plan: Any, sentence: str) -> Markup:
     return Markup(_DRAWN.key(_DRAWN.tile(*found[min(found)]))) if found else Markup()
 
 
-def _looks(plan: Any) -> list[tuple[Item, str | None, str]]:
-    """Each item of the map with its icon, if the configuration has one, and its colour."""
+def _list_looks(plan: Any) -> list[tuple[Item, str | None, str]]:
+    """Lists each item of the map with its colour, and with its icon if the configuration has an
+    icon."""
     return [
         (item, plan.icons.get(item.name), COLOURS[index % len(COLOURS)])
         for index, item in enumerate(plan.scene.items)
     ]
 
 
-def _badges(ended: Sequence[Cell]) -> list[tuple[Cell, str]]:
-    """The step numbers by the cell where the steps ended. A cell has room for the last few; two
-    dots represent the earlier ones."""
+def _make_badges(ended: Sequence[Cell]) -> list[tuple[Cell, str]]:
+    """Lists the step numbers by the cell where the steps ended. A cell has room for the last
+    numbers; two dots represent the earlier numbers."""
     found = []
     for cell in dict.fromkeys(ended):
         shown = [str(number) for number, one in enumerate(ended, 1) if one == cell]

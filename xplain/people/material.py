@@ -40,12 +40,12 @@ from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import stream
 
 KEPT = {"transparency"}
-"""Metadata of a picture that are kept."""
+"""Metadata of a picture that is kept."""
 FORMATS = ("PNG", "JPEG", "WEBP", "GIF")
 MAX_IMAGE, MAX_SIDE = 2 << 20, 4096
 """Maximum bytes of one image, and maximum pixels of its longer side."""
 DRAWN_ROLES = 4
-"""Number of random kinds of simulated people, if none are configured."""
+"""Number of random types of simulated people, if no types are configured."""
 
 
 Transitions = NDArray[np.int64]
@@ -59,13 +59,13 @@ class Material:
 
     Attributes:
         name: name of the task.
-        facts: [n] what people may believe incorrectly, with its sentences.
-        types: M kinds of simulated people.
+        facts: [n] facts that people may believe incorrectly, with their sentences.
+        types: M types of simulated people.
         clips: [T] the transitions as pages show them, before a lab's words replace the texts.
         features: [T, F] features of the transitions.
         feature_names: F names.
         scene: the map, or None.
-        hypotheses: what people might believe incorrectly, for the T transitions.
+        hypotheses: sets of facts that people may believe incorrectly, for the T transitions.
         whole: hypotheses for all transitions of a domain; None if there are no other transitions.
         setting: the domain with its models, if traces are drawn from the domain.
         transitions: [T, 3] transitions of the domain; None for a table.
@@ -85,7 +85,7 @@ class Material:
 
     @classmethod
     def of(cls, setting: Setting) -> Material:
-        """Takes every transition that the robot of a domain can make."""
+        """Makes the material of every transition that the robot of a domain can make."""
         domain, every = setting.domain, setting.reachable
         return cls(
             name=domain.name,
@@ -101,7 +101,7 @@ class Material:
 
     @classmethod
     def of_domain(cls, domain: Domain, users: TypeSource, seed: int) -> Material:
-        """Takes transitions of a domain with distinct features, to ask people about."""
+        """Makes the material of the transitions of a domain that differ in their features."""
         whole = hypotheses_of(domain, None)
         known = whole.drop_indistinguishable()
         assert known.states is not None, "hypotheses of a domain know states"
@@ -126,7 +126,7 @@ class Material:
         )
 
     def labels(self, rows: Transitions) -> NDArray[np.uint8]:
-        """[M, m, 2^n] true labels of each kind of people."""
+        """Returns [M, m, 2^n], the true labels of each type."""
         if self.setting and self.transitions is not None:
             return self.setting.label_table(self.transitions[rows])
         known = self.hypotheses
@@ -136,13 +136,14 @@ class Material:
         return np.stack([known.labels[known.row(one & ~told)][:, rows].T for one in held])
 
     def rows_of(self, steps: NDArray[np.int64]) -> Transitions:
-        """The rows of transitions [m, 3]."""
+        """Finds the rows of transitions [m, 3]."""
         assert self.transitions is not None, "transitions of a domain"
         row_of = {tuple(one): row for row, one in enumerate(self.transitions.tolist())}
         return np.array([row_of[tuple(step)] for step in steps.tolist()], np.int64)
 
     def list_taken(self, trace: Transitions) -> Told:
-        """[m + 1] names of the items that are off the map after 0 … m steps; or none."""
+        """Lists [m + 1] names of the items that are no longer on the map after 0 … m steps. The
+        list is empty without a domain, or if the domain does not name such items."""
         if self.setting is None or self.transitions is None:
             return ()
         steps = self.transitions[trace]
@@ -153,7 +154,7 @@ class Material:
 def clips_of(
     domain: Domain, phrases: Sequence[str], transitions: NDArray[np.int64]
 ) -> tuple[Clip, ...]:
-    """Describes transitions [T, 3] of a domain; on its map, if it has one."""
+    """Describes transitions [T, 3] of a domain, with their cells if the domain has a map."""
     begin, cells = transitions[:, 0].tolist(), domain.position
     situations, gone = (of_states(domain, what, begin) for what in ("situation", "gone"))
     changes = () if domain.scene else changes_of(domain, transitions)
@@ -184,7 +185,8 @@ def read_own_table(table: Path, facts: str | None, seed: int) -> Material:
             for name, held in drawn
         ),
         clips=tuple(
-            Clip(phrase, picture=_picture(table.parent, image, alt)) for phrase, image, alt in shown
+            Clip(phrase, picture=_read_picture(table.parent, image, alt))
+            for phrase, image, alt in shown
         ),
         features=known.features,
         feature_names=known.feature_names,
@@ -196,11 +198,11 @@ def read_facts(path: str | None, names: Sequence[str]) -> tuple[Parameter, ...]:
     """Reads the sentences of facts from a CSV table with the columns fact, message and belief.
 
     Raises:
-        InputError: no such table, or a fact without a sentence in it.
+        InputError: the table cannot be read, or lacks a sentence of a fact.
     """
     wanted = (
-        "a .csv file with the columns fact, message, belief: the robot's value, and what "
-        f"the sentence of people who believe it incorrectly, for {', '.join(names)}"
+        "a .csv file with the columns fact, message (the true sentence) and belief (the sentence "
+        f"of people who believe the fact incorrectly), for {', '.join(names)}"
     )
     if path is None:
         raise InputError("facts", None, wanted)
@@ -226,7 +228,7 @@ def draw_roles(known: Hypotheses, seed: int) -> dict[str, int]:
     return {"+".join(names_of(held, known.messages)): held for held in chosen}
 
 
-def _picture(folder: Path, image: str, alt: str) -> Picture | None:
+def _read_picture(folder: Path, image: str, alt: str) -> Picture | None:
     if not image:
         return None
     path = folder / image
@@ -242,7 +244,7 @@ def _picture(folder: Path, image: str, alt: str) -> Picture | None:
             if max(read.size) > MAX_SIDE:
                 raise ValueError(f"{read.width} × {read.height} pixels")
             upright, kind = ImageOps.exif_transpose(read), str(read.format)
-            # Saving the picture again removes all but its pixels, such as its place and author.
+            # Saving the picture again removes its other data, such as its place and author.
             content = io.BytesIO()
             upright.info = {key: upright.info[key] for key in upright.info.keys() & KEPT}
             upright.save(content, kind, quality=95)
@@ -264,14 +266,14 @@ def learn_domain_types(cfg: DictConfig, domain: Domain) -> tuple[Setting, Learne
 
 InWords = Callable[[str], str]
 NOT_OF_THE_PLAN = ("consent", "database", "host", "port", "server", "outputs")
-"""Keys that may change between two starts."""
+"""Keys that are not part of the plan: they may change between two starts."""
 
 
 def texts_of(kind: str, wording: Mapping[str, Any], in_words: InWords = str) -> Texts:
     """Collects the texts of the pages.
 
     Args:
-        kind: study or collect; its shipped texts define the possible keys.
+        kind: study or collect; the shipped texts of this kind define the required keys.
         wording: texts of the configuration.
         in_words: converts a domain's phrases to texts for people.
 
@@ -285,7 +287,7 @@ def texts_of(kind: str, wording: Mapping[str, Any], in_words: InWords = str) -> 
     words, known = wording["words"], {**shared, **own["words"]}
     for key in known:
         if not str(words.get(key) or "").strip():
-            raise InputError(f"wording.words.{key}", words.get(key), "what the page says here")
+            raise InputError(f"wording.words.{key}", words.get(key), "the text of a page")
     paragraphs = ("consent", "introduction", "task", "debriefing")
     return Texts(
         title=wording["title"],
@@ -300,8 +302,8 @@ def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
 
     Args:
         phrases: parts of phrases with their replacements; the longest match is used.
-        on_a_map: True if (row, column) and "row r, column c", from 0, become a letter and a number
-            as on the map.
+        on_a_map: True if (row, column) and "row r, column c", counted from 0, become a letter and
+            a number as on the map.
     """
     parts = sorted(phrases, key=len, reverse=True)
     pattern = "|".join(rf"(?<!\w){re.escape(part)}(?!\w)" for part in parts) or "(?!)"
@@ -322,8 +324,8 @@ def reword_parameters(
     """Gives parameters the lab's own sentences.
 
     Raises:
-        InputError: sentences for an unknown parameter, or no sentence of people who believe a
-            parameter incorrectly.
+        InputError: the lab has sentences for an unknown parameter, or there is no sentence of
+            people who believe a parameter incorrectly.
     """
     names = [one.name for one in told]
     for name in facts:
@@ -338,26 +340,26 @@ def reword_parameters(
 
 
 def name_items(scene: Scene, in_words: InWords) -> Scene:
-    """The map with its items' names in words. Items that show the value of a parameter are left
-    out, because a participant may believe another value."""
+    """Returns the map with its items' names in words. Items that show the value of a parameter are
+    left out, because a participant may believe another value."""
     kept = [replace(item, name=in_words(item.name)) for item in scene.items if not item.shows]
     return replace(scene, items=tuple(kept))
 
 
 def select_plan_keys(cfg: DictConfig) -> dict[str, Any]:
-    """The resolved keys that belong to the plan."""
+    """Selects the resolved keys that belong to the plan."""
     plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     return {key: value for key, value in plain.items() if key not in NOT_OF_THE_PLAN}
 
 
 def of_states(domain: Domain, method: str, states: Iterable[int]) -> Told:
-    """Calls a domain's optional method for each state; none if the domain has no such method."""
+    """Calls a domain's optional method for each state; empty if the domain has no such method."""
     told = getattr(domain, method, None)
     return () if told is None else tuple(tuple(told(int(state))) for state in states)
 
 
 def ahead_of(step: Mapping[str, Any], scene: Scene | None, in_words: InWords) -> Ahead:
-    """Reads from a lab's texts the practice step that looks odd and is right because of later
+    """Reads from a lab's texts the practice step that looks wrong, but is right because of later
     steps.
 
     Raises:
@@ -383,9 +385,9 @@ def make_plan_fields(
     words.
 
     Args:
-        kind: study or collect; its shipped texts define the required keys.
+        kind: study or collect; the shipped texts of this kind define the required keys.
         config: configuration of the plan.
-        wording: its texts.
+        wording: texts of the configuration.
         task: the material.
         does: a sentence about the robot, with a place for the ``phrase``.
 

@@ -1,7 +1,7 @@
 """Parts of all plans, and their stored form.
 
-A plan is a value. It is stored in the database at the first start and always read from there later.
-So neither a restart nor a change of code or configuration changes a running study.
+A plan is a value. The first start stores the plan in the database, and every later start reads it
+there. So neither a restart nor a change of code or configuration changes a running study.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Clip:
 
     Attributes:
         phrase: the robot's action.
-        way: the cells before and after it on the map; or none.
-        situation: sentences about the state before it.
-        gone: names of the items that are off the map before it.
-        changes: its effects, for domains without a map.
+        way: the cells before and after the transition on the map; or none.
+        situation: sentences about the state before the transition.
+        gone: names of the items that are no longer on the map before the transition.
+        changes: effects of the transition, for domains without a map.
         picture: an image, for a lab's own transitions.
     """
 
@@ -68,11 +68,11 @@ class Clip:
 
 @dataclass(frozen=True)
 class Ahead:
-    """A practice step that looks odd and is right because of later steps.
+    """A practice step that looks wrong, but is right because of later steps.
 
     Attributes:
-        steps: the step and the following ones up to the reason, as sentences.
-        way: their cells on the map.
+        steps: the step and the following steps up to the reason, as sentences.
+        way: the cells of these steps on the map.
     """
 
     steps: tuple[str, ...]
@@ -89,8 +89,8 @@ _NUMBER = re.compile(r"([+-]?\d{1,9})([.]0*)?")
 class LabQuestion:
     """A question from the lab to the participant.
 
-    A kind of answer is defined once: :attr:`attributes` is checked by the browser, :meth:`read` and
-    :meth:`problem` are used by the server.
+    This class alone defines the kinds of answers: the browser checks :attr:`attributes`, and the
+    server uses :meth:`read` and :meth:`problem`.
 
     Attributes:
         name: the column in the data.
@@ -117,7 +117,7 @@ class LabQuestion:
     right: str = ""
 
     def __post_init__(self) -> None:
-        """Raises InputError if something is missing that the kind needs."""
+        """Raises InputError if a value is missing that this kind of question needs."""
         key = f"questions.{self.name}"
         if self.kind == "choice" and not self.choices:
             raise InputError(f"{key}.choices", [], "at least one choice")
@@ -142,7 +142,7 @@ class LabQuestion:
 
     @property
     def field(self) -> str:
-        """The name of its field, which differs from all other names in a form or page."""
+        """Name of the question's field, which differs from all other names in a form or page."""
         return f"answer_{self.name}"
 
     @property
@@ -164,7 +164,8 @@ class LabQuestion:
         return str(int(whole[1])) if whole else text
 
     def problem(self, value: object, words: Mapping[str, str]) -> str:
-        """The error message that participants read about their answer; "" for a valid answer."""
+        """Returns the error message that participants read about their answer; "" for a valid
+        answer."""
         label = self.label
         units = len(value.encode("utf-16-le")) // 2 if isinstance(value, str) else math.inf
         if not isinstance(value, str) or units > self.max_length:
@@ -188,8 +189,8 @@ def make_typed(kind: type[T], key: str, given: Mapping[str, Any]) -> T:
     """Makes a value of a class whose fields pydantic checks strictly.
 
     Raises:
-        InputError: an unknown key, or a value of another type; ``yes`` in YAML, for example, is a
-            boolean and not a text.
+        InputError: a key is unknown, or a value has another type; ``yes`` in YAML, for example, is
+            a boolean and not a text.
     """
     try:
         text = json.dumps(given, allow_nan=False, default=str)
@@ -210,7 +211,7 @@ def lab_questions(*given: Sequence[Mapping[str, Any]]) -> list[tuple[LabQuestion
     """Makes the lab's own questions of several pages.
 
     Raises:
-        InputError: an invalid question, or two questions with one name (an answer would be lost).
+        InputError: a question is invalid, or two questions have one name (an answer would be lost).
     """
     pages = [
         tuple(make_typed(LabQuestion, f"questions.{one.get('name')}", one) for one in page)
@@ -243,7 +244,7 @@ class Texts:
 
     @property
     def consent_hash(self) -> str:
-        """SHA-256 of the consent text, to prove which text was agreed to."""
+        """SHA-256 of the consent text, to prove the text to which a participant agreed."""
         return hashlib.sha256("\n".join(self.consent).encode()).hexdigest()
 
 
@@ -259,7 +260,8 @@ class StoredPlan:
         asked: the lab's own questions at the end.
         facts: [n] facts, as people read them.
         scene: the map, or None.
-        icons: {name of an item on the map: path of its icon in a box of 24}; may be incomplete.
+        icons: {name of an item on the map: SVG path of its icon, in a box of 24 × 24}; may be
+            incomplete.
         shown: the transitions that pages show.
         ahead: the practice step with a later reason; None if the texts have no such step.
         config: the configuration that made the plan, as a record.
@@ -319,5 +321,5 @@ class StoredPlan:
         """
         value = json.loads(text)
         if value.pop("of", None) != cls.OF:
-            raise InputError("database", "its plan", f"that of {cls.OF}")
+            raise InputError("database", "its plan", f"the plan of {cls.OF}")
         return decode(cls, value)

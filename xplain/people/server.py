@@ -52,8 +52,8 @@ class RateLimit:
 OWNER, SESSION = "participant", "researcher session"
 """Purposes of a cookie."""
 _FORM, _RESEARCHER = "form", "researcher"
-"""Purposes of a form's token and of the researcher's key. The second one signs nothing, because
-half of its signature is shown."""
+"""Purposes of a form's token and of the researcher's key. The second purpose signs nothing, because
+half of its derived key is shown."""
 
 
 @dataclass(frozen=True)
@@ -67,47 +67,48 @@ class Keys:
     secret: bytes = field(repr=False)
 
     def cookie(self, who: str, purpose: str = OWNER) -> str:
-        """The signed cookie with a participant's id or a researcher's session."""
-        return self._signer(purpose).sign(who).decode()
+        """Makes the signed cookie with a participant's id or a researcher's session."""
+        return self._make_signer(purpose).sign(who).decode()
 
     def owner(self, cookie: str, purpose: str = OWNER) -> str | None:
-        """The owner of a cookie; None if it is forged or has another purpose."""
+        """Returns the owner of a cookie; None if it is forged or has another purpose."""
         try:
-            return self._signer(purpose).unsign(_bytes(cookie)).decode()
+            return self._make_signer(purpose).unsign(_encode(cookie)).decode()
         except BadSignature:
             return None
 
     def form(self, who: str) -> str:
-        """The token in every form of a participant, visitor or researcher: a signature without the
-        id."""
-        return self._signer(_FORM).get_signature(who).decode()
+        """Makes the token in every form of a participant, visitor or researcher: a signature
+        without the id."""
+        return self._make_signer(_FORM).get_signature(who).decode()
 
     def owns_form(self, who: str, token: str) -> bool:
         """True if this token belongs to this participant, visitor or researcher."""
-        return self._signer(_FORM).verify_signature(_bytes(who), _bytes(token))
+        return self._make_signer(_FORM).verify_signature(_encode(who), _encode(token))
 
     @property
     def mark(self) -> str:
         """The mark of this server's cookies and of its replies to answers."""
-        return self._signer("mark").derive_key().hex()[:12]
+        return self._make_signer("mark").derive_key().hex()[:12]
 
     @property
     def researcher(self) -> str:
         """The key for the researcher's page; the same at every start."""
-        return self._signer(_RESEARCHER).derive_key().hex()[:32]
+        return self._make_signer(_RESEARCHER).derive_key().hex()[:32]
 
     def is_researcher(self, typed: str, configured: str = "") -> bool:
         """True if this is the researcher's key; compares in constant time."""
-        return hmac.compare_digest(_bytes(typed), _bytes(configured or self.researcher))
+        return hmac.compare_digest(_encode(typed), _encode(configured or self.researcher))
 
-    def _signer(self, purpose: str) -> Signer:
-        """HMAC-SHA256 with a separate key for this purpose; compares in constant time."""
+    def _make_signer(self, purpose: str) -> Signer:
+        """Makes a signer (HMAC-SHA256) with a separate key for this purpose, which compares in
+        constant time."""
         return Signer(
             self.secret, salt=purpose, key_derivation="hmac", digest_method=hashlib.sha256
         )
 
 
-def _bytes(text: str) -> bytes:
+def _encode(text: str) -> bytes:
     """Encodes text from a browser, which may contain invalid characters such as half a surrogate
     pair."""
     return text.encode(errors="replace")
@@ -123,7 +124,7 @@ GUESSES = 10
 """Wrong researcher's keys per minute that each address may send."""
 
 
-def _need(right: bool, key: str, value: object, allowed: str) -> None:
+def _require(right: bool, key: str, value: object, allowed: str) -> None:
     if not right:
         raise InputError(f"server.{key}", value, allowed)
 
@@ -133,13 +134,13 @@ class Server:
     """Settings of the server of the pages; not part of the study's plan.
 
     Attributes:
-        entry: ways to enter: "invitation"; "platform", with ids in the link, which anybody can
-            invent; "signed", with ids that the platform or the lab has signed; "open", as a pilot.
+        entry: ways to enter: "invitation"; "platform", with ids in the link (anybody can invent
+            ids); "signed", with ids that the platform or the lab has signed; "open", as a pilot.
         id_names: names of the link's parameters with the person's id and, if present, the ids of
             study and session.
-        studies: ids of the platform's studies whose people may come in; none allows any.
+        studies: ids of the platform's studies whose people may take part; none allows all studies.
         ids: a file of persons' ids, one on each line, read at every arrival; only these people may
-            come in. "" allows anybody of the studies.
+            take part. "" allows all people of the studies.
         signed_by: with "signed": a file with the platform's public key (PEM, or its JSON Web Key
             Set), or with a secret of the lab of 32 bytes or more.
         signed_name: the link's parameter with the signed token (a JSON Web Token).
@@ -151,7 +152,7 @@ class Server:
         codes: ``{end: code}``, as ``completion_code``, for the other ends.
         address: the public address with its path, such as ``https://lab.example.org/robots``; ""
             takes it from each request.
-        frames: addresses of pages that may show this one in a frame, such as a survey's.
+        frames: addresses of pages, such as a survey, that may show the study in a frame.
         key: the researcher's key, of 12 characters or more; "" lets the server make a key.
         demo: True admits people as pilots although the consent text is not edited.
         blinded: True hides types and conditions on the researcher's page.
@@ -186,23 +187,28 @@ class Server:
     def __post_init__(self) -> None:
         """Raises InputError if keys contradict each other, or if a file cannot be read."""
         entry, studies = set(self.entry), list(self.studies)
-        names = "the names of a person's id, and if there are any of a study's and a session's"
-        _need(1 <= len(self.id_names) <= 3, "id_names", list(self.id_names), names)
-        _need(not studies or len(self.id_names) > 1, "studies", studies, "none: id_names has none")
-        listed = "ids of the studies whose people may come in, or server.ids=FILE with theirs"
-        _need("platform" not in entry or bool(studies or self.ids), "studies", [], listed)
-        # A paid person with an incomplete link would otherwise become a pilot without usable data.
+        names = "1 to 3 names: of a person's id, a study's id and a session's id"
+        _require(1 <= len(self.id_names) <= 3, "id_names", list(self.id_names), names)
+        _require(
+            not studies or len(self.id_names) > 1,
+            "studies",
+            studies,
+            "none, because id_names has no study",
+        )
+        listed = "ids of the studies whose people may take part, or server.ids=FILE of people's ids"
+        _require("platform" not in entry or bool(studies or self.ids), "studies", [], listed)
+        # Otherwise a paid person with an incomplete link would become a pilot without usable data.
         paid = "open" in entry and bool({"platform", "signed"} & entry)
-        _need(not paid, "entry", list(self.entry), "open without platform and signed")
-        signs = "with server.entry=[signed] a file with the key, else none"
-        _need(("signed" in entry) == bool(self.signed_by), "signed_by", self.signed_by, signs)
+        _require(not paid, "entry", list(self.entry), "open without platform and signed")
+        signs = "a file with the key if server.entry has signed, otherwise none"
+        _require(("signed" in entry) == bool(self.signed_by), "signed_by", self.signed_by, signs)
         kept = self.keep_ids or "{id}" not in self.completion_url
         without = "an address without {id}, or server.keep_ids=true"
-        _need(kept, "completion_url", self.completion_url, without)
+        _require(kept, "completion_url", self.completion_url, without)
         long = not self.key or len(self.key) >= LEAST_KEY
-        _need(long, "key", "…", f"{LEAST_KEY} characters or more, or none")
+        _require(long, "key", "…", f"{LEAST_KEY} characters or more, or none")
         whole = "an address with https:// or http://, such as https://lab.example.org/robots"
-        _need(
+        _require(
             not self.address or bool(urlsplit(self.address).netloc), "address", self.address, whole
         )
         if self.ids:
@@ -217,11 +223,11 @@ class Server:
 
     @property
     def from_platform(self) -> bool:
-        """True if people come in by a platform's ids, signed or not."""
+        """True if people enter with a platform's ids, signed or not."""
         return bool({"platform", "signed"} & {*self.entry})
 
     def read_ids(self) -> set[str]:
-        """The ids in the file ``ids``.
+        """Reads the ids in the file ``ids``.
 
         Raises:
             InputError: the file cannot be read.
@@ -233,13 +239,13 @@ class Server:
             raise InputError("server.ids", self.ids, f"a file of ids ({error})") from None
 
     def lets_in(self, ids: Sequence[str]) -> bool:
-        """True if a person with these values of ``id_names`` may come in."""
+        """True if a person with these values of ``id_names`` may take part."""
         whole = bool(ids) and all(0 < len(one) <= 100 and one.isprintable() for one in ids)
         of_study = not self.studies or ids[1] in self.studies
         return whole and of_study and (not self.ids or ids[0] in self.read_ids())
 
     def verify(self, token: str) -> dict[str, str]:
-        """The ids in a signed token that has not expired; none if the token is not genuine.
+        """Reads the ids in a signed token that has not expired; none if the token is not genuine.
 
         Raises:
             InputError: the file with the key cannot be used.

@@ -79,11 +79,11 @@ class Site:
             self.headers["Strict-Transport-Security"] = "max-age=31536000"
 
     def say(self, key: str) -> str:
-        """The text of a key; an unknown key is returned unchanged."""
+        """Returns the text of a key; an unknown key is returned unchanged."""
         return self.words.get(key, key)
 
     def code(self, found: Participant[Any]) -> str:
-        """A participant's completion code. Each end has a separate code, so only people who
+        """Returns a participant's completion code. Each end has a separate code, so only people who
         finished have the code for finishing."""
         stage, own = found.state.stage, found.identity["code"]
         configured = self.server.codes.get(stage, "")
@@ -93,14 +93,14 @@ class Site:
         return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
 
     def back(self, found: Participant[Any], code: str) -> str:
-        """The address of a participant's link at the end; "" for none."""
+        """Returns the address of a participant's link at the end; "" for none."""
         person = found.identity.get("kept", {}).get(self.server.id_names[0], "")
         address = self.server.completion_url.replace("{code}", code)
         return address.replace("{id}", quote(person, safe=""))
 
 
 def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
-    """The templates of a flow, and the functions that all of them may use."""
+    """Makes the templates of a flow, and the functions that all templates may use."""
     folders = [jinja2.PackageLoader(name) for name in (flow.PACKAGE, "xplain.people")]
     found = jinja2.Environment(
         loader=jinja2.ChoiceLoader(folders), autoescape=True, trim_blocks=True, lstrip_blocks=True
@@ -123,7 +123,7 @@ def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
 
 
 def direction(language: str) -> str:
-    """The writing direction of a language: "rtl" or "ltr"."""
+    """Returns the writing direction of a language: "rtl" or "ltr"."""
     first, *others = re.split("[-_]", language.lower())
     script = next((one for one in others if len(one) == 4 and one.isalpha()), first)
     return "rtl" if script in RIGHT_TO_LEFT else "ltr"
@@ -131,7 +131,7 @@ def direction(language: str) -> str:
 
 @jinja2.pass_context
 def checked(page: jinja2.runtime.Context, name: str, value: object) -> Markup:
-    """The attribute of a choice that was selected in a refused form."""
+    """Makes the attribute of a choice that was selected in a refused form."""
     return Markup(" checked" if str(value) in page["typed"].getlist(name) else "")
 
 
@@ -140,9 +140,9 @@ class Visit:
     """A request and its responses.
 
     Attributes:
-        site: the site that received it.
-        request: its headers.
-        body: its body.
+        site: the site that received the request.
+        request: headers of the request.
+        body: body of the request.
     """
 
     site: Site
@@ -151,7 +151,7 @@ class Visit:
 
     @cached_property
     def form(self) -> ImmutableMultiDict[str, str]:
-        """The fields of the sent form. They are not trusted."""
+        """The fields of the sent form, which are not trusted."""
         text = self.body.decode(errors="replace")
         try:
             fields = parse_qsl(text, keep_blank_values=True, max_num_fields=MAX_FIELDS)
@@ -160,12 +160,12 @@ class Visit:
         return ImmutableMultiDict(fields)
 
     def field(self, name: str) -> str:
-        """The text of a field; "" if it is missing."""
+        """Returns the text of a field; "" if it is missing."""
         return str(self.form.get(name, ""))
 
     def cookie(self, name: str) -> str:
-        """The value of a cookie; "" if it is missing. The name is unique among servers on this
-        host."""
+        """Returns the value of a cookie; "" if it is missing. The name is unique among servers on
+        this host."""
         return self.request.cookies.get(f"{name}_{self.site.keys.mark}", "")
 
     def set_cookie(
@@ -173,7 +173,8 @@ class Visit:
     ) -> None:
         """Sets a cookie that scripts cannot read; "" removes it."""
         server, request = self.site.server, self.request
-        # A request that bypasses the proxy is outside its path and would not return the cookie.
+        # A browser that bypasses the proxy uses paths without the prefix, and would not return a
+        # cookie for the prefix.
         below = request.scope["raw_path"].startswith(f"{server.path}/".encode())
         outside = below or "x-forwarded-prefix" in request.headers
         reply.set_cookie(
@@ -205,8 +206,8 @@ class Visit:
 
     @property
     def address(self) -> str:
-        """The browser's address without a port, as the first trusted proxy saw it. For IPv6 it is
-        the network, because one person has all addresses of a network."""
+        """The browser's address without a port, as the first trusted proxy saw it. For IPv6 this is
+        the network's address, because one person has all addresses of a network."""
         hops = ",".join(self.request.headers.getlist("x-forwarded-for")).split(",")
         count = min(self.site.server.proxies, len(hops))
         peer = self.request.client.host if self.request.client else ""
@@ -239,7 +240,7 @@ class Visit:
         return RedirectResponse(f"{self.site.server.path}{path}", 303)
 
     def let_in(self, who: str) -> Response:
-        """Sets the cookie by which this browser belongs to a participant."""
+        """Sets the cookie that identifies the browser's participant, and redirects to the study."""
         reply = self.lead("/study")
         self.set_cookie(reply, PARTICIPANT, self.site.keys.cookie(who))
         return reply

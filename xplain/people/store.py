@@ -24,7 +24,7 @@ LATEST = 8
 
 
 class Unknown(Exception):
-    """No such participant, invitation or key."""
+    """The participant, the invitation or the key does not exist."""
 
 
 class Gone(Exception):
@@ -40,55 +40,59 @@ class Store(Log[Any]):
         """Opens or creates the database of a flow. Without a flow, data can only be erased.
 
         Raises:
-            XplainError: another process has it open, it belongs to another plan, or it is broken.
+            XplainError: another process has the database open, or the database belongs to another
+                plan or is damaged.
         """
         super().__init__(path, flow.STATE if flow else State, clock)
         self.flow: Any = flow
         self._signs: dict[str, float] = {}
         with ExitStack() as on_error:
             on_error.callback(self.close)
-            self.secret = self._secret()
+            self.secret = self._read_secret()
             if flow:
-                self._check(flow)
+                self._check_plan(flow)
             on_error.pop_all()
 
-    def _check(self, flow: Flow[Any, Any]) -> None:
-        """Stores the plan of a flow, or compares it with the stored one."""
+    def _check_plan(self, flow: Flow[Any, Any]) -> None:
+        """Stores the plan of a flow, or compares the plan with the stored plan."""
         if not self.plan:
             with self.changes():
                 self.append("", "server", "plan", {"plan": flow.plan.text})
         if self.plan != flow.plan.text:
-            raise InputError("database", str(self.path), "another one: it belongs to another plan")
+            raise InputError(
+                "database", str(self.path), "another file: this database has another plan"
+            )
         if differences := find_differences(flow, self.everybody()[-LATEST:]):
             raise XplainError(
-                "database: this version of xplain decides differently from the one that started "
-                f"{flow.plan.OF} in it; go on and replay with that version, or start again in "
-                f"another database ({differences[0]})"
+                "database: this version of xplain decides differently from the version that "
+                f"started {flow.plan.OF} in it; continue and replay with that version, or start "
+                f"again in another database ({differences[0]})"
             )
 
-    def _secret(self) -> bytes:
-        """The server's secret, in a separate file beside the database that only its owner can read.
+    def _read_secret(self) -> bytes:
+        """Reads the server's secret, or makes a new secret. The secret is in a separate file beside
+        the database, which only the file's owner can read.
 
         Raises:
-            InputError: the database has data, and its secret is lost.
+            InputError: the database has data, and the secret is lost.
         """
         file = self.path.with_name(self.path.name + ".key")
         if not file.exists() or not file.stat().st_size:
             if self.plan:
-                wanted = f"a database with its key beside it: {file.name} is missing, restore it"
+                wanted = f"a database with its key: {file.name} is missing, restore this file"
                 raise InputError("database", str(self.path), wanted)
             file.touch(0o600)
             file.write_bytes(secrets.token_bytes(32))
         return file.read_bytes()
 
     def reference(self, who: str) -> str:
-        """The participant's reference for the erasure of their data. It cannot be computed from the
-        id, which published data contain."""
+        """Computes the participant's reference for the erasure of their data. Nobody can compute it
+        from the id alone, which published data contain."""
         return self.hash_texts("reference", who)[:16]
 
     def hash_texts(self, *parts: str) -> str:
         """Computes a keyed hash of texts that are only compared (invitations, outside ids). Nobody
-        can make or reverse it without the server's secret."""
+        can make or reverse the hash without the server's secret."""
         message = "\x1f".join(parts).encode(errors="replace")
         return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
 
@@ -100,7 +104,7 @@ class Store(Log[Any]):
                 ignored.
 
         Raises:
-            InputError: no such participant, or the data is already erased.
+            InputError: no participant has this reference, or the data is already erased.
         """
         given = "".join(re.findall(r"[0-9a-f]", reference.lower()))
         who = next((one.id for one in self.present() if self.reference(one.id) == given), None)
@@ -125,8 +129,8 @@ class Store(Log[Any]):
         """Returns the participant of an invitation; its first use creates the participant.
 
         Raises:
-            Unknown: no such token.
-            Gone: their data was erased.
+            Unknown: the token does not exist.
+            Gone: the participant's data was erased.
         """
         key = self.hash_texts("token", token)
         with self.changes():
@@ -136,8 +140,9 @@ class Store(Log[Any]):
             return self._resume(who) if who else self._enter(self.invited[key], "invitation", key)
 
     def enter_from_platform(self, ids: Mapping[str, str], keep: bool) -> str:
-        """Returns the participant with a recruiting platform's ids; their first use creates the
-        participant. A person is one participant, even if links name different studies or sessions.
+        """Returns the participant with a recruiting platform's ids; the first use of the ids
+        creates the participant. A person is one participant, even if links name different studies
+        or sessions.
 
         Args:
             ids: ids of the person, the study and the session, by name; the last two are optional.
@@ -145,7 +150,7 @@ class Store(Log[Any]):
 
         Raises:
             Unknown: this person consented earlier, in another session.
-            Gone: their data was erased.
+            Gone: the person's data was erased.
         """
         person, _, session = (*ids.values(), "", "")[:3]
         key, hashed = self.hash_texts("platform", person), self.hash_texts("session", session)
@@ -197,15 +202,15 @@ class Store(Log[Any]):
     # The participant's way ---------------------------------------------------------------------
 
     def present(self) -> list[Participant[Any]]:
-        """All participants except erased ones, in order of arrival."""
+        """Returns all participants except erased ones, in order of arrival."""
         with self._lock:
             return [one for one in self.people.values() if not one.erased]
 
     def participant(self, who: str) -> Participant[Any]:
-        """The participant with this id. The call counts as activity.
+        """Returns the participant with this id. The call counts as activity.
 
         Raises:
-            Unknown: no such participant.
+            Unknown: the participant does not exist.
         """
         with self._lock:
             one = self.people.get(who)
@@ -216,7 +221,7 @@ class Store(Log[Any]):
 
     def show(self, one: Participant[Any], state: State) -> None:
         """Records the first rendering of the page of a participant's state."""
-        if one.shown < state.accepted:  # most repetitions are reloads
+        if one.shown < state.accepted:  # a reload is not recorded
             with self.changes():
                 self.append(one.id, "shown", "shown", {"stage": state.stage}, state.accepted)
 
@@ -226,7 +231,7 @@ class Store(Log[Any]):
         """Stores a page's own events (number, kind, ms, payload), without repetitions.
 
         Raises:
-            Unknown: there is no such participant.
+            Unknown: the participant does not exist.
             Refused: the pages sent too many events.
         """
         with self.changes():
@@ -250,16 +255,17 @@ class Store(Log[Any]):
             sequence: number of the answer: ``state.accepted`` of its page. An answer that was
                 already accepted under this number is acknowledged again. Withdrawal is accepted
                 from any page.
-            kind, payload: the flow's event. The answer of a timed-out participant brings them back
-                if a place is free.
+            kind, payload: the flow's event. A timed-out participant who answers returns to the
+                study if a place is free.
             browser: the page's ``performance.now``, ms.
 
         Returns:
             The state after the answer. The answer is then on the disk.
 
         Raises:
-            Unknown, Refused.
-            Conflict: another answer was accepted under this number, or no page had it.
+            Unknown: the participant does not exist.
+            Refused: the answer is not valid.
+            Conflict: another answer was accepted under this number, or no page had this number.
         """
         with self.changes():
             one = self.participant(who)
@@ -278,18 +284,19 @@ class Store(Log[Any]):
             if sequence > state.accepted or (state.over and not state.paused):
                 raise Conflict("other_page")
             if state.paused:
-                state = self._accept(one, "return", self.flow.readmit(one, self._current()))
+                state = self._accept(one, "return", self.flow.readmit(one, self._list_current()))
                 if kind == "return":
                     return state
                 one = self.people[who]
             if kind == "consent" and payload.get("agree"):
                 if one.stream == "person" and self.paused:
                     raise Refused("paused")
-                payload = {**payload, **self.flow.admit(one, self._current())}
+                payload = {**payload, **self.flow.admit(one, self._list_current())}
             return self._accept(one, kind, payload, browser)
 
     def find_state(self, found: Participant[Any], sequence: int) -> State:
-        """The state of a participant whose page had this number; the current state if none had."""
+        """Finds the state of a participant whose page had this number; the current state if no page
+        had it."""
         here: State = self.flow.asking(found.state)
         if not 0 <= sequence < here.accepted:
             return here
@@ -309,7 +316,7 @@ class Store(Log[Any]):
         source, number = ("protocol", one.state.accepted) if numbered else ("server", None)
         self.append(one.id, source, kind, payload, number, browser, after.text)
         if after.stage == "declined":
-            # Only their arrival and refusal are kept, with times.
+            # Only the arrival and the refusal are kept, with times.
             shown = "(source = 'shown' OR source LIKE 'tab:%')"
             self.overwrite(one.id, f"{OVERWRITTEN}, kind = 'erased'", shown)
             outside = ["width", "session", "kept"] + ["key"] * (one.about["entry"] == "platform")
@@ -318,30 +325,30 @@ class Store(Log[Any]):
         return after
 
     def time_out_stale(self) -> int:
-        """Times out participants who were inactive for too long, so that others can have their
-        places. Returns their number. They may return while places are free. Participants are timed
-        out only after consent."""
+        """Times out participants who were inactive for too long after their consent, so that others
+        can have their places. Returns the number of these participants, who may return while places
+        are free."""
         with self.changes():
             stale = [
                 one
                 for one in self.present()
                 if not one.state.over
                 and one.state.stage != "consent"
-                and self._silent(one) > 60 * self.flow.plan.rules.timeout_minutes
+                and self._measure_silence(one) > 60 * self.flow.plan.rules.timeout_minutes
             ]
             for one in stale:
                 self._accept(one, "time_out", {})
         return len(stale)
 
-    def _current(self) -> People:
-        """All participants, after inactive ones are timed out."""
+    def _list_current(self) -> People:
+        """Lists all participants, after inactive participants are timed out."""
         self.time_out_stale()
         return self.present()
 
-    def _silent(self, one: Participant[Any]) -> float:
-        """Seconds without activity."""
+    def _measure_silence(self, one: Participant[Any]) -> float:
+        """Measures the seconds without activity."""
         latest = one.latest
-        # A change of the wall clock times nobody out: it is used only across restarts.
+        # The wall clock is used only across restarts, so a change of it times nobody out.
         clock = "monotonic" if latest.boot == self.clock.boot else "wall"
         silent: float = getattr(self.clock, clock)() - getattr(latest, clock)
         return min(silent, self.clock.monotonic() - self._signs.get(one.id, -math.inf))

@@ -29,14 +29,14 @@ from xplain.people.store import Gone, Store, Unknown
 MAX_ITEMS = 50
 """Maximum number of events in a page's report."""
 LEAST_FREE = 64 << 20
-"""Free bytes on the disk below which the server reports itself as unhealthy."""
+"""Minimum of free bytes on the disk; with fewer bytes the server reports an error."""
 MARKED = ("/study", "/events")
-"""Paths whose replies count as an acknowledgement only with the server's mark, because a proxy may
-send any other reply."""
+"""Paths whose replies have the server's mark. A page accepts only marked replies, because other
+replies may come from a proxy."""
 FREE = ("/alive", "/researcher/login")
-"""Paths that no limit of requests applies to; the login has a separate limit of wrong keys."""
+"""Paths without a limit of requests; the login has a separate limit of wrong keys."""
 TEXTS = {404: "no_page", 405: "not_here", 413: "too_much"}
-"""Texts for errors without a text of their own."""
+"""Keys of the texts for errors that have no text."""
 TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
 log = logging.getLogger(__name__)
 pages = APIRouter()
@@ -46,7 +46,7 @@ pages = APIRouter()
 
 @pages.api_route("/", methods=["GET", "HEAD"])
 def entrance(visit: Visiting) -> Response:
-    """The page behind invitations and links of recruiting platforms. Changes nothing yet."""
+    """Shows the page that invitations and links of recruiting platforms open. Stores nothing."""
     visitor, site, given = visit.cookie(VISITOR), visit.site, visit.request.query_params
     if not (len(visitor) == 32 and visitor.isascii() and visitor.isalnum()):
         visitor = secrets.token_hex(16)
@@ -77,7 +77,7 @@ def enter(visit: Visiting) -> Response:
     ids = {key: visit.field(f"id_{key}").strip() for key in server.id_names}
     if "signed" in server.entry:
         ids = server.verify(visit.field(f"id_{server.signed_name}"))
-    # A link may come with the full stop of a sentence, or be typed from paper in small letters.
+    # A link may end with the full stop of a sentence, or be typed in small letters.
     invitation = re.sub("[^A-Z]", "", visit.field("invitation").upper())
     try:
         if server.from_platform and server.lets_in([*ids.values()]):
@@ -100,14 +100,14 @@ def enter(visit: Visiting) -> Response:
 
 @pages.get("/study")
 def show(visit: Visiting) -> Response:
-    """The participant's current page."""
+    """Shows the participant's current page."""
     return page_of(visit, visit.participant)
 
 
 def page_of(
     visit: Visit, found: Participant[Any], problem: str = "", status: int = 200, kept: bool = False
 ) -> Response:
-    """The participant's current page; after a refused form, the same page with the entered
+    """Renders the participant's current page; after a refused form, the same page with the entered
     values."""
     site = visit.site
     state: State = site.flow.asking(found.state) if kept else found.state
@@ -133,8 +133,8 @@ def page_of(
 
 @pages.post("/study")
 def answer(visit: Visiting) -> Response:
-    """Accepts an answer once and redirects. The status is 303 (204 for scripts, which then continue
-    by themselves) only after the answer is on the disk."""
+    """Accepts an answer once and redirects. Only after the answer is on the disk, the status is 303
+    (204 for scripts, which load the next page themselves)."""
     found, site, store = visit.participant, visit.site, visit.site.store
     if not visit.genuine(found.id):
         raise HTTPException(403, "not_yours")
@@ -167,7 +167,7 @@ def answer(visit: Visiting) -> Response:
 
 @pages.get("/consent.txt")
 def consent(visit: Visiting) -> Response:
-    """A copy of the consent text to keep."""
+    """Returns a copy of the consent text to keep."""
     texts, _ = visit.site.flow.plan.texts, visit.participant
     content = "\n\n".join([texts.title, *texts.consent, texts.contact, texts.consent_hash])
     kept = {"Content-Disposition": "attachment; filename=consent.txt"}
@@ -176,7 +176,7 @@ def consent(visit: Visiting) -> Response:
 
 @pages.get("/picture/{number}")
 def picture(visit: Visiting, number: str) -> Response:
-    """An image of a transition in the plan."""
+    """Returns an image of a transition in the plan."""
     shown, _ = visit.site.flow.plan.shown, visit.participant
     at = int(number) if re.fullmatch("[0-9]{1,5}", number) else len(shown)
     if at >= len(shown) or shown[at].picture is None:
@@ -205,7 +205,7 @@ class Report(BaseModel, strict=True):
 
 @pages.post("/events")
 def events(visit: Visiting) -> Response:
-    """Stores a page's own events: visible, hidden, a label clicked. Changes no state."""
+    """Stores a page's own events, such as "visible", "hidden" or "label". Changes no state."""
     found, site = visit.participant, visit.site
     try:
         report = Report.model_validate_json(visit.body)
@@ -221,7 +221,7 @@ def events(visit: Visiting) -> Response:
 
 @pages.api_route("/alive", methods=["GET", "HEAD"])
 def alive(request: Request) -> Response:
-    """Reports whether answers can be stored: the server runs, and its disk has space."""
+    """Reports that answers can be stored: the server runs, and its disk has space."""
     free = shutil.disk_usage(request.app.state.site.store.path.parent).free
     well = free >= LEAST_FREE
     said = "alive" if well else f"disk full: {free} bytes left"
@@ -252,7 +252,7 @@ def create_app(store: Store, server: Server) -> FastAPI:
 
     @app.middleware("http")
     async def guard(request: Request, go_on: Callable[[Request], Awaitable[Response]]) -> Response:
-        """Applies limits and headers. After any error returns a page and logs the traceback."""
+        """Applies limits and headers. After an error, logs the traceback and returns a page."""
         came, path = Visit(site, request), request.scope["path"].removeprefix(server.path)
         path = path.rstrip("/") or "/"
         fixed, who = path.startswith("/static/"), came.owner or came.researcher

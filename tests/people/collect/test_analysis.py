@@ -219,7 +219,7 @@ def test_a_studys_database_is_not_a_collections(tmp_path: Path) -> None:
     Store(tmp_path / "s.sqlite", street_study()).close()
     with pytest.raises(XplainError, match="another plan"):
         Store(tmp_path / "s.sqlite", COLLECTION)
-    with pytest.raises(InputError, match="that of a collection"):
+    with pytest.raises(InputError, match="the plan of a collection"):
         export(tmp_path / "s.sqlite", tmp_path / "out")
     Store(tmp_path / "c.sqlite", COLLECTION).close()
     with pytest.raises(InputError, match="that of a study"):
