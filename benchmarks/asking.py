@@ -51,7 +51,8 @@ SOLVERS: Mapping[str, Solver] = {
 }
 KNOWN = "labeler=truth", "clusterer=perfect"
 LEARNED = "labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05"
-AGAIN = ((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1))
+Rates = Sequence[tuple[float, float]]
+AGAIN: Rates = ((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1))
 """Pairs of α and φ."""
 MAPS = (*DOMAINS, "random rescue", "random rooms")
 FRESH = 9400
@@ -159,7 +160,9 @@ def meets(here: World, way: str, explainee: Explainee, update: BeliefUpdate) -> 
     return at(here, 0.1, "first" if way == "first" else "anytime").meets(explainee, update, QMDP())
 
 
-def again(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> None:
+def again(
+    seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS, rates: Rates = AGAIN
+) -> None:
     """Prints the costs if messages may be missed (α) or forgotten (φ) at known rates; κ = 0.1, true
     labels."""
     print(
@@ -169,7 +172,7 @@ def again(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> N
     for domain in maps:
         print(f"| **{domain.replace('_', ' ')}** |" + " |" * 6)
         worlds = [at(world(domain, seed, traces, *KNOWN), 0.1) for seed in seeds]
-        for accept, forget in AGAIN:
+        for accept, forget in rates:
             people, update = Heedless(accept, forget), Independent(0.0, accept, forget)
             found: dict[str, list[float]] = defaultdict(list)
             for here in worlds:
@@ -220,8 +223,8 @@ def main() -> None:
         table({"four_rooms": 1}, PRICES[:1])
         learned((FRESH,), 1, ["four_rooms"])
         errors((FRESH,), 1, ["four_rooms"])
-        again((FRESH,), 1, ["four_rooms"])
-        speed((FRESH,), 1, 20)
+        again((FRESH,), 1, ["four_rooms"], AGAIN[-1:])
+        speed((FRESH,), 1, 5)
     elif options.what == "table":
         table()
     elif options.what == "learned":
