@@ -10,8 +10,8 @@ from xplain.errors import InputError, XplainError
 
 @contextmanager
 def refused(said: str, key: str = "", kind: type[XplainError] = InputError) -> Iterator[None]:
-    """Expects an error in one line that says this (a regular expression), about a key that begins
-    so."""
+    """Expects an error of one line with this regular expression, about a key with this
+    beginning."""
     with pytest.raises(kind, match=said) as caught:
         yield
     assert "\n" not in str(caught.value)

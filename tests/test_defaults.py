@@ -37,7 +37,7 @@ CHOICES = sorted(
 
 
 def components(node: DictConfig) -> Iterator[DictConfig]:
-    """Every part of a configuration that makes one of our classes."""
+    """Yields every part of a configuration that makes a class of the package."""
     if str(node.get("_target_", "")).startswith("xplain."):
         yield node
     for key in node:
@@ -58,7 +58,7 @@ def defaults(cls: type) -> dict[str, Any]:
 
 
 def disagreeing(node: DictConfig) -> dict[str, tuple[Any, Any]]:
-    """Keys whose value is not the class's default, with both."""
+    """Lists keys whose value is not the class's default, with both values."""
     found = {}
     for key, default in defaults(get_class(node["_target_"])).items():
         if key not in node or OmegaConf.is_missing(node, key):
@@ -75,7 +75,7 @@ def disagreeing(node: DictConfig) -> dict[str, tuple[Any, Any]]:
 
 
 def loaded(choice: str) -> DictConfig:
-    """A file of conf/, among the keys it refers to: those of the base domain."""
+    """Loads a file of conf/, together with the keys of the base domain that it refers to."""
     group, _ = choice.split("/")
     root = OmegaConf.load(CONF / "domain" / "rescue.yaml")
     root[group] = with_parent(choice)[group] if group == "domain" else with_parent(choice)
@@ -83,7 +83,7 @@ def loaded(choice: str) -> DictConfig:
 
 
 def with_parent(choice: str) -> DictConfig:
-    """A file merged into that of the same group that it changes, if it does."""
+    """Merges a file into the file of the same group that it changes, if any."""
     own = OmegaConf.load(CONF / f"{choice}.yaml")
     parents = [one for one in own.pop("defaults", ()) if isinstance(one, str) and one != "_self_"]
     above = [with_parent(f"{choice.split('/')[0]}/{one}") for one in parents]
@@ -133,7 +133,7 @@ def test_a_class_and_its_file_have_one_default(
 
 
 def test_the_schema_has_types_and_no_values() -> None:
-    """Values are those of the file alone."""
+    """Only the file has values."""
     file = OmegaConf.load(CONF / "config.yaml")
     assert isinstance(file, DictConfig)
     typed = {str(key) for key in schema()} - {"outputs"}  # a folder: known at the start alone

@@ -20,7 +20,7 @@ from xplain.cli.main import COMMANDS
 
 
 def module(name):
-    """A script of docs/, which is no package."""
+    """Loads a script of docs/, which is no package."""
     spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     loaded = importlib.util.module_from_spec(spec)
     sys.modules[name] = loaded
@@ -74,7 +74,7 @@ def test_files_are_shown_as_they_are():
 
 
 def composed():
-    """Commands of `sh` blocks: too long for a test, or in need of a cluster."""
+    """Lists commands of `sh` blocks: they take too long for a test, or need a cluster."""
     for page in PAGES:
         for fence in run.FENCE.finditer(page.read_text(encoding="utf-8")):
             if fence[1] == "sh":
@@ -85,7 +85,7 @@ def composed():
 
 
 def one_of(word):
-    """`key=value` of the first job of a sweep."""
+    """Returns `key=value` of the first job of a sweep."""
     key, _, value = word.partition("=")
     if value.startswith("range("):
         value = "0"
@@ -258,7 +258,8 @@ def test_a_false_command_or_output_is_found(tmp_path):
 
 @pytest.mark.slow
 def test_the_study_runs_as_its_page_says(tmp_path):
-    """Every command of docs/study.md in its order, but `make`, a real browser, and smaller."""
+    """Every command of docs/study.md runs in its order, with smaller settings, except `make` and a
+    real browser."""
     text = (ROOT / "docs" / "study.md").read_text(encoding="utf-8")
     lines = [line.strip().split("   ")[0] for line in text.splitlines()]
     start, *others = [line for line in lines if line.startswith("python -m xplain")]
@@ -301,7 +302,7 @@ def test_the_study_runs_as_its_page_says(tmp_path):
 
 @pytest.mark.slow
 def test_a_lab_goes_the_whole_way_of_its_page(tmp_path):
-    """The blocks of docs/collect.md as one script, in an empty folder."""
+    """The blocks of docs/collect.md run as one script, in an empty folder."""
     text = (ROOT / "docs" / "collect.md").read_text(encoding="utf-8")
     assert len(text.split()) <= 1200
     with socket.socket() as free:

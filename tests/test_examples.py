@@ -23,7 +23,7 @@ PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check")
 
 @pytest.fixture(scope="session")
 def wheels(tmp_path_factory):
-    """A folder with the wheels of xplain and all examples, built here."""
+    """Builds the wheels of xplain and all examples; returns their folder."""
     pytest.importorskip("hatchling", reason="pip install 'xplain-hri[test]'")
     folder = tmp_path_factory.mktemp("wheels")
     sources = [ROOT, *(ROOT / "examples" / name for name in EXAMPLES)]
@@ -34,7 +34,7 @@ def wheels(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def installed(wheels, tmp_path_factory):
-    """A folder with xplain and all examples, installed from the wheels."""
+    """Installs xplain and all examples from the wheels; returns the folder."""
     site = tmp_path_factory.mktemp("site")
     install(site, *wheels.glob("*.whl"))
     return site
@@ -42,8 +42,8 @@ def installed(wheels, tmp_path_factory):
 
 @pytest.fixture
 def bare(wheels, tmp_path):
-    """The interpreter of an environment with xplain's wheel, numpy, scipy, numba, and nothing
-    else."""
+    """Makes an environment with xplain's wheel, numpy, scipy, numba, and nothing else; returns its
+    interpreter."""
     venv.create(tmp_path / "bare", with_pip=False, symlinks=True)
     python = tmp_path / "bare" / "bin" / "python"
     site = Path(ran(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
@@ -56,12 +56,12 @@ def bare(wheels, tmp_path):
 
 
 def install(site, *files):
-    """Into a folder, without a network."""
+    """Installs wheels into a folder, without a network."""
     ran(*PIP, "install", "--no-deps", "--no-index", "--target", str(site), *map(str, files))
 
 
 def ran(*command, **options):
-    """What the command printed; its errors are ours."""
+    """Runs a command; returns its output."""
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, **options)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -161,8 +161,8 @@ def test_the_explainer_needs_numpy_scipy_and_numba_alone(bare, tmp_path):
 
 @pytest.mark.slow
 def test_a_questionnaire_needs_the_wheel_alone(bare, tmp_path):
-    """A table of one's own, questions, answers, and on from the text of what was asked, in an empty
-    folder beside numpy, scipy and numba."""
+    """A questionnaire about an own table asks, receives answers, and continues from its text, in an
+    empty folder with numpy, scipy and numba."""
     program = """
 from xplain import Hypotheses, Questionnaire
 

@@ -32,7 +32,7 @@ def test_that_waits(number):
 
 
 def _group(leader: int) -> list[str]:
-    """The processes that a process started, and it."""
+    """Lists a process and the processes that it started."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:

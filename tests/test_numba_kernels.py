@@ -83,7 +83,7 @@ def test_bits_of_masks() -> None:
 
 
 def test_numba_is_bounded_by_the_version_that_is_tested() -> None:
-    """What kernels rely on may change with any version: none is installed untried."""
+    """Any version may change functions that kernels use, so no untested version is installed."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     (bound,) = [Requirement(one) for one in project["dependencies"] if one.startswith("numba>")]
     major, minor = (int(part) for part in numba.__version__.split(".")[:2])

@@ -62,7 +62,7 @@ FIXED = "tests/fixed/rescue.json"
 
 
 class Repository:
-    """A page with two tables, made anew just now, and a configuration that can be changed."""
+    """A page with two new tables, and a configuration that can be changed."""
 
     STAMPS: ClassVar[list[str]] = []
     """Digests before any change, because composing takes long."""
@@ -86,7 +86,7 @@ class Repository:
         (root / tables.STAMPS).write_text(self.STAMPS[0], encoding="utf-8")
 
     def main(self, *arguments: str) -> int:
-        """The exit code; ``listed`` and ``wrong`` are what was printed."""
+        """Returns the exit code; ``listed`` and ``wrong`` are the printed lines."""
         self._capsys.readouterr()
         code = tables.main(arguments, self.root)
         self.listed, self.wrong = self._capsys.readouterr()

@@ -9,7 +9,7 @@ from xplain.questions.questionnaire import NONE_ERROR
 
 
 def random_hypotheses(seed: int, facts: int = 3, transitions: int = 5, variants: int = 0, **about):
-    """A table of labels drawn at random; where a prior is asked for, that too."""
+    """Draws random tables of labels; ``about`` are further arguments of the hypotheses."""
     rng = np.random.default_rng(seed)
     shape = (1 << facts, transitions)
     more = rng.integers(0, 2, (variants, *shape), dtype=np.uint8)
@@ -31,7 +31,7 @@ def worlds(hypotheses: Hypotheses, error: float, none: float):
 
 
 def likelihood(hypotheses, table, facts, error, misread, transitions, told, labels):
-    """P(labels of a clip | a world)."""
+    """Computes P(labels of a clip | a world)."""
     row = hypotheses.facts.tolist().index(facts & ~told)
     right = 1.0
     for transition, label in zip(transitions, labels, strict=True):
@@ -40,7 +40,7 @@ def likelihood(hypotheses, table, facts, error, misread, transitions, told, labe
 
 
 def joint(hypotheses, error, none, misread, answers):
-    """P(world, answers so far) of every world; answers as (transitions, told, labels)."""
+    """Computes P(world, answers so far) of every world; answers are (transitions, told, labels)."""
     found = []
     for table, facts, rate, chance in worlds(hypotheses, error, none):
         for transitions, told, labels in answers:
@@ -50,8 +50,8 @@ def joint(hypotheses, error, none, misread, answers):
 
 
 def information(hypotheses, error, none, misread, weight, transitions, told):
-    """I(answer; world) in bits, by its definition: a world is (variant, candidate), or a candidate
-    and that no hypothesis fits."""
+    """Computes I(answer; world) in bits, by its definition. A world is (variant, candidate), or a
+    candidate whom no hypothesis fits."""
     total = 0.0
     for labels in product((0, 1), repeat=len(transitions)):
         given = np.array(

@@ -12,7 +12,7 @@ from xplain.questions.designs import battery
 
 
 def separated(hypotheses, transitions, told):
-    """How many of the questions separate each two classes of candidates, counted one by one."""
+    """Counts one by one how many questions separate each two classes of candidates."""
     facts = hypotheses.facts.tolist()
     found = {}
     for one, other in combinations(range(len(facts)), 2):
@@ -57,7 +57,8 @@ def test_each_transition_is_asked_about_before_one_is_asked_about_again():
 
 
 def test_of_questions_that_separate_the_same_the_shortest_is_asked():
-    """The first transition shows fact 0; the second one does so after the message about fact 1."""
+    """The first transition shows fact 0; the second transition shows it after the message about
+    fact 1."""
     held = np.arange(4)
     h = Hypotheses.of(np.stack([(held & 1) == 0, held == 0], axis=1))
     for seed in range(20):

@@ -49,7 +49,8 @@ def test_few_labels_find_the_types(setting, design):
 
 
 def test_later_observers_start_from_those_before(setting, monkeypatch):
-    """Half of a prior is the mean of the posteriors before, the other half the hypotheses' own."""
+    """Half of a prior is the mean of the earlier posteriors; the other half is the hypotheses'
+    prior."""
     made = []
 
     class Kept(Questionnaire):
@@ -127,8 +128,9 @@ def test_hypotheses_must_be_about_the_robots_transitions(setting):
 def test_once_somebody_is_known_a_share_of_questions_asks_whether_that_is_all(
     setting, monkeypatch, check, least, most
 ):
-    """All facts of the hypotheses are told, so everybody whom one of them fits finds the transition
-    explicable. No such question comes before the person's incorrect beliefs are known."""
+    """The messages about all facts of the hypotheses are given, so everybody whom a hypothesis fits
+    finds the transition explicable. No such question comes before the person's incorrect beliefs
+    are known."""
     checked = []
 
     class Kept(Questionnaire):

@@ -1,4 +1,5 @@
-"""Hypotheses are guesses: compares their predictions of answers with those of labels alone."""
+"""Hypotheses may be wrong: their predictions of answers are compared with predictions of labels
+alone."""
 
 import logging
 from dataclasses import replace
@@ -78,7 +79,7 @@ def test_of_people_as_assumed_hypotheses_are_believed(seed, caplog):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_of_people_who_answer_otherwise_than_they_think_a_line_says_so(seed, caplog):
-    """Half of the answers 0 become 1, or two answers in five repeat the last one."""
+    """Half of the answers 0 become 1, or two answers in five repeat the last answer."""
     known, data = crowd(seed, each=40)
     rng = np.random.default_rng(seed)
     polite, sticky = data.label | (rng.random(len(data)) < 0.5), data.label.copy()
@@ -93,7 +94,7 @@ def test_of_people_who_answer_otherwise_than_they_think_a_line_says_so(seed, cap
 
 @pytest.mark.parametrize("seed", range(3))
 def test_of_people_who_think_something_else_a_line_says_so(seed, caplog):
-    """Labels that no fact set explains, but which people of a type share."""
+    """No fact set explains these labels, but people of a type share them."""
     other = np.random.default_rng(seed + 10).integers(0, 2, 30)
     known, data = crowd(seed, each=60, thinks=lambda label, transition: other[transition])
     evidence = evidence_of(known, data)
@@ -125,8 +126,8 @@ def test_where_labels_alone_foretell_better_their_labels_are_mixed_in():
 
 
 def test_hypotheses_are_never_given_up_for_a_coin():
-    """Three answers in ten are wrong: both are overconfident, and labels alone would be the only
-    alternative."""
+    """Three answers in ten are wrong. Hypotheses and labels alone are both overconfident, and
+    labels alone would be the only alternative."""
     own, others = (np.full(300, -nats) for nats in (0.8, 0.9))
     evidence = Evidence(own, others, np.zeros(300, dtype=np.int64), np.zeros(1), np.zeros(1))
     assert evidence.against > BEATEN  # of a coin

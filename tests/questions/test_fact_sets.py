@@ -47,7 +47,8 @@ def answers_of(rng, known, count):
 
 
 def plainly(known, answers, facts, variant, d, error):
-    """P(answers | R, variant, δ, ε): a sum over the true labels of every cell that was asked."""
+    """Computes P(answers | R, variant, δ, ε), a sum over the true labels of every cell that was
+    asked."""
     h = known.hypotheses
     cells = {}
     for t, told, label in zip(
@@ -114,7 +115,7 @@ def test_predictions_are_what_one_more_answer_would_be(seed):
 
 
 def _with_truth(known, answers, facts, d, error, t, told, label):
-    """P(f = label in the cell | answers, …)."""
+    """Computes P(f = label in the cell | answers, …)."""
     h = known.hypotheses
     held = facts & ~told
     same = (answers.transition == t) & ((facts & ~answers.message_set) == held)
@@ -126,8 +127,8 @@ def _with_truth(known, answers, facts, d, error, t, told, label):
 
 
 def people(known, facts, count, rng, error=0.0, contrary=()):
-    """Observers who believe ``facts`` incorrectly and answer ``count`` random questions; at
-    transitions in ``contrary`` the other way."""
+    """Simulates observers who believe ``facts`` incorrectly and answer ``count`` random questions;
+    at transitions in ``contrary`` they give the opposite answer."""
     h = known.hypotheses
     said = []
     for held in facts:
@@ -178,8 +179,8 @@ def dataset_of(known, said):
 
 
 def test_a_file_of_hypotheses_finds_types_and_labels(tmp_path):
-    """A file of hypotheses gives right types and right fresh labels from 25 labels of each
-    person."""
+    """A file of hypotheses gives right types, and right labels of new questions, from 25 labels of
+    each person."""
     rng = np.random.default_rng(3)
     known = known_of(1, facts=4, transitions=30, variants=0)
     known.hypotheses.save(tmp_path / "h.npz")
@@ -211,7 +212,7 @@ def test_labels_of_another_task_are_left_to_trees(tmp_path):
 
 
 def test_somebody_may_hold_wrong_what_no_hypothesis_does():
-    """Two messages more than facts: each candidate again with either of them."""
+    """There are two messages without a hypothesis: each candidate is extended by each of these."""
     known = known_of(3, facts=3, unwritten=2)
     h = known.hypotheses
     assert known.unwritten == 0b11000

@@ -42,7 +42,7 @@ def test_with_all_sets_it_is_the_whole_table(most):
 @given(st.integers(0, 10_000), st.integers(1, 2))
 @settings(deadline=None, max_examples=12)
 def test_the_posterior_is_that_over_all_sets_within_the_list(seed, most):
-    """… and no likely set lacks one next to it."""
+    """The posterior agrees within the list, and the list has the neighbours of every likely set."""
     rng = np.random.default_rng(seed)
     every = every_set()
     person = int(rng.integers(0, 1 << FACTS))
@@ -61,7 +61,7 @@ def test_the_posterior_is_that_over_all_sets_within_the_list(seed, most):
 
 @cache
 def many_facts() -> tuple[Setting, tuple[int, ...]]:
-    """Sixteen facts, of which no list holds all 2^16 sets; types of up to five."""
+    """Makes sixteen facts, whose 2^16 sets no list can hold, and types of up to five facts."""
     domain = warehouse(16)
     wrong = {p.name: p.inaccurate for p in domain.parameters}
     names = list(wrong)

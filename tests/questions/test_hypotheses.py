@@ -28,14 +28,14 @@ seeds = st.integers(0, 10_000)
 
 
 def every_label(hypotheses, row):
-    """The labels of a candidate for all questions, by the definition."""
+    """Computes the labels of a candidate for all questions, by the definition."""
     facts = hypotheses.facts.tolist()
     sets = range(1 << hypotheses.n_messages)
     return [hypotheses.labels[facts.index(facts[row] & ~told)].tolist() for told in sets]
 
 
 def few_facts(seed):
-    """Labels that depend on some facts only, and candidates of at most two."""
+    """Draws labels that depend on some facts only, and candidates of at most two facts."""
     rng = np.random.default_rng(seed)
     facts = np.array([f for f in range(16) if f.bit_count() <= 2])
     labels = np.ones((len(facts), 4), dtype=np.uint8)
@@ -128,7 +128,8 @@ def test_rows_may_come_in_any_order_with_all_that_is_of_them(tmp_path):
 
 
 def test_transitions_that_features_cannot_tell_apart_are_left_out_with_all_that_is_of_them():
-    """0 and 2 share their features, and are labelled otherwise; 1 and 3 share them, and are not."""
+    """Transitions 0 and 2 have equal features and different labels; 1 and 3 have equal features and
+    equal labels."""
     about = {
         "features": np.array([[0.0], [1.0], [0.0], [1.0], [2.0]]),
         "feature_names": ("x",),
@@ -278,7 +279,7 @@ def test_values_on_the_other_side_are_variants_all_at_once_and_each_alone():
 
 
 def test_labels_of_sets_that_are_listed_later_are_those_of_the_variants():
-    """Candidates of one fact, with those of two added, are all sets."""
+    """Candidates of one fact and of two facts together are all sets."""
     domain = Toll(2 * (-0.81 - 1.5e-9))
     every = Hypotheses.of_domain(domain)
     grown = Hypotheses.of_domain(domain, most=1).with_sets(np.array([0b11]))

@@ -14,7 +14,7 @@ FACTS, TRANSITIONS = 5, 6
 
 
 def random_list(seed, variants=0):
-    """Labels at random of all sets of at most 2 … 5 facts, each transition of its own few."""
+    """Draws labels of all sets of at most 2 … 5 facts; each transition depends on a few facts."""
     rng = np.random.default_rng(seed)
     most = int(rng.integers(2, FACTS + 1))
     facts = np.array([f for f in range(1 << FACTS) if f.bit_count() <= most])
@@ -26,13 +26,14 @@ def random_list(seed, variants=0):
 
 
 def by_definition(hypotheses, weight, transition, kept):
-    """Σ weight(v, R) f^v(R ∩ K)."""
+    """Computes Σ weight(v, R) f^v(R ∩ K)."""
     rows = hypotheses.row(hypotheses.facts & kept)
     return float((weight * hypotheses.tables[:, rows, transition]).sum())
 
 
 def questions_by_definition(hypotheses, weight):
-    """P(label 1) of all questions: {(transition, facts not told): probability}."""
+    """Computes P(label 1) of all questions: {(transition, facts without a message):
+    probability}."""
     return {
         (t, kept): by_definition(hypotheses, weight, t, kept)
         for t, facts in enumerate(hypotheses.matters.tolist())
@@ -45,8 +46,8 @@ def questions_by_definition(hypotheses, weight):
 @given(seed=seeds, variants=st.integers(0, 1), count=st.sampled_from([1, 3, 1000]))
 @settings(deadline=None, max_examples=60)
 def test_the_nearest_questions_are_found(seed, variants, count, products):
-    """All of them where facts are few. A search finds one that is nearer than all that differ from
-    it in one fact, or that is as near as the most probable candidate allows."""
+    """With few facts all questions are found. A search finds a question that is nearer than all
+    questions with one fact more or less, or as near as the most probable candidate allows."""
     hypotheses = random_list(seed, variants)
     rng = np.random.default_rng(seed)
     weight = rng.dirichlet(np.full(hypotheses.tables[..., 0].size, 0.3))

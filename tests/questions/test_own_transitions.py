@@ -41,7 +41,7 @@ def test_a_transition_puzzles_whoever_holds_one_of_its_facts_wrong(tmp_path: Pat
 
 
 def test_without_features_the_text_is_one(tmp_path: Path) -> None:
-    """Transitions of one text are one to a labeler."""
+    """Transitions with equal texts are one transition for a labeler."""
     own = read_transitions(written(tmp_path, "text,inexplicable_if\nb,x\na,y\nb,x\n"))
     known = with_features(own.hypotheses)
     assert known.feature_names == ("text=a", "text=b")

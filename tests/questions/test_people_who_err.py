@@ -25,8 +25,8 @@ def hypotheses(seed=1, facts=4, transitions=30):
 
 
 def asked(known, facts, each, rng, thinks=None, told=True):
-    """Observers who believe ``facts`` incorrectly and answer ``each`` random questions as they
-    think: ``thinks(label, transition)``, or by the hypotheses; and their labels."""
+    """Simulates observers who believe ``facts`` incorrectly and answer ``each`` random questions as
+    they think, by ``thinks(label, transition)`` or by the hypotheses."""
     n, count = known.n_messages, known.n_transitions
     observer = np.repeat(np.arange(len(facts)), each)
     transition = np.concatenate([rng.permutation(np.resize(np.arange(count), each)) for _ in facts])
@@ -67,7 +67,7 @@ def test_fact_sets_are_found_though_every_second_person_errs(seed):
 
 
 def explicable(labeler, known, facts, data):
-    """P(f = 1) of all that people of these facts were asked: transitions and message sets."""
+    """Computes P(f = 1) of all questions that people of these facts were asked."""
     _, first = np.unique(
         np.stack([data.transition, facts & ~data.message_set]), axis=1, return_index=True
     )
@@ -76,8 +76,7 @@ def explicable(labeler, known, facts, data):
 
 
 def test_what_all_of_a_type_think_otherwise_is_learned_as_theirs():
-    """An opposite error: what is expected to be explicable is not, and the other way round, at a
-    third of the transitions."""
+    """The hypotheses are opposite to the labels at a third of the transitions."""
     rng = np.random.default_rng(4)
     known = hypotheses(transitions=18)
     contrary = np.arange(6)
@@ -95,8 +94,8 @@ def test_what_all_of_a_type_think_otherwise_is_learned_as_theirs():
 
 
 def test_what_is_slipped_about_is_still_thought():
-    """Three in ten answer 0 about the same transitions, whatever they think: two types are found,
-    not those who slipped, and what they think is as expected."""
+    """Three in ten answer 0 about the same transitions, whatever they think. Two types are found,
+    not a type of people who slipped, and the types' labels are as expected."""
     rng = np.random.default_rng(5)
     known = hypotheses(transitions=15)
     slippery = np.arange(4)
@@ -112,7 +111,7 @@ def test_what_is_slipped_about_is_still_thought():
 
 
 class Constant(Labeler):
-    """Says the same of everything; ``means_truth`` as told."""
+    """A labeler with the same probability for all questions."""
 
     n_messages = 2
 
@@ -153,8 +152,8 @@ def test_a_prediction_is_a_mean_over_types_and_error_rates():
 
 
 def pupils(rng, people, items, skills):
-    """Hypotheses of items that need skills, and the answers of people who lack some; and the
-    probability of each answer, were all but the skills known."""
+    """Simulates people who lack skills that items need. Returns hypotheses, answers, held-out
+    answers, and the probability of each answer if all but the skills is known."""
     needed = (rng.random((items, skills)) < 0.5).astype(int) @ (1 << np.arange(skills))
     needed[needed == 0] = 1
     lacked = np.arange(1 << skills)
@@ -196,7 +195,7 @@ def nats(one, label):
 
 
 def test_held_out_answers_are_predicted_as_answers():
-    """No label counts as certain: predictions are better than a coin, although three in ten answers
+    """No label counts as certain. Predictions are better than random, although three in ten answers
     are wrong."""
     rng = np.random.default_rng(8)
     known = hypotheses()

@@ -18,7 +18,7 @@ seeds = st.integers(0, 10_000)
 
 
 def answered(q, count, seed):
-    """Answers so many questions at random; what was asked and said."""
+    """Answers this number of questions at random; returns the questions and answers."""
     rng, said = np.random.default_rng(seed), []
     for _ in range(count):
         transitions, told = q.next()
@@ -62,8 +62,8 @@ def test_no_question_tells_more_than_the_next_one(seed, variants):
 @given(seeds, st.integers(0, 1))
 @settings(deadline=None, max_examples=15)
 def test_a_clip_tells_the_sum_of_what_its_labels_tell_one_by_one(seed, variants):
-    """No other transition gives more information than those in the clip, except for the first
-    one."""
+    """Each transition of the clip, except the first, gives at least as much information as the
+    transition outside."""
     h = random_hypotheses(seed, transitions=4, variants=variants)
     q = Questionnaire(h, error=0.05, none=0.02, misread=0.1, clip=3, seed=seed)
     clip, told = q.next()
@@ -117,7 +117,7 @@ def test_it_finds_out_what_somebody_holds_wrong():
 
 
 def test_done_counts_candidates_that_behave_alike_as_one():
-    """Fact 1 matters nowhere."""
+    """Fact 1 changes no label."""
     labels = np.array([[1], [0], [1], [0]])
     q = Questionnaire(labels, error=0.01)
     assert not q.done
@@ -128,7 +128,7 @@ def test_done_counts_candidates_that_behave_alike_as_one():
 
 
 def test_who_answers_at_random_is_none_of_these():
-    """Ninety answers of a coin; the same of the first candidate fit it."""
+    """Ninety random answers fit no candidate; ninety answers of the first candidate fit it."""
     rng = np.random.default_rng(0)
     h = random_hypotheses(3, facts=4, transitions=30)
     random, fitting = Questionnaire(h, seed=1), Questionnaire(h, seed=1)
@@ -203,7 +203,7 @@ print(q.posterior.sum() + q.none)
 
 
 def test_the_package_imports_nothing_heavy_and_the_questionnaire_no_more_than_it_needs():
-    """It needs numpy, scipy and numba."""
+    """The questionnaire needs only numpy, scipy and numba."""
     command = [sys.executable, "-c", PROGRAM]
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
     heavy, total = done.stdout.splitlines()

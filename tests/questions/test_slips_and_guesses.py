@@ -13,7 +13,7 @@ FACTS, ITEMS = 3, 9
 
 
 def table(rng: np.random.Generator) -> np.ndarray:
-    """[2^3, T] labels: 0 where a fact is believed incorrectly that the item needs."""
+    """Makes labels [2^3, T]: 0 if a fact that the item needs is believed incorrectly."""
     sets = np.arange(1 << FACTS)[:, None]
     needed = rng.integers(1, 1 << FACTS, ITEMS)
     needed[:FACTS] = 1 << np.arange(FACTS)  # so that all can be told apart
@@ -27,13 +27,14 @@ def drawn(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def channel(label: int, slip: float, guess: float, error: float) -> float:
-    """P(answer 1)."""
+    """Computes P(answer 1)."""
     one = 1 - slip if label else guess
     return (1 - error) * one + error * (1 - one)
 
 
 def joint(labels, slip, guess, prior, error, none, asked):
-    """P(layer, candidate, all answers), by the definition: layers are "fits" and "none fits"."""
+    """Computes P(layer, candidate, all answers), by the definition: layers are "fits" and "none
+    fits"."""
     result = np.zeros((2, len(labels)))
     for layer, (share, own) in enumerate(((1 - none, error), (none, NONE_ERROR))):
         for held in range(len(labels)):
@@ -105,8 +106,8 @@ def test_with_nothing_told_no_question_comes_more_often_than_allowed() -> None:
 
 
 def test_examinees_are_known_after_ten_questions() -> None:
-    """Five skills; of 300 items each needs one to three. A better choice needs fewer questions than
-    one that knows a single rate of errors."""
+    """Five skills; of 300 items each needs one to three. A choice that knows each question's rates
+    needs fewer questions than a choice that knows one error rate."""
     right, until = [], []
     for seed in range(3):
         rng = np.random.default_rng(seed)

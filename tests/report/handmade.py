@@ -66,13 +66,13 @@ def sweep(
     """A finished sweep.
 
     Args:
-        folder: to write it into.
-        jobs: the swept keys with their values, a job each.
+        folder: the sweep is written here.
+        jobs: the swept keys with their values, for each job.
         regret, oracle: of a job on a trace, the same for users of both types.
-        traces: how many.
+        traces: number of traces.
         index: adjusted Rand index of the types that a job found.
         floor: the clairvoyant's cost of a job on a trace; None if none ran.
-        about: beside the jobs in ``sweep.json``, such as ``pool``.
+        about: other content of ``sweep.json``, such as ``pool``.
     """
     written = []
     for values in jobs:

@@ -38,7 +38,7 @@ def driver():
 
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory, driver):
-    """Folder and output of a finished sweep."""
+    """Runs a sweep; returns its folder and output."""
     folder = tmp_path_factory.mktemp("sweep")
     # The paper's clusterer has a curve to draw.
     other = {"users.count=2": "users.count=2,3", "clusterer=perfect": "clusterer=kmeans"}
@@ -50,7 +50,7 @@ def sweep(tmp_path_factory, driver):
 
 @pytest.fixture(scope="module")
 def server(sweep):
-    """Address of an MLflow UI on the sweep's database."""
+    """Starts an MLflow UI on the sweep's database; returns its address."""
     folder, _ = sweep
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -96,13 +96,14 @@ def screenshot(driver, name):
 
 
 def link(output, server, words):
-    """The link that the sweep printed after these words, on the test's server."""
+    """Returns the link that the sweep printed after these words, on the test's server."""
     (found,) = re.findall(rf"^{words}: http://127\.0\.0\.1:5000(/\S+)$", output, re.MULTILINE)
     return server + found
 
 
 def expected_rows(folder):
-    """(solver, λ, users.count, regret) of every job, from the disk, regret as MLflow shows it."""
+    """Reads (solver, λ, users.count, regret) of every job from the disk, with the regret in
+    MLflow's format."""
     found = set()
     for path in folder.glob("outputs/results/*/results.json"):
         content = json.loads(path.read_text())

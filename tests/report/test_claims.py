@@ -23,8 +23,8 @@ SEEDS = range(6)
 
 
 def hard(seed: int, trace: int, user: str) -> float:
-    """The part of an episode's cost that is equal for all solvers: paired differences must not
-    depend on it."""
+    """Computes the part of an episode's cost that is equal for all solvers. Paired differences must
+    not depend on it."""
     return 7.0 * seed + 3.0 * trace + (user == "B")
 
 
@@ -101,8 +101,8 @@ def test_alike_is_a_tenth_of_qmdps_cost() -> None:
 
 
 def test_an_oracle_that_bends_is_not_linear() -> None:
-    """The cost is min(2 λ, 2 + λ / 2): at 2.5 the line through 0.5 and 1 is 5, and the envelope
-    3.25."""
+    """The cost is min(2 λ, 2 + λ / 2). At λ = 2.5 the line through 0.5 and 1 has the value 5, and
+    the envelope 3.25."""
     straight = settled(episodes(lambda *_: 0.0))
     bent = settled(
         episodes(lambda *_: 0.0, lambda trade_off: min(2 * trade_off, 2 + trade_off / 2))
@@ -166,7 +166,8 @@ def test_types_are_found_where_most_data_sets_give_exactly_them(indices, verdict
 
 
 def test_what_a_difference_is_made_of_adds_up() -> None:
-    """Costs differ by 2, all of it inexplicable labels that come from what was learned."""
+    """Costs differ by 2, and all of the difference is inexplicable labels due to learned
+    labelers."""
     found = settled(episodes(lambda method, *_: 2.0 * (method == "pomcp_paper")))
     claim = next(one for one in found if one.text.startswith("QMDP and POMCP"))
     assert claim.parts == (
@@ -178,8 +179,8 @@ LABELERS = ("truth", "tree")
 
 
 def groups(folder, seeds: int = 3) -> Summary:
-    """Two groups of columns. QHR costs 1 more than QMDP with true labels, and 1 less with learned
-    ones, whose oracle costs 3 more and errs."""
+    """Makes two groups of columns. QHR costs 1 more than QMDP with true labels, and 1 less with
+    learned labels, whose oracle costs 3 more and errs."""
     jobs = [
         {"domain": "rescue", "labeler": own, "solver": solver, "lambda": at, "seed": str(seed)}
         for own, solver, at, seed in itertools.product(

@@ -40,7 +40,7 @@ LEARNERS = {"tree": (8.8, 0.9), "practice": (8.5, 1.9), "hypotheses": (2.2, 1.3)
 
 
 def product(**values):
-    """Jobs of all combinations; ``users__count`` means ``users.count``."""
+    """Lists jobs of all combinations; ``users__count`` means ``users.count``."""
     keys = [key.replace("__", ".").replace("trade_off", "lambda") for key in values]
     return [
         dict(zip(keys, combination, strict=True))
@@ -67,7 +67,7 @@ def learned(folder, measure=None):
 
 
 def distinct(values, trace):
-    """A regret that differs in every combination."""
+    """Computes a regret that differs in every combination."""
     base = {"qmdp": 1.0, "qhr": 2.0, "baseline": 8.0}[values.get("solver", "qmdp")]
     more = 10 * float(values.get("users.count", 0)) + 100 * float(values.get("lambda", 0))
     noise = 3 * float(values.get("observers.label_noise", 0))
@@ -153,7 +153,7 @@ def test_trade_offs_and_domains_pose_problems_of_their_own(tmp_path):
 
 
 def test_where_the_clairvoyant_differs_as_well_the_cost_decides(tmp_path):
-    """An example are discounts: plans with another discount have other references."""
+    """Discounts are an example: plans with another discount have other references."""
 
     def shift(values):
         return 10 * float(values["discount"])
@@ -224,7 +224,7 @@ def test_ways_that_share_no_problem_are_not_ranked(tmp_path):
 
 @pytest.mark.parametrize("number", range(5))
 def test_the_first_is_the_cheapest_on_the_same_problems_whatever_the_references(tmp_path, number):
-    """Oracles are random, shared or not: the order is that of mean costs."""
+    """Oracles are random, shared or not; solvers are in the order of mean costs."""
     draw = random.Random(number)
     names = ("qmdp", "qhr", "pomcp")
     oracle = {name: draw.choice([2.0, draw.uniform(1, 9)]) for name in names}
@@ -238,7 +238,8 @@ def test_the_first_is_the_cheapest_on_the_same_problems_whatever_the_references(
 
 def test_the_best_of_a_row_and_what_cannot_be_told_from_it_are_marked(tmp_path):
     """Traces differ much, and the second solver is equally worse on all of them: paired differences
-    show this, although the two intervals overlap. The third is better on half of the traces."""
+    show this, although the two intervals overlap. The third solver is better on half of the
+    traces."""
     lead = {"qmdp": lambda t: 0.0, "qhr": lambda t: 0.5, "baseline": lambda t: 0.5 - t % 2 * 0.9}
     folder = handmade.sweep(
         tmp_path,
@@ -413,8 +414,8 @@ def test_the_console_shows_every_number_of_the_table_with_its_headings(tmp_path,
 
 
 def test_a_way_that_sets_nothing_has_a_name(tmp_path):
-    """One of several ways has the default of every swept key: it has a name in headings, and in the
-    sentence about the lowest cost."""
+    """One of several ways has the default of every swept key. This way has a name in headings, and
+    in the sentence about the lowest cost."""
     ways = [{}, {"belief.error": "learned"}, {"belief.accept": "learned"}]
     jobs = [way | {"domain": name} for name in ("rescue", "four_rooms") for way in ways]
     summary = summary_of(tmp_path, jobs)

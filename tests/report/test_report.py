@@ -64,13 +64,13 @@ def test_a_domain_is_called_by_the_name_that_its_configuration_gives(tmp_path, c
 
 @pytest.fixture
 def sweep(tmp_path):
-    """A sweep of one's own, to change."""
+    """Makes a sweep that the test may change."""
     return made(tmp_path)
 
 
 @pytest.fixture(scope="module")
 def known(tmp_path_factory):
-    """A sweep that all read, with its report."""
+    """Makes a sweep that all tests read, with its report."""
     folder = made(tmp_path_factory.mktemp("sweep"))
     write_report(folder)
     return folder

@@ -14,7 +14,7 @@ from xplain.report.stages import Stages, TerminalStages, stages
 
 
 class Screen(io.StringIO):
-    """A terminal that remembers."""
+    """A terminal that stores its output."""
 
     def isatty(self) -> bool:
         return True

@@ -51,7 +51,7 @@ def test_every_form_has_every_number_in_the_order_of_the_rows(form: str) -> None
 
 
 def test_no_half_reaches_below_what_is_possible() -> None:
-    """Costs are at least 0: an interval that ends there is shown by its ends."""
+    """Costs are at least 0: an interval that ends at 0 is shown by its two ends."""
     assert cell(Estimate(3.5, 0.0, 8.25)) == "3.50 [0.00, 8.25]"
 
 

@@ -47,7 +47,7 @@ def _finish(folder: Path) -> None:
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    """A test that removes something from its folder has it made again."""
+    """Copies the finished sweep, so that tests may change the copy."""
     folder = tmp_path_factory.mktemp("own") / "finished"
     shutil.copytree(once(tmp_path_factory, "finished", _finish), folder)
     read = [(folder / name).read_text() for name in ("output.txt", "seconds.txt")]
@@ -56,14 +56,14 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
 
 @pytest.fixture(scope="session")
 def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """MLflow's database before the first run."""
+    """Makes MLflow's database before the first run."""
     folder = once(tmp_path_factory, "store", lambda path: forked.make_store(path / "mlflow.db"))
     return folder / "mlflow.db"
 
 
 @pytest.fixture
 def folder(tmp_path: Path, empty_store: Path) -> Path:
-    """A folder with only MLflow's database, so that its tables need not be made."""
+    """Makes a folder with only MLflow's database, so that its tables need not be made."""
     (tmp_path / "outputs").mkdir()
     shutil.copy(empty_store, tmp_path / "outputs" / "mlflow.db")
     return tmp_path

@@ -61,7 +61,7 @@ def environment() -> dict[str, str]:
 
 
 def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    """``python -m xplain …`` in this folder, leader of a process group."""
+    """Starts ``python -m xplain …`` in this folder, as the leader of a process group."""
     folder.mkdir(parents=True, exist_ok=True)
     # A file, not a pipe: nobody waits for orphans that hold it open.
     with (folder / "output.txt").open("w") as output:
@@ -75,7 +75,8 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def run(folder: Path, *arguments: str) -> tuple[int, str]:
-    """Returns exit code and all output; it starts no new process if the jobs need none."""
+    """Runs ``xplain …``; returns exit code and all output. No new process starts if the jobs need
+    none."""
     if SERIAL in arguments:
         return forked.run(folder, *arguments)
     process = start(folder, *arguments)
@@ -83,7 +84,7 @@ def run(folder: Path, *arguments: str) -> tuple[int, str]:
 
 
 def wait(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Exit code and all output, once it has ended by itself."""
+    """Waits until the process ends by itself; returns exit code and all output."""
     try:
         process.wait(timeout=300)
     except subprocess.TimeoutExpired:
@@ -93,7 +94,7 @@ def wait(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str]:
 
 
 def workers(process: subprocess.Popen[str]) -> list[int]:
-    """Processes of its group besides itself that run jobs."""
+    """Lists the other processes of the group that run jobs."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -115,26 +116,26 @@ def kill(pid: int) -> None:
 
 
 def sweep_folder(folder: Path) -> Path:
-    """The one sweep below this folder's outputs."""
+    """Returns the only sweep below this folder's outputs."""
     (found,) = (folder / "outputs" / "sweeps").iterdir()
     return found
 
 
 def tables(folder: Path) -> dict[str, bytes]:
-    """The final tables, byte by byte."""
+    """Reads the final tables as bytes."""
     report = sweep_folder(folder) / "report"
     names = ("table.md", "table.tex", "regret.csv", "differences.csv")
     return {name: (report / name).read_bytes() for name in names}
 
 
 def database(folder: Path) -> contextlib.closing[sqlite3.Connection]:
-    """MLflow's database, read only."""
+    """Opens MLflow's database, read-only."""
     path = folder / "outputs" / "mlflow.db"
     return contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True))
 
 
 def runs(folder: Path) -> list[tuple[str, str, str | None]]:
-    """(name, status, parent) of the runs that are not deleted."""
+    """Lists (name, status, parent) of the runs that are not deleted."""
     with database(folder) as db:
         return db.execute(
             "select runs.name, runs.status, parent.value from runs left join tags as parent "

@@ -229,7 +229,7 @@ def test_a_module_that_was_edited_and_loaded_again_is_another_address(
 def test_a_module_that_was_edited_and_not_loaded_again_is_refused(
     here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its results would be at the address of the new code."""
+    """The results of the old code would be stored at the address of the new code."""
     monkeypatch.syspath_prepend(str(here))
     source = here / "stale.py"
     source.write_text("from xplain.solvers.simple import Silent\nclass Mine(Silent): pass\n")

@@ -42,7 +42,7 @@ def test_one_at_a_time_has_a_sweep_also_before_its_folder_is_there(
 
 
 def result_at(folder: Path, fingerprint: str) -> None:
-    """A result, and only it."""
+    """Writes a result, and nothing else."""
     folder.mkdir(parents=True)
     save_results(folder, handmade.results(fingerprint, {}, ()))
 

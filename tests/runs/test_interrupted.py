@@ -122,7 +122,8 @@ def test_ctrl_c_leaves_no_run_open(folder):
 
 
 def test_four_at_once_on_an_empty_folder(tmp_path, finished):
-    """The four are two of one sweep, one that shares a job with it, and a single run."""
+    """The four processes are two of one sweep, a sweep that shares a job with it, and a single
+    run."""
     other = (*sweeps.QUICK[:-3], "solver=qhr,silent", *sweeps.QUICK[-2:])
     commands = [sweeps.QUICK, sweeps.QUICK, other, (*sweeps.SINGLE, "seed=2")]
     processes = []
@@ -172,7 +173,8 @@ def test_a_sweep_that_two_processes_end_is_sent_by_one_at_a_time(tmp_path):
 
 @pytest.mark.parametrize("seconds", [0, 6])
 def test_ctrl_c_in_the_first_seconds_is_no_traceback(tmp_path, seconds):
-    """From the first modules that are loaded; the terminal sends it to workers that import, too."""
+    """This holds from the first loaded modules on. The terminal also sends the signal to workers
+    that import."""
     process = sweeps.start(tmp_path, *sweeps.TINY)
     libraries = Path(f"/proc/{process.pid}/maps")
     while process.poll() is None and "numpy" not in libraries.read_text(encoding="utf-8"):

@@ -65,7 +65,7 @@ def rounds(count: int, seed: int) -> list[tuple[str, float]]:
 
 
 def seed() -> int:
-    """A new seed each time; the output of a failed test has it."""
+    """Draws a new seed each time; the output of a failed test has it."""
     drawn = time.time_ns()
     print(f"seed {drawn}")
     return drawn

@@ -27,7 +27,7 @@ PARENT = "mlflow.parentRunId"
 
 @pytest.fixture
 def outputs(tmp_path: Path, empty_store: Path) -> Path:
-    """An outputs folder with an empty database."""
+    """Makes an outputs folder with an empty database."""
     shutil.copy(empty_store, tmp_path / "mlflow.db")
     return tmp_path
 
@@ -39,7 +39,7 @@ def client(outputs: Path) -> MlflowClient:
 
 @pytest.fixture
 def folder(outputs: Path) -> SweepFolder:
-    """A sweep of three jobs."""
+    """Runs a sweep of three jobs."""
     return planned(outputs, 3)
 
 
@@ -55,7 +55,7 @@ def parent(client: MlflowClient) -> Run:
 
 
 def children(client: MlflowClient) -> dict[str, str]:
-    """``{name: status}``"""
+    """Returns ``{name: status}`` of the jobs' runs."""
     below = {PARENT: parent(client).info.run_id}.items()
     return {
         str(run.info.run_name): str(run.info.status)

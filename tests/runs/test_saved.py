@@ -61,12 +61,13 @@ def with_solver(folder: Path, target: str) -> None:
 
 
 def run(folder: Path, *words: str) -> tuple[int, str]:
-    """``xplain …`` there, flags before keys: exit code and all output."""
+    """Runs ``xplain …`` there, flags before keys; returns exit code and all output."""
     return forked.run(folder, *sorted(words, key=lambda word: not word.startswith("-")))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """``{path: content}`` of all files but locks, which are empty, and the test's own."""
+    """Reads ``{path: content}`` of all files except the test's own files and locks, which are
+    empty."""
     files = [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"]
     found = {str(path.relative_to(folder)): path.read_bytes() for path in files}
     return {name: content for name, content in found.items() if name != forked.OUTPUT}
@@ -144,7 +145,7 @@ def test_a_certificate_that_needs_too_much_memory_costs_no_results(tmp_path: Pat
 
 
 def test_a_reader_who_leaves_costs_no_results(tmp_path: Path) -> None:
-    """As ``xplain … | true``."""
+    """This is ``xplain … | true``."""
     command = [sys.executable, "-m", "xplain", *sweeps.SINGLE, "tracking=none"]
     with (tmp_path / "error.txt").open("w") as stderr:
         process = processes.start(

@@ -29,7 +29,7 @@ def addresses(folder):
 
 
 def results(folder):
-    """``{fingerprint: (time of its results, results without times)}``."""
+    """Reads ``{fingerprint: (time of its results, results without times)}``."""
     found = {}
     for path in addresses(folder):
         content = json.loads(path.read_text())
@@ -284,7 +284,7 @@ def test_sweep_files_set_known_keys_and_open_with_their_command(name):
 
 
 def test_a_damaged_sweep_hides_no_other_and_its_command_mends_it(finished, tmp_path):
-    """In a project that was moved."""
+    """The project was moved."""
     shutil.copytree(finished.folder / "outputs", tmp_path / "outputs")
     own = sweeps.sweep_folder(tmp_path)
     damaged = tmp_path / "outputs" / "sweeps" / "other" / "sweep.json"

@@ -68,7 +68,7 @@ def test_the_playground_tells_who_you_are(running: Running, talks: Talks, width:
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of a lab's own server with the page, jsPsych from npm beside it."""
+    """Starts a lab's own server with the page, and jsPsych from npm; yields its address."""
     if not shutil.which("npm"):
         pytest.skip("npm is not installed")
     folder = tmp_path_factory.mktemp("lab")
@@ -91,7 +91,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.mark.parametrize("kind", ["session", "questionnaire"])
 def test_a_lab_s_page_in_jspsych_counts_each_answer_once(talks: Talks, lab: str, kind: str) -> None:
-    """Three people a kind, with reloads and lost replies."""
+    """Three people of each kind take part, with reloads and lost replies."""
     service, draw = Running(talks, origins=[lab]), random.Random(1)
     trace = list(talks.task.traces[0])[:4]
     service.lose = 0.3

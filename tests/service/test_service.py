@@ -49,7 +49,7 @@ def reaction(
 def go_through(
     talks: Talks, kind: str, person: str, wrong: set[str], anew: Any = None
 ) -> list[Json]:
-    """Returns all decisions of a talk with a person; ``anew`` gives the talks for each step."""
+    """Returns all decisions of a dialogue with a person; ``anew`` gives the talks for each step."""
     trace, said, decisions = list(talks.task.traces[0]), set[str](), []
     half = len(trace) // 2
     begun = {"trace": trace[:half], "expected_steps": 0} if kind == "session" else {}

@@ -30,7 +30,7 @@ CLOSE = Effort(gap=1e-9, nodes=100_000, memory_gib=1.0)
 
 @pytest.mark.parametrize("solver", [QMDP(), POMCP()])
 def test_to_be_able_to_ask_costs_nothing(solver: QMDP | POMCP) -> None:
-    """Exact costs over problems without discounts: on average lower, nowhere much higher, and near
+    """Exact costs on problems without discounts are lower on average, nowhere much higher, and near
     the certified optimum."""
     rng = np.random.default_rng(13)
     changes, gaps = [], []
@@ -46,7 +46,8 @@ def test_to_be_able_to_ask_costs_nothing(solver: QMDP | POMCP) -> None:
 
 
 def test_open_questions_are_those_of_the_rule_that_tell_something() -> None:
-    """A question counts as the most telling one of its kind that may still be asked."""
+    """Among alike questions the first has the largest information of those that may still be
+    asked."""
     rng = np.random.default_rng(14)
     for _ in range(60):
         problem = with_questions(rng, random_problem(rng, 4, 2, 2), 7)
@@ -87,8 +88,9 @@ def test_few_questions_are_the_most_telling() -> None:
 
 
 def test_second_opinions_are_worth_asking_for_where_answers_err() -> None:
-    """Two clips alike, each wrong once in ten; one message for each type, the other kind's does
-    nothing. Certified asks both while they are cheap, and never the first a second time."""
+    """Two clips are alike, and each answer is wrong once in ten. Each type needs its message; the
+    other message has no effect on it. Solvers ask both clips while they are cheap, and never the
+    first a second time."""
     p = np.zeros((2, 1, 4))
     p[0, 0, 1::2] = 1  # type 0 needs message 0
     p[1, 0, 2:] = 1  # type 1 message 1
@@ -114,7 +116,7 @@ def test_of_equally_good_questions_the_nearest() -> None:
 
 
 class AsksWhereUnlikely:
-    """Says nothing, and asks question 0 at the second step where type 1 is likely."""
+    """A policy without messages that asks question 0 at the second step if type 1 is likely."""
 
     def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
         asks = visible.step == 1 and belief[1] > 0.5 and not visible.asked
@@ -125,7 +127,7 @@ class AsksWhereUnlikely:
 
 
 def test_a_question_is_part_of_what_an_unlikely_belief_may_cost() -> None:
-    """One user in 2,000 is asked, at a high price."""
+    """One user in 2,000 is asked a question, at a high cost."""
     table = np.repeat(np.array([[1.0, 1.0], [0.0, 1.0]])[:, :, None], 2, axis=2)
     answers = np.array([0.0, 1.0])[:, None, None].repeat(2, axis=2)
     questions = Questions(LabelTable.dense(answers), Limits(1000.0, 1, "anytime"))

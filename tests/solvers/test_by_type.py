@@ -1,4 +1,4 @@
-"""Solvers decide alike for a problem by type and for the dense one."""
+"""Solvers decide alike for a problem by type and for the dense problem."""
 
 import tracemalloc
 from dataclasses import replace
@@ -25,7 +25,7 @@ Both = tuple[Problem, Problem]
 
 
 def assert_alike(solver: Solver, both: Both, sure: bool = False) -> None:
-    """The same messages everywhere, and the same values of them."""
+    """Checks that two policies give the same messages with the same values in every state."""
     policies = [solver.plan(problem, seed=3) for problem in both]
     rng = np.random.default_rng(0)
     types, n = both[1].n_types, both[1].n_messages
@@ -60,8 +60,8 @@ SOLVERS: list[tuple[Solver, int, bool]] = [
 def test_solvers_answer_alike(
     solver: Solver, problems: int, sure: bool, rng_of_the_day: np.random.Generator
 ) -> None:
-    """POMCP's random streams are the same; compared where no sum is rounded otherwise, which might
-    make another of two equal actions the better one."""
+    """POMCP's random streams are the same. Problems are compared if no sum is rounded differently,
+    because rounding may decide between equal actions."""
     for _ in range(problems):
         one, other = random_pair(rng_of_the_day)
         if isinstance(solver, POMCP) and not sure:
@@ -87,7 +87,8 @@ def test_bounds_and_values_are_alike(rng_of_the_day: np.random.Generator) -> Non
 
 
 def warehouse(n: int = 60, types: int = 8, facts: int = 6, steps: int = 20) -> Problem:
-    """Types of six facts each: a transition puzzles who believes its fact incorrectly."""
+    """Makes types of six facts each: a transition is inexplicable to people who believe its fact
+    incorrectly."""
     rng = np.random.default_rng(0)
     relevant = np.stack([rng.permutation(n)[:facts] for _ in range(types)])
     puzzles = rng.random((types, steps, facts)) < 0.15
@@ -104,8 +105,8 @@ def test_too_many_messages_together_are_refused_with_what_can_do_it(solver: Solv
 
 
 def test_sixty_messages_are_weighed_by_the_sets_of_one_type_at_a_time() -> None:
-    """No message more makes QHR's choice better; baseline and conformant give what some type
-    needs."""
+    """No further message improves QHR's choice. Baseline and conformant give messages that some
+    type needs."""
     problem = warehouse()
     policy, belief = QHR().plan(problem), problem.prior
     chosen = messages_given(policy, 0, 0, belief)
@@ -119,8 +120,8 @@ def test_sixty_messages_are_weighed_by_the_sets_of_one_type_at_a_time() -> None:
 
 
 def test_sixty_messages_are_planned_for() -> None:
-    """If the type is known, QMDP's values are optimal, and no estimate of POMCP, a mean of returns,
-    is above them; both give only what this type needs."""
+    """If the type is known, QMDP's values are optimal, and no estimate of POMCP (a mean of returns)
+    is above these values. Both give only messages that this type needs."""
     problem = warehouse()
     qmdp, pomcp = QMDP().plan(problem), POMCP(simulations=2000).plan(problem)
     sure = np.eye(problem.n_types)[2]
@@ -137,7 +138,7 @@ def test_sixty_messages_are_planned_for() -> None:
 
 
 def test_planning_type_by_type_takes_what_the_types_take() -> None:
-    """One message of 21 changes nothing; no table is over all sets of the 20 others."""
+    """One message of 21 changes nothing; no table covers all sets of the 20 other messages."""
     types, steps, each = 10, 20, 3
     rng = np.random.default_rng(0)
     relevant = np.array([np.sort(rng.choice(20, each, replace=False)) for _ in range(types)])

@@ -51,7 +51,8 @@ def test_what_was_found_is_not_searched_for_again() -> None:
 
 
 def test_a_belief_that_was_not_found_is_searched_from_there() -> None:
-    """The values bound the belief's own optimum, however close it is to a known belief."""
+    """The values bound the optimum of this belief, however close the belief is to a known
+    belief."""
     rng, unlike = np.random.default_rng(27), 0
     for _ in range(40):
         problem = random_problem(rng)
@@ -65,11 +66,13 @@ def test_a_belief_that_was_not_found_is_searched_from_there() -> None:
 
 
 def rarely_needed() -> Problem:
-    """One user in twenty is of type B or C (alike), and says so at the first step: with z told (20)
-    every 0 but C's at the second transition is mended, the third one's with b or c (10 each) too.
+    """Makes a problem in which one user in twenty has type B or C, which the first label shows.
+    Message z (cost 20) makes all transitions explicable, except C's second transition and the third
+    transition, which needs b or c (10 each), too.
 
-    The best: explain; to the one in twenty tell z, explain, and tell b or c, by the second label.
-    That user costs 24 + (20 + 12) + (10 + 12), where C's 24 are half as likely as B's 0.
+    The optimal policy explains; then it gives z to one user in twenty, explains, and gives b or c,
+    by the second label. This user costs 24 + (20 + 12) + (10 + 12); the two 12 are means of C's 24
+    and B's 0.
     """
     p = np.ones((3, 3, 8))
     for shown in range(8):
@@ -81,8 +84,9 @@ def rarely_needed() -> Problem:
 
 
 def test_unlikely_answers_left_untold_are_bounded_from_both_sides() -> None:
-    """At a gap of 3.2 the search does not follow the answer of one user in twenty. Its upper bound
-    is then that of a known type, its lower bound that of a plan without answers."""
+    """At a gap of 3.2 the search does not follow the answer of one user in twenty. The upper bound
+    there is the value of known types, and the lower bound is the value of a plan that ignores
+    answers."""
     problem, optimum = rarely_needed(), -0.05 * 78
     assert reduced_optimal_value(problem) == pytest.approx(optimum)
     coarse, fine = planned(problem, gap=3.2), planned(problem, gap=1e-6)
@@ -118,8 +122,8 @@ def test_memory_ends_a_search(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_rounding_rules_no_optimal_set_out() -> None:
-    """Two sets of messages bounded alike but for 2e-18: the policy of one earned 0.004 less than
-    what was certified of the other."""
+    """The bounds of two message sets differ by 2e-18 only. The policy of one set once had a value
+    0.004 below the certified value of the other."""
     table = np.full((4, 3, 4), 0.9)
     table[2, 1:, :2] = 0.3
     table[3, 1, ::2] = 0.3
@@ -156,8 +160,8 @@ def test_as_many_messages_as_masks_hold_are_searched(monkeypatch: pytest.MonkeyP
 
 
 def _open(problem) -> bool:
-    """Both messages may be of use, and more than known types and plans is needed to see how
-    much."""
+    """True if both messages have an effect, and the bound of known types is at least 0.1 above the
+    optimum."""
     known = known_type_value(problem)
     optimum = reduced_optimal_value(problem)
     return len(problem.messages_with_effect) == 2 and known - optimum > 0.1

@@ -40,7 +40,7 @@ def test_tables_are_the_plain_recursion(problem: Problem) -> None:
 
 
 def idle_problem(**changes: object) -> Problem:
-    """Three messages; the middle one changes nothing."""
+    """Makes a problem with three messages; the middle message changes nothing."""
     rng = np.random.default_rng(3)
     p = rng.random((2, 4, 2, 1, 2)) * np.ones((1, 1, 1, 2, 1))
     values: dict[str, object] = {"table": p.reshape(2, 4, 8), "message_cost": np.ones(3)}
@@ -60,8 +60,8 @@ def test_a_message_without_effect_is_no_action(trade_off: float) -> None:
 
 @pytest.mark.parametrize("solver", [QMDP(), KnownType(), Lookahead(), POMCP()])
 def test_whoever_no_message_can_help_is_told_nothing(solver: Solver) -> None:
-    """Each of two types needs a message of its own, cheap enough to pay as a mere delay: the other
-    type, once it is certain, is not told it."""
+    """Each of two types needs another message, which is so cheap that even the delay would pay. A
+    certain type does not get the message for the other type."""
     p = np.full((2, 12, 4), 0.5)
     p[0, :, 1::2], p[1, :, 2:] = 0.9, 0.9
     policy = solver.plan(Problem(p, np.full(2, 0.1)))
@@ -72,8 +72,8 @@ def test_whoever_no_message_can_help_is_told_nothing(solver: Solver) -> None:
 
 
 def test_a_message_that_changes_an_answer_alone_is_an_action() -> None:
-    """Told it before the first step, one of two types answers a question unlike the other before
-    the second; by brute force that saves more than a third of the cost."""
+    """Only after this message the two types answer a question differently. By brute force the
+    message saves more than a third of the cost."""
     p = np.ones((2, 2, 8))
     p[0, 1, [0, 2, 4, 6]], p[1, 1, [0, 1, 4, 5]] = 0, 0  # they need messages 0 and 1
     clip = np.full((2, 1, 8), 0.9)
@@ -90,7 +90,7 @@ def test_a_message_that_changes_an_answer_alone_is_an_action() -> None:
 
 @composite
 def situations(draw: st.DrawFn) -> tuple[Problem, int, int]:
-    """A problem with a step and some given messages."""
+    """Draws a problem with a step and some given messages."""
     problem = draw(tiny_problems())
     step = draw(st.integers(0, problem.n_steps - 1))
     return problem, step, draw(st.integers(0, (1 << problem.n_messages) - 1))
@@ -124,7 +124,7 @@ def test_qhr_is_the_best_set_of_its_closed_form(situation: tuple[Problem, int, i
 @settings(deadline=None, max_examples=20)
 @given(tiny_problems())
 def test_a_known_type_is_served_optimally(problem: Problem) -> None:
-    """Walking the policy of a sure belief collects the optimal value of the type."""
+    """The return of the policy at a certain belief is the optimal value of the type."""
     policy = KnownType().plan(problem)
     per_message = problem.discount if problem.discount_per == "action" else 1.0
     for t in range(problem.n_types):
@@ -148,7 +148,7 @@ def test_a_known_type_is_served_optimally(problem: Problem) -> None:
 
 def test_known_type_asks_for_the_type() -> None:
     problem = idle_problem()
-    with pytest.raises(InputError, match="told the type"):
+    with pytest.raises(InputError, match="this solver knows it"):
         messages_given(KnownType().plan(problem), 0, 0, problem.prior)
 
 
@@ -167,7 +167,7 @@ def test_known_type_asks_for_the_type() -> None:
 def test_conformant_pays_for_every_type_undivided(
     p: list[list[float]], cost: list[float], error: Assumed, said: int
 ) -> None:
-    """QMDP, which weighs by the belief, keeps silent."""
+    """QMDP, which uses the belief, gives no message."""
     problem = Problem(np.array(p, float)[:, None], np.array(cost), discount=1.0)
     problem = problem.with_habits(habits_of(error, 1.0, 0.0))
     assert messages_given(Conformant().plan(problem), 0, 0, problem.prior) == said
@@ -175,8 +175,8 @@ def test_conformant_pays_for_every_type_undivided(
 
 
 def test_baseline_takes_several_types_as_their_mixture() -> None:
-    """A message at 0.5 mends the trace for the second type, 1 label 0 without it: worth its price
-    where more than half the users are of it, whatever the belief has come to."""
+    """A message with cost 0.5 avoids the only label 0 of the second type. The message pays if more
+    than half of the users have this type, for any current belief."""
     p = np.ones((2, 1, 2))
     p[1, 0, 0] = 0
     for share, said in ((0.4, 0), (0.6, 1)):
@@ -197,7 +197,8 @@ def test_ties_prefer_explain_then_the_first_message() -> None:
 
 
 def needs_two_or_one(price: float = 1.0) -> Problem:
-    """{0, 1} and {2} mend all at the same price; 3 would too, and is more expensive."""
+    """Makes a problem in which {0, 1} and {2} make all transitions explicable at the same price;
+    {3} does so, too, and is more expensive."""
     p = np.zeros((1, 1, 16))
     for shown in range(16):
         p[:, :, shown] = shown & 0b0011 == 0b0011 or shown & 0b1100 != 0
@@ -207,7 +208,7 @@ def needs_two_or_one(price: float = 1.0) -> Problem:
 
 @pytest.mark.parametrize("solver", [QHR(), Certified(), Lookahead()])
 def test_of_equal_sets_the_smaller_is_given(solver: Solver) -> None:
-    """As masks, {0, 1} is less than {2}."""
+    """The mask of {0, 1} is less than the mask of {2}."""
     problem = needs_two_or_one()
     assert messages_given(solver.plan(problem), 0, 0, problem.prior) == 0b0100
 

@@ -38,8 +38,9 @@ def discounted(problem: Problem, discounts: tuple[str, float]) -> Problem:
 
 
 def asking(rng: np.random.Generator, undiscounted: bool = False) -> Problem:
-    """Half of them anything; half as explanations are: each type finds transitions odd until it has
-    heard the messages that it needs, and answers are sure or nearly."""
+    """Draws problems with questions. Half of them are random. In the other half each type finds
+    transitions inexplicable until it has received the messages that it needs, and answers are
+    (almost) certain."""
     if rng.random() < 0.5:
         problem = random_problem(rng, 3, 2, 2)
         if undiscounted:
@@ -59,8 +60,8 @@ def asking(rng: np.random.Generator, undiscounted: bool = False) -> Problem:
 
 
 def asking_later(rng: np.random.Generator) -> Problem:
-    """Beliefs at one (k, H) tell each other bounds, but not where other questions were asked: three
-    steps of noisy labels, one or two questions."""
+    """Draws problems of three steps with noisy labels and one or two questions. Beliefs at one (k,
+    H) share bounds only if the same questions were asked."""
     needed = rng.integers(2, size=(2, 5, 1))
     p = np.where(needed & ~np.arange(2) == 0, 0.9, 0.3) + rng.uniform(-0.1, 0.1, (2, 5, 2))
     limits = Limits(float(rng.choice([0.0, 0.01, 0.05])), most=int(rng.integers(1, 3)))
@@ -70,8 +71,8 @@ def asking_later(rng: np.random.Generator) -> Problem:
 
 
 def needy(rng: np.random.Generator, questions: bool = False, steps: int = 2) -> Problem:
-    """Two types that need other messages to find transitions explicable; one message in three is
-    missed, one fact in five lost."""
+    """Draws two types that need different messages to find transitions explicable. Three messages
+    in ten are missed, one fact in five is forgotten."""
     needed = rng.integers(1, 4, size=(2, steps + 1, 1))
     p = np.where(needed & ~np.arange(4) == 0, 1.0, 0.1)
     asked = Questions(LabelTable.dense(p[:, steps:]), Limits(0.02)) if questions else Questions()
@@ -81,7 +82,7 @@ def needy(rng: np.random.Generator, questions: bool = False, steps: int = 2) -> 
 
 
 def missing(rng: np.random.Generator) -> Problem:
-    """Messages may be missed or forgotten."""
+    """Draws problems in which messages may be missed or forgotten."""
     problem = needy(rng) if rng.random() < 0.5 else problem_of(int(rng.integers(1 << 31)))
     return discounted(problem, DISCOUNTS[rng.integers(3)])
 
@@ -113,7 +114,7 @@ def test_bounds_enclose_the_optimum_and_the_certified_policy_earns_it(
     count: int,
     rng_of_the_day: np.random.Generator,
 ) -> None:
-    """Bounds hold, coarse or fine, and enclose prices; values of relaxations are above them."""
+    """Bounds hold, coarse or fine; values of relaxations are above them."""
     for _ in range(count):
         problem = draw(rng_of_the_day)
         optimum = optimum_of(problem)
@@ -146,7 +147,8 @@ def test_a_policy_is_worth_what_all_answers_say_and_simulations_say_nearly(
     count: int,
     rng_of_the_day: np.random.Generator,
 ) -> None:
-    """Against enumeration, in which nothing is merged; nothing is worth more than the optimum."""
+    """Values are compared with enumeration, in which nothing is merged. No value is above the
+    optimum."""
     solvers = QMDP(), QHR(), Conformant(), Lookahead(), POMCP(simulations=300), Certified(nodes=3)
     for number in range(count // 2):
         problem = draw(rng_of_the_day)
@@ -182,7 +184,7 @@ def test_known_types_are_worth_what_the_plain_recursion_says() -> None:
 
 
 def test_lookahead_tightens_what_known_types_say() -> None:
-    """Where messages do not discount; with few sets or answers it stays below."""
+    """This holds if messages do not discount, also with few sets or answers."""
     rng, tighter = np.random.default_rng(31), 0
     for _ in range(100):
         problem = replace(random_problem(rng), discount_per="step")
@@ -195,8 +197,9 @@ def test_lookahead_tightens_what_known_types_say() -> None:
 
 
 def known_optimum(problem: Problem, t: int) -> dict[int, float]:
-    """By row of the label table, what an explanation is worth to who sees it of a user of type t
-    after each action: every message and *explain* tried, nothing reduced."""
+    """Computes, for each row of the label table, the optimal value for an agent who knows the type
+    t and, after each action, the user's knowledge. Every message and *explain* is tried, without a
+    reduction."""
     n, table = problem.n_messages, problem.table
     accept, forget = float(problem.accept[t]), float(problem.forget[t])
 
@@ -239,8 +242,8 @@ def test_values_of_known_types_and_knowledge_are_optimal(discounts: tuple[str, f
 
 
 def test_qmdp_asks_what_is_worth_it() -> None:
-    """Whether a message landed can be asked for a hundredth, or not at all for more than all of
-    it is worth."""
+    """A question shows if the user accepted a message. QMDP asks it at a small cost, and not at a
+    cost above its value."""
     problem = needy(np.random.default_rng(0), questions=True)
     cheap = worths(QMDP().plan(problem), 1, 0, update_by_messages(problem, problem.start, 3))
     assert max(cheap.values()) > max(value for action, value in cheap.items() if action >= 0)
@@ -250,8 +253,8 @@ def test_qmdp_asks_what_is_worth_it() -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_message_that_hardly_pays_waits_while_the_state_is_in_doubt(seed: int) -> None:
-    """Known for sure, QMDP gives what is best; in doubt, only what gains the margin, and what is
-    left out gains no more."""
+    """At a certain state QMDP gives the best message. At an uncertain belief it gives a message
+    only if the gain exceeds the margin."""
     rng = np.random.default_rng(seed)
     problem = needy(rng)
     policy, states = QMDP().plan(problem), np.eye(problem.start.size)
@@ -271,7 +274,7 @@ def test_a_message_that_hardly_pays_waits_while_the_state_is_in_doubt(seed: int)
 
 
 def in_the_middle(problem: Problem, seed: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """What was said so far, as often as may be, and a belief."""
+    """Yields given messages, which may be repeated, and a belief."""
     rng, n = np.random.default_rng(seed), problem.n_messages
     belief = rng.dirichlet(np.ones(problem.start.size))
     for first in range(1 << n):
@@ -280,7 +283,7 @@ def in_the_middle(problem: Problem, seed: int) -> Iterator[tuple[int, NDArray[np
 
 @pytest.mark.parametrize("seed", range(3))
 def test_in_the_middle_a_search_finds_what_certified_does(seed: int) -> None:
-    """Of messages, *explain* and questions."""
+    """The actions are messages, *explain* and questions."""
     problem = discounted(needy(np.random.default_rng(seed), True, 3), DISCOUNTS[seed])
     policy = POMCP(simulations=100_000, depth=None, exploration=2.0).plan(problem)
     certified = Certified(gap=1e-9).plan(problem)

@@ -1,4 +1,4 @@
-"""Exact and simulated worths of policies, and those of policies that no answer moves."""
+"""Exact and simulated values of policies, and values of policies that ignore answers."""
 
 from dataclasses import dataclass
 
@@ -64,8 +64,8 @@ class Counting:
 
 
 def test_beliefs_are_evaluated_once_each() -> None:
-    """Four equal transitions and two types: a belief is how many of the labels so far were 1.
-    Labels that all types give alike teach nothing."""
+    """With four equal transitions and two types, the number of labels 1 so far decides the belief.
+    Labels that all types give alike give no information."""
     policy, p = Counting(), np.array([0.9, 0.4])[:, None, None] * np.ones((1, 4, 1))
     worth = evaluate(Problem(p, np.empty(0), discount=1.0), policy)
     assert policy.asked == 1 + 2 + 4 + 7  # 0, 1, 3 and 6 labels seen
@@ -79,8 +79,9 @@ def test_beliefs_are_evaluated_once_each() -> None:
 def test_silence_and_saying_everything_cost_what_they_cost_by_hand(
     solver: Solver, cost: float
 ) -> None:
-    """Shown 1, 2, 3 and 4 transitions; without a message the second to fourth are puzzling: 0 + 1 +
-    2 + 3 labels 0, two each. With both messages the third and the fourth: 0 + 0 + 1 + 2."""
+    """The steps show 1, 2, 3 and 4 transitions. Without messages the second to fourth are
+    inexplicable: 0 + 1 + 2 + 3 labels 0, with cost 2 each. With both messages the third and fourth
+    are inexplicable: 0 + 0 + 1 + 2."""
     labels = np.array([[1, 1, 1, 1], [0, 1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 0]], dtype=np.uint8)
     p = np.full((1, 4, 4), 0.5)
     problem = Problem(p, np.array([0.5, 3.0]), inexplicability_cost=2.0, trade_off=1.5)
@@ -89,7 +90,8 @@ def test_silence_and_saying_everything_cost_what_they_cost_by_hand(
 
 
 def test_what_they_are_worth_is_a_sum_over_prefixes(rng_of_the_day: np.random.Generator) -> None:
-    """An expectation without a belief: transition i is judged at the steps i … m − 1."""
+    """The value is an expectation without a belief: transition i is labelled at the steps i … m −
+    1."""
     for _ in range(30):
         problem = random_problem(rng_of_the_day)
         m, everything = problem.n_steps, (1 << problem.n_messages) - 1

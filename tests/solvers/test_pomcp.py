@@ -40,7 +40,7 @@ def soft_problem(seed: int, types: int = 3, steps: int = 4, n: int = 3, **kwargs
 
 
 def search_of(solver: POMCP, problem: Problem, seed: int = 0) -> Search:
-    """The policy, which is a search."""
+    """Plans the policy, which is a search."""
     policy = solver.plan(problem, seed)
     assert isinstance(policy, Search)
     return policy
@@ -51,7 +51,7 @@ def first_values(solver: POMCP, problem: Problem, seed: int = 0) -> dict[Action,
 
 
 def root_edges(tree: Tree) -> dict[int, np.void]:
-    """The edges of a tree's root by action."""
+    """Returns the edges of a tree's root by action."""
     root = tree.nodes[0]
     actions = [a for a in range(62) if int(root["actions"]) >> a & 1]
     return {a: tree.edges[root["edges"] + i] for i, a in enumerate(actions)}
@@ -108,8 +108,8 @@ def test_without_messages_the_value_is_the_cost() -> None:
 
 
 def test_labels_are_drawn_with_their_probabilities() -> None:
-    """Answers come as often as Bayes says, within 5 standard errors, and the beliefs after them are
-    the posteriors. Of four labels; one transition tells nothing."""
+    """The shares of answers equal their probabilities within 5 standard errors, and the beliefs
+    after them are the posteriors. Four labels are informative; two give no information."""
     p = np.array([[0.5, 0.02, 0.7, 0.3, 0.9, 0.5], [0.98, 0.1, 0.7, 0.6, 0.4, 0.5]])
     problem = Problem(p[:, :, None], np.empty(0))
     draws, prior = 40_000, np.array([0.3, 0.7])
@@ -133,7 +133,8 @@ def test_labels_are_drawn_with_their_probabilities() -> None:
 
 
 def test_a_decision_goes_on_in_the_middle_as_from_the_start() -> None:
-    """After the first message, the same search follows: a policy of visible state and belief."""
+    """After the first message the same search follows, because the policy depends only on the
+    visible state and the belief."""
     for seed in range(6):
         problem = soft_problem(seed, trade_off=0.05)
         policy = POMCP(simulations=500).plan(problem, 3)
@@ -162,7 +163,7 @@ def test_of_a_certain_type_it_finds_the_optimum(seed: int) -> None:
 
 
 def test_the_unit_of_cost_does_not_matter() -> None:
-    """All costs times 2^7: values times 2^7, exactly."""
+    """If all costs are multiplied by 2^7, the values are exactly multiplied by 2^7."""
     problem = soft_problem(12)
     dear = replace(problem, message_cost=problem.message_cost * 128, inexplicability_cost=128.0)
     values, dear_values = (first_values(POMCP(), one) for one in (problem, dear))
@@ -172,7 +173,7 @@ def test_the_unit_of_cost_does_not_matter() -> None:
 def test_many_simulations_are_one_search_however_often_ctrl_c_is_looked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """700 in parts of 300 are 700 at once."""
+    """700 simulations in parts of 300 give the same result as 700 at once."""
     problem = soft_problem(16)
     whole = first_values(POMCP(simulations=700), problem)
     monkeypatch.setattr(pomcp, "CHUNK", 300)
@@ -196,7 +197,7 @@ print(policy.decide(VisibleState(), problem.prior))
 
 
 def test_the_same_in_another_process(capsys: pytest.CaptureFixture[str]) -> None:
-    """Seed, visible state and belief alone decide."""
+    """Only seed, visible state and belief decide."""
     command = [sys.executable, "-c", PRINT_SEARCH.replace("SEED", "5")]
     there = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     for seed in ("5", "6"):
@@ -219,7 +220,7 @@ def test_ctrl_c_ends_the_search_and_breaks_nothing() -> None:
 
 
 def asking_problem(accept: float) -> Problem:
-    """Three messages, two noisy questions; messages may be missed."""
+    """Makes a problem with three messages and two noisy questions; messages may be missed."""
     rng = np.random.default_rng(4)
     asked = Questions(LabelTable.dense(rng.uniform(0.1, 0.9, (3, 2, 8))), Limits(0.01, 2))
     problem = soft_problem(1, steps=3, questions=asked)
@@ -229,7 +230,7 @@ def asking_problem(accept: float) -> Problem:
 
 @pytest.mark.parametrize("accept", [1.0, 0.7])
 def test_each_action_is_tried_where_there_are_fewer_simulations(accept: float) -> None:
-    """A question, a message and *explain* are never weighed against nothing."""
+    """Every question, every message and *explain* have a value."""
     problem = asking_problem(accept)
     for seed in range(20):
         values = POMCP(simulations=1).plan(problem, seed).values(VisibleState(), problem.start)
@@ -239,8 +240,8 @@ def test_each_action_is_tried_where_there_are_fewer_simulations(accept: float) -
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_with_missed_messages_it_approaches_the_optimum(seed: int) -> None:
-    """Against the literal POMDP, in which what a user knows is drawn fact by fact; the last
-    with questions."""
+    """Values are compared with the literal POMDP, in which a user's knowledge is drawn fact by
+    fact; the last problem has questions."""
     rng = np.random.default_rng(seed)
     asked = None
     if seed % 4 == 3:
@@ -254,7 +255,7 @@ def test_with_missed_messages_it_approaches_the_optimum(seed: int) -> None:
 
 
 def test_threads_that_share_a_plan_decide_as_one_alone() -> None:
-    """As a server's do."""
+    """A server uses such threads."""
     solver = POMCP(simulations=4000, depth=None)
     for seed in range(3):
         problem = soft_problem(17 + seed, types=4, steps=8, n=8, trade_off=0.1)
@@ -275,8 +276,8 @@ def test_too_large_is_refused_with_the_size_before_memory_is_taken() -> None:
 
 
 def test_what_was_asked_before_makes_no_difference() -> None:
-    """Searches draw from a stream of their question: any order gives the same decisions, and they
-    are those of the policy itself."""
+    """Each search has its own random stream, so decisions do not depend on earlier decisions, or on
+    a cache."""
     rng = np.random.default_rng(1)
     problem = Problem(rng.random((3, 5, 8)), np.ones(3), trade_off=0.3)
     questions = [(k, g, rng.dirichlet(np.ones(3))) for k in range(5) for g in (0, 3)]

@@ -1,4 +1,5 @@
-"""The process is the problem: its tables, beliefs and outcomes, for messages that land and not."""
+"""The process represents the problem: its tables, beliefs and outcomes, also if messages may be
+missed."""
 
 from itertools import product
 

@@ -44,7 +44,7 @@ class Wrapped:
 
 @dataclass(frozen=True)
 class Spoilt:
-    """QMDP with another answer: ``decide(policy, problem, visible, belief)``."""
+    """QMDP with another decision, ``decide(policy, problem, visible, belief)``."""
 
     decide: object = None
     values: object = None
@@ -137,7 +137,7 @@ class Asks:
 
 
 def impossible(one, setting):
-    """A transition that ends where it began, which no move of the robot's does."""
+    """Makes a transition that ends at its start, which no action of the robot does."""
     return replace(one, transitions=one.transitions[:, [0, 1, 0]])
 
 
@@ -166,13 +166,13 @@ QUERIES = [
 
 
 def parameter_of(setting):
-    """What the first type believes incorrectly."""
+    """Returns the parameter that the first type believes incorrectly."""
     wrong = setting.types[0].inaccurate
     return next(p for p in setting.domain.parameters if p.name in wrong)
 
 
 class Sure:
-    """A labeler that is certain of what it says."""
+    """A labeler that is certain of its predictions."""
 
     def fit(self, dataset, seed):
         labeler = LabelerTrainer().fit(dataset, seed)

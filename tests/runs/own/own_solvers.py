@@ -1,7 +1,7 @@
 """A user's own solvers, for tests of the use from Python.
 
-A module by itself: a component's fingerprint covers its whole package with all that it imports, and
-that of the tests is large.
+They are a separate module, because a component's fingerprint covers its whole package with all
+imports, and the package of the tests is large.
 """
 
 from __future__ import annotations
