@@ -54,7 +54,7 @@ def world(*overrides: str) -> tuple[Prepared, Costs]:
 
 
 def questions(*overrides: str) -> CaseQuestions:
-    """Those of the first trace."""
+    """Returns the questions of the first trace."""
     found = world(*overrides)[0].cases[0].questions
     assert found is not None
     return found

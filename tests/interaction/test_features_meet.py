@@ -124,7 +124,7 @@ class Situation:
         )
 
     def play(self, seed: int, restored: bool) -> tuple[Session, list[Any]]:
-        """A session to its end, and what it answered to every request."""
+        """Plays a session to its end; returns it with its answers to every request."""
         rng, seen = np.random.default_rng(seed), list[Any]()
         clips = self.transitions[1:4] if "questions" in self.features else []
         grows = "growing trace" in self.features

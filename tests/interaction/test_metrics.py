@@ -200,8 +200,8 @@ def test_intervals_of_shares_cover_however_alike_the_cases_of_a_cluster_are(
 
 @given(st.lists(st.lists(st.booleans(), min_size=3, max_size=3), min_size=2, max_size=12))
 def test_clusters_that_even_out_are_no_more_cases_than_there_are(clusters):
-    """However little the clusters' shares vary, the interval holds that of as many independent
-    cases."""
+    """However little the clusters' shares vary, the interval contains the interval of as many
+    independent cases."""
     cases = np.concatenate(clusters)
     known = stats.binomtest(int(cases.sum()), len(cases)).proportion_ci(method="wilson")
     found = clustered_share(cases, np.repeat(range(len(clusters)), 3))

@@ -27,7 +27,7 @@ ASKING = "asking"
 
 @cache
 def flow_of(kind: str) -> Flow[Any, Any]:
-    """One for all tests; nothing that is computed depends on what it keeps."""
+    """Makes one flow for all tests; no result depends on its cache."""
     if kind == "study":
         return studying.street_study()
     if kind == ASKING:

@@ -36,7 +36,7 @@ def test_the_weight_of_hypotheses_makes_the_answers_likeliest(seed):
 
 
 def crowd(seed=0, each=24, thinks=None):
-    """Two kinds of people, three each, one answer in twenty wrong."""
+    """Simulates two kinds of people, three each, with one wrong answer in twenty."""
     rng, known = np.random.default_rng(seed), hypotheses()
     data = asked(known, [3] * 3 + [12] * 3, each, rng, thinks)
     return known, erring(data, [0.05] * 6, rng)

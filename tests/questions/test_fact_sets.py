@@ -26,7 +26,8 @@ from xplain.learning.mixture.partition import partition
 
 
 def known_of(hypotheses_seed=0, facts=3, transitions=5, variants=1, unwritten=0):
-    """Random labels. No candidate believes the facts of ``unwritten`` messages incorrectly."""
+    """Draws random labels. No candidate believes the facts of ``unwritten`` messages
+    incorrectly."""
     rows = np.arange(transitions, dtype=np.float64)[:, None]
     made = random_hypotheses(
         *(hypotheses_seed, facts, transitions, variants),
@@ -227,8 +228,8 @@ def test_somebody_may_hold_wrong_what_no_hypothesis_does():
 
 
 def odd_people(known, facts, count, rng, odd):
-    """As :func:`people`; whoever believes fact 3 incorrectly, too, finds the transitions ``odd``
-    inexplicable until told."""
+    """Simulates observers like :func:`people`; people who also believe fact 3 incorrectly find the
+    transitions ``odd`` inexplicable until they get its message."""
     said = people(known, [held & 7 for held in facts], count, rng, 0.03)
     for held, one in zip(facts, said, strict=True):
         wonders = (held & ~one.message_set & 8 > 0) & np.isin(one.transition, odd)

@@ -25,7 +25,7 @@ Both = tuple[Problem, Problem]
 
 
 def assert_alike(solver: Solver, both: Both, sure: bool = False) -> None:
-    """Checks that two policies give the same messages with the same values in every state."""
+    """Checks that two policies give the same messages with the same values at random beliefs."""
     policies = [solver.plan(problem, seed=3) for problem in both]
     rng = np.random.default_rng(0)
     types, n = both[1].n_types, both[1].n_messages

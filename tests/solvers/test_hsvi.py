@@ -67,8 +67,8 @@ def test_a_belief_that_was_not_found_is_searched_from_there() -> None:
 
 def rarely_needed() -> Problem:
     """Makes a problem in which one user in twenty has type B or C, which the first label shows.
-    Message z (cost 20) makes all transitions explicable, except C's second transition and the third
-    transition, which needs b or c (10 each), too.
+    Message z (cost 20) makes all transitions explicable, except two: C's second transition, and the
+    third transition, which also needs b or c (10 each).
 
     The optimal policy explains; then it gives z to one user in twenty, explains, and gives b or c,
     by the second label. This user costs 24 + (20 + 12) + (10 + 12); the two 12 are means of C's 24

@@ -133,11 +133,11 @@ def test_what_one_person_tells_equals_enumeration(seed: int) -> None:
     ("accept", "forget", "seed"), [(1.0, 0.0, 0), (0.8, 0.0, 1), (0.8, 0.1, 2), (1.0, 0.05, 3)]
 )
 def test_rates_of_simulated_people_are_found_again(accept: float, forget: float, seed: int) -> None:
-    """Within four standard errors, and what the documented shares pull, had half as many been
-    there. On the street a person believes two of four facts incorrectly. Of a page where such a
-    fact is told at first the label is 1 with p = α (1 − e) + (1 − α) e, so that α is known to sd(p)
-    / (1 − 2e); a fact taken in is there three pages later with (1 − φ)³, the slope of which is 3 at
-    most."""
+    """Rates are right within four standard errors, plus the pull of the documented shares on half
+    as many people. On the street a person believes two of four facts incorrectly. On the page with
+    the first message about such a fact, the label is 1 with p = α (1 − e) + (1 − α) e, so the
+    standard error of α is sd(p) / (1 − 2e). An accepted fact is still known three pages later with
+    (1 − φ)³, whose slope is at most 3."""
     people, error = 120, 0.05
     habits = bot.Habits(error, forgetting=1 - accept, losing=forget, mistake=0)
     states: list[CollectState] = []

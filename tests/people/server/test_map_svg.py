@@ -50,7 +50,7 @@ def test_no_two_kinds_of_things_look_alike() -> None:
 
 
 def test_each_fact_of_rescue_has_a_picture_of_its_own() -> None:
-    """Nine sentences, told rightly or not, and their pictures by the names of icons."""
+    """There are nine sentences, true or false; their pictures have the names of icons."""
     wording: Any = OmegaConf.to_container(compose_config("study", []).wording, resolve=True)
     in_words = phrases_of(wording["phrases"], on_a_map=True)
     icons = {in_words(name): path for name, path in wording["icons"].items()}

@@ -140,7 +140,7 @@ def test_only_completion_uses_a_place_up(store: Store, time: Time, study: Study)
 
 
 def test_who_sets_the_clock_times_nobody_out(opened: Opened, study: Study) -> None:
-    """Within a boot of the machine the monotonic clock counts, and the wall clock after one."""
+    """The monotonic clock counts until the machine restarts, and the wall clock over a restart."""
     wall, monotonic = [1e9], [50.0]
     clock = Clock(lambda: wall[0], lambda: monotonic[0], "boot")
     store = opened(study, clock)
@@ -427,7 +427,7 @@ def test_a_link_of_somebody_erased_makes_nobody_new(store: Store) -> None:
 def test_who_comes_back_finds_the_place_of_somebody_who_is_silent_now(
     store: Store, time: Time, study: Study
 ) -> None:
-    """Nobody looked for the silent meanwhile: the return itself does."""
+    """No check for silent people ran in between: the return runs it."""
     places = len(study.plan.cells) * study.plan.rules.per_cell
     away, *others = (store.enter_invited(t) for t in store.invite(places + 1, "person"))
     consent(store, away)
