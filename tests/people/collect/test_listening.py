@@ -173,7 +173,7 @@ def test_the_command_learns_from_a_stream_alone(
     assert [line.split("=")[0] for line in said.splitlines()[1:]] == [
         *("belief.error", "belief.accept", "belief.forget")
     ]
-    with pytest.raises(InputError, match="one with answers"):
+    with pytest.raises(InputError, match="a database with answers"):
         listeners_in(path, "bot")
     Store(tmp_path / "without.sqlite", street_collection()).close()
     with pytest.raises(InputError, match=r"rules\.listening.*nothing was asked again"):
@@ -181,7 +181,7 @@ def test_the_command_learns_from_a_stream_alone(
 
 
 def test_more_messages_than_facts_are_refused() -> None:
-    with pytest.raises(InputError, match=r"rules\.listening.*at most one message a fact: 4"):
+    with pytest.raises(InputError, match=r"rules\.listening.*at most one message for each fact: 4"):
         street_plan(listening=5)
     with pytest.raises(InputError, match=r"rules\.listening"):
         street_plan(listening=-1)

@@ -1,8 +1,9 @@
-"""The state of a participant, the choice of the next clip, and what the answers so far show.
+"""The state of a participant, the choice of the next clip, and the results of the answers so far.
 
-Questions come from :class:`xplain.questions.questionnaire.Questionnaire`, or from one list for all.
-They include an obvious step, and some of the first questions are repeated. At the end, people may
-get messages that stay valid on later pages, to test if they believe and remember them.
+:class:`xplain.questions.questionnaire.Questionnaire` chooses the questions, or one list has the
+questions for all people. An obvious step is among the questions, and some of the first questions
+are repeated. At the end, people may get messages that stay valid on later pages. Labels on these
+pages show if people accept and remember the messages.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ TOLD, LATER, AGAIN = "told", "later", "again"
 without the message, and the step with the message given again."""
 HEEDED = (TOLD, LATER, AGAIN)
 STATED = ("accurate", "inaccurate", "unsure")
-"""Possible statements about a fact; the payload has their index."""
+"""Possible statements about a fact; the payload has the index of a statement."""
 KEPT = 1e-6
 """Fact sets with a smaller posterior are not stored."""
 ALTERNATIVES, AS_MUCH = 200, 0.9
@@ -41,10 +42,10 @@ SHARED = 1e-3
 
 @dataclass(frozen=True)
 class AskedClip:
-    """A few transitions under one message set, with their labels after the answer.
+    """A few transitions under one message set; after the answer with their labels.
 
     Attributes:
-        purpose: QUESTION, REPEAT, ATTENTION (no transitions, one label), or one of HEEDED.
+        purpose: QUESTION, REPEAT, ATTENTION (no transitions, one label), or a purpose in HEEDED.
         transitions: rows of the hypotheses.
         told: bitmask of the messages shown.
         labels: one for each transition, possibly CANNOT_TELL; empty before the answer.
@@ -76,12 +77,12 @@ class CollectState(core.State):
     """The state of a participant. The default values are the start.
 
     Attributes:
-        number: the participant's number, which seeds their questions; None before consent.
-        role: index of the role of their briefing; None without a briefing.
-        others: {fact set: its share among earlier participants}.
+        number: the participant's number, which seeds the questions; None before consent.
+        role: index of the role in the briefing; None without a briefing.
+        others: {fact set: share among earlier participants}.
         answered: clips with their labels.
         clip: the clip on the page.
-        belief: {fact set, or "none": its posterior} after the last question.
+        belief: {fact set, or "none": posterior} after the last question.
         stated: for each fact an index into STATED.
     """
 
@@ -100,7 +101,7 @@ class CollectState(core.State):
         return self.number
 
     def questions(self) -> list[AskedClip]:
-        """The answered clips that are questions; types are learned from them."""
+        """Returns the answered clips that are questions; types are learned from them."""
         return [clip for clip in self.answered if clip.purpose == QUESTION]
 
     @property
@@ -112,7 +113,7 @@ class CollectState(core.State):
 
     @property
     def attentive(self) -> bool | None:
-        """False if the person found that the obvious step makes sense; None before they saw it."""
+        """False if the obvious step made sense to the person; None before the person saw it."""
         seen = [clip.labels[0] for clip in self.answered if clip.purpose == ATTENTION]
         return None if not seen else seen[0] != 1
 
@@ -132,15 +133,15 @@ class CollectState(core.State):
 
 class ClipTask(NamedTuple):
     """The purpose of one clip: a question, a repetition of question number ``again``, an attention
-    check, or message number ``again`` among those that stay valid."""
+    check, or a test of message number ``again`` that stays valid."""
 
     purpose: str
     again: int = -1
 
 
 def schedule(plan: CollectPlan, number: int) -> tuple[ClipTask, ...]:
-    """The purposes of one participant's clips, in order: questions with the obvious step among
-    them; near the end some of the first questions again; then messages that stay valid."""
+    """Lists the purposes of one participant's clips, in order: questions with the obvious step
+    among them; near the end some of the first questions again; then messages that stay valid."""
     asked = questions_of(plan)
     rng = stream(plan.seed, "schedule", number)
     tasks = [ClipTask(QUESTION)] * asked
@@ -155,8 +156,8 @@ def schedule(plan: CollectPlan, number: int) -> tuple[ClipTask, ...]:
 
 
 def mean_posterior(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """The mean posterior of earlier participants, as a prior for the next one. It is rounded, so it
-    does not depend on their order."""
+    """Computes the mean posterior of earlier participants, as a prior for the next participant. The
+    mean is rounded, so it does not depend on the order of participants."""
     total: dict[str, float] = {}
     for belief in beliefs:
         some = 1 - belief.get("none", 0.0)
@@ -167,7 +168,8 @@ def mean_posterior(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def prior(plan: CollectPlan, others: Mapping[str, float]) -> NDArray[np.float64]:
-    """[C] prior over fact sets; part of it comes from other people's answers, if there are any."""
+    """Returns [C] prior over fact sets; part of it comes from other people's answers, if there are
+    any."""
     known = plan.hypotheses
     if not others or not plan.design.from_others:
         return known.prior
@@ -179,7 +181,8 @@ def prior(plan: CollectPlan, others: Mapping[str, float]) -> NDArray[np.float64]
 
 
 def belief(asking: Questionnaire) -> dict[str, float]:
-    """The posterior {facts of a class, or "none": probability}, without values below KEPT."""
+    """Returns the posterior {facts of a class, or "none": probability}, without values below
+    KEPT."""
     known = asking.hypotheses
     facts, first = np.unique(known.classes, return_index=True)
     weight = asking.classes
@@ -188,15 +191,15 @@ def belief(asking: Questionnaire) -> dict[str, float]:
 
 
 def questions_of(plan: CollectPlan) -> int:
-    """Number of questions for each participant. The last question may have fewer steps."""
+    """Counts the questions for each participant. The last question may have fewer steps."""
     return -(-plan.rules.points // plan.design.clip)
 
 
 def clip(
     plan: CollectPlan, state: CollectState, tasks: Sequence[ClipTask], asking: Questionnaire
 ) -> AskedClip:
-    """Chooses the clip for the next task, given all answers. Two clips of the same step never
-    follow each other if there are others."""
+    """Chooses the clip for the next task, given all answers. If other steps are possible, two
+    consecutive clips never show the same step."""
     step, questions = len(state.answered), state.questions()
     task, following = tasks[step], tasks[step + 1 : step + 2]
     if task.purpose == REPEAT:
@@ -204,7 +207,7 @@ def clip(
     if task.purpose == ATTENTION:
         return AskedClip(ATTENTION, (), 0)
     if task.purpose in HEEDED:
-        return _heeded(plan, state, task)
+        return _choose_lasting(plan, state, task)
     looks_back = [questions[n.again] for n in following if n.purpose == REPEAT]
     beside = [*state.answered[-1:], *looks_back]
     near = {t for one in beside for t in one.transitions}
@@ -219,22 +222,22 @@ def clip(
         about, told = max(listed, key=lambda q: (q[0] not in last, q[0] not in near, many[q[0]]))
         return AskedClip(QUESTION, (about,), told)
     if asking.clip == 1:
-        about, told = _varied(plan, questions, near, asking)
+        about, told = _vary_question(plan, questions, near, asking)
         return AskedClip(QUESTION, (about,), told)
     about, told = asking.next()
-    if (tuple(np.atleast_1d(about).tolist()), told) in _unknown(questions):
-        about, told = _varied(plan, questions, near, asking)
+    if (tuple(np.atleast_1d(about).tolist()), told) in _list_unknown(questions):
+        about, told = _vary_question(plan, questions, near, asking)
     return AskedClip(QUESTION, tuple(np.atleast_1d(about)[:left].tolist()), told)
 
 
-def _varied(
+def _vary_question(
     plan: CollectPlan, before: Sequence[AskedClip], near: set[int], asking: Questionnaire
 ) -> tuple[int, int]:
     """Chooses the best question about a step that was not shown before, if it is about as
     informative as the best question; otherwise the best question about a step that the neighbouring
     clips do not show."""
     phrases, every = plan.hypotheses.phrases, asking.alternatives(ALTERNATIVES)
-    unknown = _unknown(before)
+    unknown = _list_unknown(before)
     found = [one for one in every if ((one[0],), one[1]) not in unknown] or every
     seen = {phrases[t] for one in before for t in one.transitions}
     apart = [one for one in found if phrases[one[0]] not in {phrases[t] for t in near}]
@@ -244,15 +247,15 @@ def _varied(
     return (apart or found)[0]
 
 
-def _unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int]]:
+def _list_unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int]]:
     """Lists questions that the person could not answer. Such an answer is no evidence, so without
     this list they would remain the best questions."""
     return {(one.transitions, one.told) for one in before if CANNOT_TELL in one.labels}
 
 
-def _heeded(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:
+def _choose_lasting(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:
     """Chooses a message that stays valid, with a step that most likely makes sense only with this
-    message; or shows such a step again."""
+    message. For a later purpose, chooses such a step again."""
     before = [clip for clip in state.answered if clip.purpose == TOLD]
     if task.purpose != TOLD:
         first = before[task.again]

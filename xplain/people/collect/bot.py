@@ -30,9 +30,8 @@ class Habits(bots.BotHabits):
         error: probability of a wrong label for each step.
         lapse: probability that all labels of a page are random.
         forgetting: probability that a message on a page is missed.
-        losing: probability that a message that stays valid is forgotten after a page, for each
-            page.
-        seconds: time to read and judge a step; σ of its logarithm is 0.4.
+        losing: probability, for each page, that a message that stays valid is forgotten.
+        seconds: median time to read and label a step; σ of its logarithm is 0.4.
     """
 
     error: Probability = 0.05
@@ -47,7 +46,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
 
     Args:
         plan: has the sentences, and the labels of people of each role.
-        held: bitmask of the facts that they believe incorrectly; a briefing changes it.
+        held: bitmask of the facts that the observer believes incorrectly; a briefing changes it.
         habits: the assumed behaviour.
         rng: random stream.
     """
@@ -84,20 +83,20 @@ class Observer(bots.Bot[CollectPlan, Habits]):
         return answer
 
     def at_beliefs(self, page: Page) -> Fields:
-        """States their belief about each fact."""
+        """States the observer's belief about each fact."""
         facts = [int(name.removeprefix("fact_")) for name in page.fields]
         return [(f"fact_{j}", str(self.held >> j & 1)) for j in facts]
 
     def heard(self, told: Sequence[str]) -> int:
-        """The messages on a page that the bot notices, as a bitmask."""
+        """Returns the messages on a page that the bot notices, as a bitmask."""
         sentences, missing = [fact.message for fact in self.plan.facts], self.habits.forgetting
         # No draw without forgetting, so that the stream stays the same.
         heard = [said for said in told if not (missing and self.chance(missing))]
         return sum(1 << sentences.index(sentence) for sentence in heard)
 
     def labels(self, transitions: Sequence[int], right: int) -> tuple[Fields, float]:
-        """Labels of a clip's transitions by a person who believes the facts ``right`` (a bitmask)
-        correctly, and the time in seconds. No transitions mean the obvious step."""
+        """Labels a clip's transitions as a person who believes the facts ``right`` (a bitmask)
+        correctly. Also returns the time in seconds. No transitions mean the obvious step."""
         known = self.plan.hypotheses
         row = int(known.row(np.array(self.held & ~right)))
         true = [int(known.labels[row, t]) for t in transitions] or [0]
@@ -110,6 +109,6 @@ class Observer(bots.Bot[CollectPlan, Habits]):
 
 
 def bot(plan: CollectPlan, habits: Habits, seed: int, number: int) -> Observer:
-    """The simulated observer with a number. Consecutive numbers have different roles."""
+    """Makes the simulated observer with a number. Consecutive numbers have different roles."""
     held = plan.roles[number % len(plan.roles)].held
     return Observer(plan, held, habits, stream(seed, "bots", number))

@@ -49,7 +49,7 @@ class TaskStage(Briefing["Collection", CollectState]):
     """The robot's task, without the facts that people are asked about, and an assigned briefing."""
 
     def facts(self, flow: Collection, state: CollectState) -> Mapping[str, Sequence[str]]:
-        """The facts of the briefing, if there is one."""
+        """Returns the facts of the briefing, if there is a briefing."""
         return {"told_to_you": flow.briefing(state).get("briefing", ())}
 
 
@@ -57,14 +57,14 @@ class CollectPractice(Practice["Collection", CollectState]):
     """The practice: an action makes no sense under one sentence, and makes sense under another."""
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
-        """Shows one of the two sentences."""
+        """Shows the action with one of the two sentences."""
         example = flow.plan.example
         told = example.speaks_for if state.part else example.against
         return {"part": state.part, "told": [told], "action": example.action}
 
 
 class ClipStage(Stage["Collection", CollectState]):
-    """Clips: a few consecutive steps under some messages, one clip after the other.
+    """Pages with clips. A clip has a few consecutive steps, under some messages.
 
     Attributes:
         LASTING: True if messages stay valid on later pages.
@@ -74,13 +74,13 @@ class ClipStage(Stage["Collection", CollectState]):
 
     def enter(self, flow: Collection, state: CollectState) -> CollectState:
         """Chooses the first clip."""
-        return self._next(flow, replace(state, wrong=False))
+        return self._choose_next(flow, replace(state, wrong=False))
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """Shows the clip; hides the hypotheses, the posterior, and the clip's purpose."""
         assert state.clip is not None, "a clip is on the page"
         return flow.briefing(state) | {
-            **_clip(flow.plan, state.clip),
+            **_describe_clip(flow.plan, state.clip),
             "lasting": self.LASTING,
             "clip_number": len(state.answered) + 1,
             "clip_count": len(asking.schedule(flow.plan, state.person)),
@@ -94,15 +94,15 @@ class ClipStage(Stage["Collection", CollectState]):
     def advance(
         self, flow: Collection, state: CollectState, payload: Mapping[str, Any]
     ) -> CollectState:
-        """Moves to the next clip, or to the next stage after the last one."""
+        """Moves to the next clip, or to the next stage after the last clip."""
         clip = state.clip
         assert clip is not None, "a clip is on the page"
         answers = CANNOT_TELL + 1
         chosen = choices(payload.get("labels"), [answers] * clip.size, flow.words["label_missing"])
         state = replace(state, answered=(*state.answered, replace(clip, labels=chosen)), clip=None)
-        return self._next(flow, state)
+        return self._choose_next(flow, state)
 
-    def _next(self, flow: Collection, state: CollectState) -> CollectState:
+    def _choose_next(self, flow: Collection, state: CollectState) -> CollectState:
         """Moves to the next clip, or to the end of the clips."""
         step, known = len(state.answered), flow.questionnaire(state)
         state = replace(state, belief=asking.belief(known))
@@ -176,9 +176,8 @@ class Collection(Flow[CollectPlan, CollectState]):
         return cls(plan)
 
     def admit(self, person: Participant[CollectState], people: People) -> dict[str, Any]:
-        """Returns the participant's number, the role of their briefing, and the beliefs of earlier
-        participants: the posteriors of finished ones in the same stream, whose numbers are
-        stored."""
+        """Returns the participant's number, the role in the briefing, and the posteriors of
+        earlier participants. These finished in the same stream, and their numbers are stored."""
         own = [one for one in people if one.stream == person.stream]
         kept = {
             one.number: one.state.belief
@@ -190,7 +189,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         consent = {"number": number, "role": None, "after": [*kept], "others": shared}
         if not self.plan.assigned:
             return consent
-        # The role with the fewest participants still present; ties at random.
+        # The role with the fewest participants who did not leave; ties are decided at random.
         there = [one.state.role for one in own if one.state.stage not in ("withdrawn", "timed_out")]
         counts = [there.count(role) for role in range(len(self.plan.roles))]
         fewest = [role for role, count in enumerate(counts) if count == min(counts)]
@@ -198,19 +197,19 @@ class Collection(Flow[CollectPlan, CollectState]):
         return consent | {"role": int(rng.choice(fewest))}
 
     def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Stores the number, the briefing's role, and the beliefs of earlier participants."""
+        """Stores the number, the briefing's role, and the posteriors of earlier participants."""
         return {key: payload[key] for key in ("number", "role", "others")}
 
     def forget(self) -> None:
-        """Also clears the questionnaires and the types found; both are computed again when
+        """Clears also the questionnaires and the found types, which are computed again if
         needed."""
         super().forget()
         self.kept.cache_clear()
         self.found.clear()
 
     def find_drawing(self, what: tuple[int, ...]) -> tuple[Way | None, int, Sequence[str]]:
-        """The transitions of a clip; without transitions, the robot at a place where it covers no
-        item of the map."""
+        """Finds the drawing of a clip's transitions. Without transitions, the robot is at a place
+        where it covers no item of the map."""
         shown, scene = self.plan.shown, self.plan.scene
         if scene is None:
             return None, 0, ()
@@ -221,11 +220,11 @@ class Collection(Flow[CollectPlan, CollectState]):
         return next((way for way in ways if way[0][0] not in taken), ways[0]), 0, ()
 
     def step_of(self, state: CollectState) -> str:
-        """The number of finished clips and of all clips."""
+        """Describes the number of the open clip."""
         return f"page {len(state.answered) + 1}" if state.clip else ""
 
     def briefing(self, state: CollectState) -> dict[str, Any]:
-        """The sentences of the participant's briefing, if they have one."""
+        """Returns the sentences of the participant's briefing, if they have one."""
         return {} if state.role is None else {"briefing": self.plan.roles[state.role].briefing}
 
     @cached_property
@@ -257,7 +256,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         return kept
 
     def questionnaire(self, state: CollectState) -> Questionnaire:
-        """The questionnaire of a participant, with all their answers."""
+        """Returns the questionnaire of a participant, with all their answers."""
         judged = [one.judged for one in state.questions()]
         answers = tuple((one.labels, one.transitions, one.told) for one in judged if one.labels)
         known: Questionnaire = self.kept(state.person, frozenset(state.others.items()), answers)
@@ -265,8 +264,8 @@ class Collection(Flow[CollectPlan, CollectState]):
 
 
 def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int, str]]]]:
-    """The facts in a random order for each participant, each with its two sentences, of which the
-    first is not always the true one: [(fact, [(index into STATED, sentence), …])]."""
+    """Lists the facts in a random order for each participant, each fact with its two sentences in a
+    random order: [(fact, [(index into STATED, sentence), …])]."""
     rng = stream(plan.seed, "beliefs", number)
     found = []
     for j in rng.permutation(len(plan.facts)).tolist():
@@ -276,7 +275,7 @@ def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int
     return found
 
 
-def _clip(plan: CollectPlan, clip: AskedClip) -> dict[str, Any]:
+def _describe_clip(plan: CollectPlan, clip: AskedClip) -> dict[str, Any]:
     told = [plan.facts[j].message for j in indices(clip.told)]
     if clip.purpose == ATTENTION:  # with a picture if other pages have one
         picture = [t for t, one in enumerate(plan.shown) if one.picture][:1]

@@ -1,5 +1,5 @@
-"""The plan of a collection: everything that participants may see, fixed before the first one
-comes."""
+"""The plan of a collection: everything that participants may see. It is fixed before the first
+participant enters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Example:
     Attributes:
         action: the robot's action.
         against: a sentence under which the action makes no sense.
-        speaks_for: a sentence under which it makes sense.
+        speaks_for: a sentence under which the action makes sense.
     """
 
     action: str
@@ -33,10 +33,10 @@ class CollectRules:
     """Numbers of the protocol.
 
     Attributes:
-        people: planned number of people, shown on the researcher's page; more people may come.
+        people: planned number of people, shown on the researcher's page; more people may take part.
         points: labels of each person, without those for consistency and attention.
         timeout_minutes: minutes without activity after which a participant is paused.
-        repeats: questions asked a second time, for consistency.
+        repeats: number of questions that are asked a second time, for consistency.
         attention: True if an obvious step is among the questions.
         listening: number of messages at the end that stay valid. Each has three questions: at once,
             later without the message, and with the message given again.
@@ -58,13 +58,12 @@ class CollectRules:
 
 @dataclass(frozen=True)
 class CollectRole:
-    """A kind of people who believe certain facts incorrectly. Simulated people have one of several
-    roles. A briefing can give real people the knowledge of a role, to see whether their answers
-    reveal it.
+    """People who believe certain facts incorrectly. Each simulated person has a role. A briefing
+    can give real people the knowledge of a role, to test if their answers reveal the role.
 
     Attributes:
         name: name of the user type.
-        held: bitmask of the facts that it believes incorrectly.
+        held: bitmask of the facts that the type believes incorrectly.
         briefing: one sentence for each fact, as this type believes it.
     """
 
@@ -78,17 +77,18 @@ class CollectPlan(StoredPlan):
     """A collection about T transitions and n facts.
 
     Attributes:
-        example, rules: see their types.
+        example: the practice.
+        rules: numbers of the protocol.
         roles: roles of simulated people.
         assigned: True if each participant gets the briefing of a role.
-        hypotheses: what people might believe incorrectly, with phrases.
-        whole: hypotheses for all transitions, from which types are learned: also for transitions
-            that nobody is asked about, because others have the same features. None if all
-            transitions are asked about.
+        hypotheses: sets of facts that people may believe incorrectly, with phrases.
+        whole: hypotheses for all transitions, from which types are learned. Nobody is asked about
+            transitions that have the same features as another transition. None if people are asked
+            about all transitions.
         subject: subject of the phrases; "" if phrases are whole sentences.
         questions: the list of questions for all people, as (transition, message set); empty if each
             question depends on earlier answers.
-        design: the design of adaptive questions; for a list, it evaluates the answers.
+        design: the design of adaptive questions, which also evaluates the answers to a list.
         shown: [T] the transitions.
         attention: the obvious step that does not make sense.
     """

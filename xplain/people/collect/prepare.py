@@ -33,24 +33,26 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
     """
     run_seed(cfg.seed)
     config = select_plan_keys(cfg)
-    rules = CollectRules(points=config["points"], **config["rules"])  # errors come early
+    rules = CollectRules(points=config["points"], **config["rules"])  # raises its errors early
     design = instantiate(cfg.queries)
     if not isinstance(design, Adaptive | Battery):
         raise InputError("queries", config["queries"]["_target_"], "battery or adaptive")
     if isinstance(design, Adaptive) and design.in_turn:
-        raise InputError("queries.in_turn", True, "false: people are asked as they come")
+        raise InputError(
+            "queries.in_turn", True, "false: people take part at any time, not in turn"
+        )
     one_of("briefing", config["briefing"], ("none", "assigned"))
     if config["briefing"] == "assigned" and cfg.transitions is not None:
         raise InputError(
-            "briefing", "assigned", "none for one's own transitions: they name no types"
+            "briefing", "assigned", "none for your own transitions: they name no types"
         )
     plan = assemble(material_of(cfg), design, rules, config)
-    # The stored plan is the one that runs, also for the first participant.
+    # The first participant too must get the plan as it is stored.
     return CollectPlan.from_text(plan.text)
 
 
 def material_of(cfg: DictConfig) -> Material:
-    """The task: a domain of conf/domain/, or a table of a lab's own transitions."""
+    """Makes the task: a domain of conf/domain/, or a table of a lab's own transitions."""
     if cfg.transitions is not None:
         return read_own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
     if cfg.facts is not None:
@@ -67,9 +69,9 @@ def assemble(
         XplainError: two parts contradict each other.
     """
     known, wording = material.hypotheses, config["wording"]
-    assert known is not None, "people are asked by hypotheses"
+    assert known is not None, "questions need hypotheses"
     if rules.listening > len(material.facts):
-        most = f"at most one message a fact: {len(material.facts)}"
+        most = f"at most one message for each fact: {len(material.facts)}"
         raise InputError("rules.listening", rules.listening, most)
     subject = wording["words"]["robot"] if material.transitions is not None else ""
     own, in_words = make_plan_fields("collect", config, wording, material, f"{subject} {{phrase}}")
@@ -86,7 +88,7 @@ def assemble(
         rules=rules,
         asked=lab_questions(wording["questions"])[0],
         roles=tuple(
-            _role(one.name, mask_of(one.inaccurate, known.messages), own["facts"])
+            _make_role(one.name, mask_of(one.inaccurate, known.messages), own["facts"])
             for one in material.types
         ),
         assigned=config["briefing"] == "assigned",
@@ -100,6 +102,6 @@ def assemble(
     )
 
 
-def _role(name: str, held: int, facts: Sequence[Parameter]) -> CollectRole:
+def _make_role(name: str, held: int, facts: Sequence[Parameter]) -> CollectRole:
     briefing = tuple(f.belief if held >> j & 1 else f.message for j, f in enumerate(facts))
     return CollectRole(name, held, briefing)

@@ -1,8 +1,8 @@
 """Tables from a snapshot of the database: ``collect export``.
 
-``labels.csv`` is the input of ``xplain discover``, together with ``hypotheses.npz``, by which the
-questions were chosen. ``observers.csv`` describes the people who gave the labels, ``clips.csv``
-their pages. People, pilots and bots never share a table of labels.
+``labels.csv`` is the input of ``xplain discover``, together with ``hypotheses.npz``, which decided
+the questions. ``observers.csv`` describes the people who gave the labels, and ``clips.csv`` the
+pages of these people. People, pilots and bots never share a table of labels.
 """
 
 from __future__ import annotations
@@ -42,9 +42,8 @@ SURE = 0.95
 
 
 def dataset_of(plan: CollectPlan, people: Mapping[str, CollectState]) -> Dataset:
-    """The labels of these people's questions, in the form of
-    :mod:`xplain.learning.data.label_file`. Repetitions and the obvious step are no questions, and
-    "I cannot tell" is no label."""
+    """Collects the labels of these people's questions as a dataset. Repetitions and the obvious
+    step are no questions, and "I cannot tell" is no label."""
     known = plan.hypotheses
     assert known.features is not None, "a plan's hypotheses have features"
     rows = [
@@ -72,8 +71,8 @@ class FoundType:
     """A type that was found.
 
     Attributes:
-        wrong: names of the facts that it believes incorrectly.
-        members: positions of its people.
+        wrong: names of the facts that the type believes incorrectly.
+        members: positions of the type's people.
         posterior: mean probability that a member, judged alone, believes exactly these facts
             incorrectly.
     """
@@ -115,19 +114,19 @@ def fact_sets(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[NDArra
     """Clusters people by the Dirichlet process over fact sets, as ``discover`` does with the same
     hypotheses. Returns the facts [N] that each person's type believes incorrectly, and the share of
     wrong answers."""
-    asked = _asked(plan, people)
+    asked = _collect_answers(plan, people)
     found, data = asked.partition(CONCENTRATION), asked.dataset
     return found.facts, found.answers.wrong(asked.place[data.transition], data.observer)
 
 
-def _asked(plan: CollectPlan, people: Sequence[CollectState]) -> KnownAnswers:
-    """The labels of these people about transitions that the hypotheses contain."""
+def _collect_answers(plan: CollectPlan, people: Sequence[CollectState]) -> KnownAnswers:
+    """Collects the labels of these people about transitions that the hypotheses contain."""
     data = dataset_of(plan, {str(o): state for o, state in enumerate(people)})
     return KnownAnswers.of(KnownTransitions.of(plan.hypotheses), data)
 
 
 def find_types_so_far(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar | None:
-    """The types so far; None before the second person."""
+    """Finds the types so far; None before the second person."""
     if len(people) < 2:
         return None
     facts, error = fact_sets(plan, people)
@@ -145,16 +144,16 @@ def find_types_so_far(plan: CollectPlan, people: Sequence[CollectState]) -> Know
         error=error,
         unsure=sum(one <= SURE for one in best),
         unlike=float(np.mean([state.belief.get("none", 0.0) for state in people])),
-        evidence=_asked(plan, people).evidence(np.unique(facts, return_inverse=True)[1]),
+        evidence=_collect_answers(plan, people).evidence(np.unique(facts, return_inverse=True)[1]),
         new_types=new_types,
         next_new=next_new,
     )
 
 
 def glance(collection: Collection, people: People) -> dict[str, Any]:
-    """Computes figures for the researcher's page: the labels so far, the types found in them, and
-    the expected number of new types in more people. They are about people, or about bots if there
-    are no people yet."""
+    """Computes figures for the researcher's page: the labels so far, the types found in these
+    labels, and the expected number of new types in more people. The figures are about people, or
+    about bots if no person has taken part yet."""
     plan, found = collection.plan, collection.found
     whose = "person" if any(one.stream == "person" for one in people) else "bot"
     states = {one.id: one.state for one in people if one.stream == whose}
@@ -177,9 +176,9 @@ def glance(collection: Collection, people: People) -> dict[str, Any]:
 
 
 def count_agreement(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dict[str, int]]:
-    """Counts for each fact the people with an opinion at the end ("of"), those who said that they
-    believed it incorrectly ("said"), those whose answers show it ("inferred"), and those for whom
-    both agree ("agree")."""
+    """Counts people for each fact. "of": people who stated a belief at the end. "said": people who
+    stated the incorrect belief. "inferred": people whose answers show the incorrect belief.
+    "agree": people whose statement agrees with their answers."""
     found = {
         fact.name: dict.fromkeys(("said", "inferred", "agree", "of"), 0) for fact in plan.facts
     }
@@ -200,8 +199,8 @@ def predict_new_types(types: int, people: int, more: int) -> tuple[float, float]
     sampling formula).
 
     The concentration α is the value with this expected number of types: Σ α / (α + i) over i <
-    people. Its minimum expects about half a type besides the first, since otherwise a single type
-    would exclude every other for ever.
+    people. The minimum of α expects about half a type besides the first type. Without a minimum, a
+    single type would give every new type the probability 0.
 
     Returns:
         The probability that the next person has a new type, and the expected number of new types in
@@ -211,7 +210,7 @@ def predict_new_types(types: int, people: int, more: int) -> tuple[float, float]
     def expected(alpha: float) -> float:
         return float((alpha / (alpha + np.arange(people))).sum())
 
-    if types >= people:  # every person has a type of their own, so no end is in sight
+    if types >= people:  # every person has a different type, so α would be infinite
         return 1.0, float(more)
     low = 0.5 / np.log1p(people)
     # brentq needs a sign change, and expected(low) may already exceed one type.
@@ -226,8 +225,8 @@ Person = Participant[CollectState]
 
 
 def export(database: Path, folder: Path) -> str:
-    """Writes all tables of a database (better: of a snapshot) into a folder. Returns the SHA-256 of
-    the events.
+    """Writes all tables of a database, or better of a snapshot, into a folder. Returns the SHA-256
+    of the events.
 
     Raises:
         InputError: the file is not a collection's database.
@@ -246,27 +245,27 @@ def export(database: Path, folder: Path) -> str:
 
 
 def tables(plan: CollectPlan, people: list[Person]) -> dict[str, Iterable[Row]]:
-    """Rows of every table except the labels, by name. Answers of people who withdrew are left
-    out."""
+    """Makes the rows of every table except the labels, by name. Answers of people who withdrew are
+    left out."""
     stayed = [one for one in people if one.state.stage != "withdrawn"]
     return {
-        "observers": [_observer(plan, one) for one in people],
-        "clips": [row for one in stayed for row in _clips(plan, one)],
+        "observers": [_describe_observer(plan, one) for one in people],
+        "clips": [row for one in stayed for row in _list_clips(plan, one)],
     }
 
 
-def _timed(one: Person) -> list[tuple[Event, Event | None]]:
-    """Yields each answer to a clip, with the event that first showed its page."""
+def _pair_with_pages(one: Person) -> list[tuple[Event, Event | None]]:
+    """Returns each answer to a clip, with the event that first showed the clip's page."""
     shown = {e.source_sequence: e for e in one.events if e.source == "shown"}
     return [(answer, shown.get(answer.source_sequence)) for answer in one.answers("labels")]
 
 
-def _observer(plan: CollectPlan, one: Person) -> Row:
+def _describe_observer(plan: CollectPlan, one: Person) -> Row:
     state, why = one.state, one.state.left_out
     withdrawn = state.stage == "withdrawn"
     facts = {f: p for f, p in state.belief.items() if f != "none" and not withdrawn}
     best = max(facts, key=lambda f: facts[f], default=None)
-    timed = _timed(one)
+    timed = _pair_with_pages(one)
     each = [
         took / len(answer.payload["labels"])
         for answer, shown in timed
@@ -307,10 +306,10 @@ def _observer(plan: CollectPlan, one: Person) -> Row:
     }
 
 
-def _clips(plan: CollectPlan, one: Person) -> Iterator[Row]:
+def _list_clips(plan: CollectPlan, one: Person) -> Iterator[Row]:
     known = plan.hypotheses
     for number, (clip, (answer, shown)) in enumerate(
-        zip(one.state.answered, _timed(one), strict=True)
+        zip(one.state.answered, _pair_with_pages(one), strict=True)
     ):
         steps = [known.phrases[t] for t in clip.transitions] or [plan.attention]
         yield {
@@ -330,12 +329,12 @@ def _clips(plan: CollectPlan, one: Person) -> Iterator[Row]:
 #
 # On most pages a message is valid for that page alone. At the end (``rules.listening``) messages
 # stay valid: a step that made no sense is shown with the message that explains it, some pages
-# later without the message, and then with the message again. A first label of 0 means a missed
-# message, a later 0 a forgotten one, unless the person made an error. An exact filter over
-# (facts believed incorrectly, habits, known messages) computes this, as in an explanation.
+# later without the message, and then with the message again. If the person makes no error, a first
+# label of 0 means a missed message, and a later label of 0 a forgotten message. An exact filter
+# over (facts believed incorrectly, habits, known messages) computes this, as in an explanation.
 
 FACT_SETS = 64
-"""Maximum number of fact sets of a person: the most likely ones given all answers."""
+"""Maximum number of fact sets of a person: the most likely fact sets, given all answers."""
 
 
 @dataclass(frozen=True)
@@ -345,7 +344,7 @@ class Asked:
     Attributes:
         known: labels of people by the facts that they believe incorrectly.
         held: [N] fact sets that the person may have, as bitmasks.
-        prior: [N] their probabilities before any answer.
+        prior: [N] probabilities of the fact sets before any answer.
         clips: all pages except the obvious step, in order, with their labels.
     """
 
@@ -355,21 +354,21 @@ class Asked:
     clips: Sequence[AskedClip]
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
-        """[F] posterior of each habit."""
+        """Computes [F], the posterior of each habit."""
         weight = np.outer(self.prior, habits.prior).ravel()
         lasting = [clip for clip in self.clips if clip.purpose in HEEDED]
         for clip in self.clips:
             if clip.purpose not in HEEDED:
-                weight = self._through([clip], weight, habits)
+                weight = self._update([clip], weight, habits)
                 weight /= weight.sum()
-        found = self._through(lasting, weight, habits).reshape(-1, len(habits)).sum(axis=0)
+        found = self._update(lasting, weight, habits).reshape(-1, len(habits)).sum(axis=0)
         return np.asarray(found / found.sum())
 
-    def _through(
+    def _update(
         self, clips: Sequence[AskedClip], weight: NDArray[np.float64], habits: Habits
     ) -> NDArray[np.float64]:
-        """[N F] weights of (fact set, habit) after these pages. Messages stay valid from page to
-        page; at first none is known."""
+        """Updates the weights [N F] of (fact set, habit) by the labels on these pages. Messages
+        stay valid from page to page; at first the person knows no message."""
         told = sorted({j for clip in clips for j in indices(clip.told)})
         relevant = np.tile(np.array(told, np.int64), (len(weight), 1))
         accept, lose = (np.tile(rate, len(self.held)) for rate in (habits.accept, habits.forget))
@@ -395,8 +394,8 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
         stream: "person", "pilot" or "bot"; never mixed.
 
     Raises:
-        InputError: the file is not a collection's database, there is no such stream, or no messages
-            stay valid from page to page.
+        InputError: the file is not a collection's database, the stream does not exist, or no
+            messages stay valid from page to page.
     """
     one_of("stream", stream, STREAMS)
     plan, people = read(database, CollectPlan, CollectState)
@@ -406,12 +405,12 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
         raise InputError("rules.listening", 0, wanted)
     kept = [state for state in states if not state.left_out and state.belief["none"] < 0.5]
     if not kept:
-        raise InputError("database", str(database), f"one with answers (stream {stream})")
+        raise InputError("database", str(database), f"a database with answers (stream {stream})")
     return [collect_pages(plan, state) for state in kept]
 
 
 def collect_pages(plan: CollectPlan, state: CollectState) -> Asked:
-    """The pages of a person who reached the end."""
+    """Collects the pages of a person who answered all clips."""
     known = plan.hypotheses
     before = np.bincount(known.classes, prior(plan, state.others))
     shares = {int(facts): share for facts, share in state.belief.items() if facts != "none"}

@@ -47,12 +47,12 @@ def problem(status: int, detail: str, **about: Any) -> JSONResponse:
     return JSONResponse(body, status, media_type="application/problem+json")
 
 
-def _not_allowed(_: Request, error: Exception) -> JSONResponse:
+def _report_not_allowed(_: Request, error: Exception) -> JSONResponse:
     about = {key: str(getattr(error, key, ""))[:200] for key in ("key", "value", "allowed")}
     return problem(422, str(error)[:500], **about)
 
 
-def _not_understood(_: Request, error: Exception) -> JSONResponse:
+def _report_not_understood(_: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"][1:]) or "body"
@@ -61,9 +61,9 @@ def _not_understood(_: Request, error: Exception) -> JSONResponse:
 
 
 PROBLEMS: dict[Any, Callable[[Request, Exception], JSONResponse]] = {
-    XplainError: _not_allowed,
-    RequestValidationError: _not_understood,
-    Unknown: lambda _, error: problem(404, "there is no such talk"),
+    XplainError: _report_not_allowed,
+    RequestValidationError: _report_not_understood,
+    Unknown: lambda _, error: problem(404, "there is no such session or questionnaire"),
     Conflict: lambda _, error: problem(409, str(error)),
     sqlite3.Error: lambda _, error: problem(503, f"nothing was stored: {error}"),
     HTTPException: lambda _, error: problem(error.status_code, str(error.detail)),  # type: ignore[attr-defined]
@@ -78,7 +78,7 @@ class OnlyJson:
         self.app = app
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        """See the ASGI specification."""
+        """Handles one request, as the ASGI specification requires."""
         size, kind = 0, (b"content-type", b"application/json")
         others = [one for one in scope.get("headers", ()) if one[0] != kind[0]]
 
@@ -94,7 +94,7 @@ class OnlyJson:
 
 
 class Body(BaseModel):
-    """Fields of every request: the key, for frames and beacons, which send no headers."""
+    """Fields of every request: the key. (Frames and beacons cannot send the key in a header.)"""
 
     model_config = ConfigDict(extra="forbid")
     key: str = Field("", max_length=200)
@@ -154,7 +154,7 @@ class Reply(BaseModel):
 
 
 def bearer(request: Request) -> str:
-    """The key in the request's headers; "" for none."""
+    """Returns the key in the request's headers; "" for none."""
     return request.headers.get("Authorization", "").removeprefix("Bearer ")
 
 
@@ -162,12 +162,12 @@ Key = Annotated[str, Depends(bearer)]
 
 
 def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> FastAPI:
-    """The service as an ASGI application.
+    """Makes the service as an ASGI application.
 
     Args:
         talks: the talks of a task, in an open file.
-        origins: origins of pages that may call it.
-        key: required to begin a talk, and to read or erase answers; "" for none.
+        origins: origins of pages that may call the service.
+        key: required to begin a talk, and to read or erase answers; "" requires no key.
     """
     app = FastAPI(
         title="xplain",
@@ -256,6 +256,6 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
 
 
 def csv_of(rows: Sequence[dict[str, Any]]) -> PlainTextResponse:
-    """A table of labels in the format of ``discover``."""
+    """Formats a table of labels in the format of ``discover``."""
     table = pd.DataFrame(rows, columns=None if rows else ["observer", "messages", "label"])
     return PlainTextResponse(table.to_csv(index=False), media_type="text/csv; charset=utf-8")

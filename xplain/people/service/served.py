@@ -45,7 +45,7 @@ class Served:
 
     Attributes:
         explainer: explains to people of the learned types.
-        hypotheses: T transitions with features, and what people may believe incorrectly about them;
+        hypotheses: T transitions with features, and the facts that people may believe incorrectly;
             None if only traces can be explained.
         sentences: text of each message, by its name.
         beliefs: statement of a person who believes a fact incorrectly, by the name of its message.
@@ -74,7 +74,7 @@ class Served:
     def types(self) -> LearnedTypes:
         """The types of the explainer."""
         types = self.explainer.types
-        assert isinstance(types, LearnedTypes), "of a file, or just learned"
+        assert isinstance(types, LearnedTypes), "types from a file, or just learned"
         return types
 
     @cached_property
@@ -99,10 +99,10 @@ class Served:
         return Questionnaire(self.hypotheses, **self.asking)
 
     def row(self, transition: Transition) -> list[float]:
-        """The features of a transition in any of its forms.
+        """Returns the features of a transition in any of its forms.
 
         Raises:
-            InputError: there is no such transition.
+            InputError: the transition does not exist.
         """
         names, count = self.types.feature_names, len(self.features)
         if isinstance(transition, Mapping):
@@ -128,7 +128,8 @@ class Served:
         return session
 
     def candidates(self, trace: Sequence[Sequence[float]]) -> tuple[Candidate, ...]:
-        """The transitions that may be asked about while a trace is explained, nearest first."""
+        """Lists the transitions that may be asked about while a trace is explained, nearest
+        first."""
         known = self.hypotheses
         if known is None or not self.clips or not trace:
             return ()
@@ -141,15 +142,15 @@ class Served:
         return phrases[transition] if phrases else f"transition {transition}"
 
     def say(self, messages: Sequence[str]) -> list[str]:
-        """The sentences of messages."""
+        """Returns the sentences of messages."""
         return [self.sentences[name] for name in messages]
 
     def labels(self, wrong: Sequence[str], given: Sequence[str]) -> list[int]:
-        """[T] labels of a person who believes the facts ``wrong`` incorrectly and received the
-        messages ``given``.
+        """Returns [T], the labels of a person who believes the facts ``wrong`` incorrectly and
+        received the messages ``given``.
 
         Raises:
-            InputError: there is no such fact.
+            InputError: a fact does not exist.
         """
         known = self.questionnaire.hypotheses
         held = mask_of(wrong, known.messages, "wrong") & ~mask_of(given, known.messages, "given")
@@ -201,7 +202,7 @@ def make_served(cfg: DictConfig) -> Served:
         seed=cfg.seed,
         ask=Limits(cfg.ask.cost, cfg.ask.most, cfg.ask.when) if cfg.ask.kinds else None,
     )
-    shown = {} if domain is None or known is None else _map(domain, known, cfg)
+    shown = {} if domain is None or known is None else _make_map(domain, known, cfg)
     return Served(
         explainer,
         known,
@@ -215,7 +216,7 @@ def make_served(cfg: DictConfig) -> Served:
     )
 
 
-def _map(domain: Domain, known: Hypotheses, cfg: DictConfig) -> dict[str, Any]:
+def _make_map(domain: Domain, known: Hypotheses, cfg: DictConfig) -> dict[str, Any]:
     """Returns the map of a domain, and some traces of its robot as indices into the transitions of
     the hypotheses."""
     assert known.states is not None, "hypotheses of a domain know states"

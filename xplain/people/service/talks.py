@@ -1,7 +1,7 @@
 """Talks with people: explanations and questionnaires, each stored as events.
 
-An event holds a request and the decision made for it, so a talk can be restored from its events
-alone, after a crash or an upgrade.
+A talk is a session of an explanation, or a questionnaire. An event has a request and the decision
+about this request. So a talk can be restored from its events alone, after a crash or an upgrade.
 
     request ── Talks.begin / receive ── event on the disk ── reply
 """
@@ -30,7 +30,7 @@ OWN = "participant = ? AND source = 'protocol'"
 
 
 class Unknown(Exception):
-    """There is no such talk."""
+    """The talk does not exist."""
 
 
 class Conflict(Exception):
@@ -54,7 +54,7 @@ class Explanation:
         """Receives labels, the answer to a question, or more of the trace.
 
         Raises:
-            InputError: it is no answer to the open action.
+            InputError: the request is no answer to the open action.
         """
         if key.startswith("trace"):
             self.session.extend([self.task.row(one) for one in came["transitions"]])
@@ -84,7 +84,7 @@ class Explanation:
             self.session.tell(decided["messages"])
 
     def state(self) -> Json:
-        """The belief about the person, the cost, and the values of the last decision."""
+        """Returns the belief about the person, the cost, and the values of the last decision."""
         session = self.session
         return {
             "belief": session.belief,
@@ -98,7 +98,11 @@ class Explanation:
 
 
 class Asking:
-    """A questionnaire for one person; ``decided`` is that of :class:`Explanation`."""
+    """A questionnaire for one person.
+
+    Attributes:
+        decided: the open action; empty before the first decision.
+    """
 
     def __init__(self, task: Served, begun: Json) -> None:
         self.decided: Json = {}
@@ -126,8 +130,8 @@ class Asking:
         """Does nothing: a question changes nothing before its answer."""
 
     def state(self) -> Json:
-        """The most likely set of facts that the person believes incorrectly, and its
-        probability."""
+        """Returns the most likely set of facts that the person believes incorrectly, and the
+        probability of this set."""
         asking = self.questionnaire
         wrong = names_of(asking.best, asking.hypotheses.messages)
         sure = {"probability": float(asking.classes.max()), "no_hypothesis": asking.none}
@@ -148,27 +152,27 @@ class Talks(Log[State]):
         """Opens or creates the file.
 
         Raises:
-            InputError: the file is no database of a service, or another process has it open.
+            InputError: the file is no database of a service, or another process has the file open.
         """
         super().__init__(path, State)
         self.task = task
         self._open: OrderedDict[str, Talk] = OrderedDict()
 
     def begin(self, kind: str, person: str | None, request: Json) -> tuple[str, Json]:
-        """Begins a talk with a person, who is identified by the caller's name for them. A repeated
-        request returns the same talk.
+        """Begins a talk with a person; the caller's name for the person identifies the talk. A
+        repeated request returns the same talk.
 
         Returns:
             The talk's id and the first action.
 
         Raises:
-            Conflict: that person's talk began with other settings.
+            Conflict: this person's talk began with other settings.
             InputError: a talk cannot begin with these settings.
         """
         who = person or f"p{secrets.token_hex(8)}"
         key, which = f"{kind} {who}", f"{kind[0]}{secrets.token_hex(12)}"
         begun = {**request, "person": who, "seed": derive_seed(self.task.seed, kind, who)}
-        with self.changes():  # plans are shared, and decide one after the other
+        with self.changes():  # talks share plans, so only one talk decides at a time
             if key not in self.keys:
                 talk = KINDS[kind](self.task, begun)
                 talk.decided = {"number": 1, **talk.decide()}
@@ -179,7 +183,7 @@ class Talks(Log[State]):
         which = self.keys[key]
         first = next(self.events(OWN, which))
         if first.payload != begun:
-            raise Conflict(f"person {person} began with other values")
+            raise Conflict(f"the talk of person {person} began with other settings")
         return which, json.loads(str(first.state))
 
     def receive(self, kind: str, which: str, key: str, came: Json) -> Json:
@@ -187,16 +191,16 @@ class Talks(Log[State]):
         A repeated request gets the same reply.
 
         Raises:
-            Unknown: no such talk.
-            Conflict: this key was used for something else, or was never expected.
-            InputError: it is no answer to the open action.
+            Unknown: the talk does not exist.
+            Conflict: this key was used for another request, or was never expected.
+            InputError: the request is no answer to the open action.
         """
         try:
             with self.changes():
-                talk = self._talk(kind, which)
+                talk = self._find_talk(kind, which)
                 for before in self.events(f"{OWN} AND kind = ?", which, key):
                     if before.payload != came:
-                        raise Conflict(f"{key}: something else was received before")
+                        raise Conflict(f"{key}: another content was received before")
                     found: Json = json.loads(str(before.state))
                     return found
                 number, waits = talk.decided["number"], talk.decided["kind"] in ("wait", "end")
@@ -204,7 +208,7 @@ class Talks(Log[State]):
                 if key.startswith("trace") and isinstance(talk, Explanation):
                     due = f"trace {len(talk.session.trace)}"
                 if key != due:
-                    raise Conflict(f"{key}: due is {due}")
+                    raise Conflict(f"{key}: the next request must be {due}")
                 talk.receive(key, came)
                 if waits or key.startswith("answer"):
                     answers = number + key.startswith("answer")
@@ -212,32 +216,32 @@ class Talks(Log[State]):
                 self.append(which, "protocol", key, came, state=json.dumps(talk.decided))
                 return talk.decided
         except BaseException:
-            self._open.pop(which, None)  # it may be half changed, and nothing is on the disk
+            self._open.pop(which, None)  # the talk may be half changed, and nothing was stored
             raise
 
     def read(self, kind: str, which: str) -> tuple[list[Event], Json]:
-        """The events of a talk, and the belief about the person. Changes nothing.
+        """Returns the events of a talk, and the belief about the person. Changes nothing.
 
         Raises:
-            Unknown: no such talk.
+            Unknown: the talk does not exist.
         """
         with self._lock:
-            return [*self.events(OWN, which)], self._talk(kind, which).state()
+            return [*self.events(OWN, which)], self._find_talk(kind, which).state()
 
     def labels(self, which: str | None = None) -> list[Json]:
-        """A row for each answer of one questionnaire or of all: ``observer``, ``messages``,
-        ``label``, the features of the transition, and whether the observer has finished.
+        """Lists a row for each answer of one questionnaire, or of all questionnaires: ``observer``,
+        ``messages``, ``label``, the features of the transition, and ``finished``.
 
         Raises:
-            Unknown: no such questionnaire.
+            Unknown: the questionnaire does not exist.
         """
         with self._lock:
             own = [one for one in self.keys.values() if one[0] == "q" and which in (None, one)]
             if which and not own:
                 raise Unknown
-            return [row for one in own for row in self._labels([*self.events(OWN, one)])]
+            return [row for one in own for row in self._list_labels([*self.events(OWN, one)])]
 
-    def _labels(self, events: list[Event]) -> list[Json]:
+    def _list_labels(self, events: list[Event]) -> list[Json]:
         known = self.task.questionnaire.hypotheses
         assert known.features is not None, "transitions that people are asked about have features"
         columns = columns_of(known.features, known.feature_names)
@@ -254,20 +258,20 @@ class Talks(Log[State]):
         ]
 
     def forget(self, kind: str, which: str) -> None:
-        """Erases a talk and its person.
+        """Erases a talk and the person's name.
 
         Raises:
-            Unknown: no such talk.
+            Unknown: the talk does not exist.
         """
-        self._talk(kind, which)
+        self._find_talk(kind, which)
         self._open.pop(which, None)
         self.erase(which, keep_key=False)
 
-    def _talk(self, kind: str, which: str) -> Talk:
-        """The talk, restored from its events if needed.
+    def _find_talk(self, kind: str, which: str) -> Talk:
+        """Finds a talk, and restores it from its events if needed.
 
         Raises:
-            Unknown: no such talk.
+            Unknown: the talk does not exist.
         """
         if which not in self.people or self.people[which].erased or which[0] != kind[0]:
             raise Unknown
