@@ -69,7 +69,7 @@ def _start(folder: Path, arguments: tuple[str, ...], out: Path, error: Path) -> 
 
 
 def wait(folder: Path, process: BaseProcess) -> tuple[int, str]:
-    """Exit code and all output, once it has ended by itself.
+    """Waits until the process ends by itself; returns exit code and all output.
 
     Raises:
         TimeoutError: the process has not ended; it is then killed.

@@ -39,7 +39,7 @@ class Situation:
     answers: np.ndarray
 
     def play(self) -> tuple[Session, list[tuple[int, int]]]:
-        """A session to its end, and its questions with their steps."""
+        """Plays a session to its end; returns it, and its questions with their steps."""
         session, asked = self.explainer.session(range(self.problem.n_steps), clips=self.clips), []
         while not session.finished:
             move = session.next()
@@ -55,7 +55,8 @@ class Situation:
 
 @st.composite
 def situations(draw: st.DrawFn, most: int = 3) -> Situation:
-    """At most so many questions; none in one problem of three."""
+    """Draws situations with at most this number of questions; one problem of three has no
+    questions."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     problem = random_problem(rng, max_steps=5, max_messages=3)
     assume(problem.p_explicable.any() and problem.habits.never_err)  # errors are the belief's

@@ -15,8 +15,8 @@ def made(
     shared: bool = False,
     noise: float = 0.0,
 ) -> tuple[Dataset, NDArray[np.int64]]:
-    """Ten transitions on a line; a type that needs message i mod n finds transition i inexplicable
-    without this message.
+    """Makes labels of ten transitions on a line; a type that needs message i mod n finds transition
+    i inexplicable without this message.
 
     ``types`` lists the messages that each type needs. Every answer is a function of (transition,
     message set, type), flipped with probability ``noise``.

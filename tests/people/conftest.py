@@ -42,7 +42,7 @@ def store(opened: Opened, study: Study) -> Store:
 
 @pytest.fixture
 def browser(store: Store) -> Callable[[], Visitor]:
-    """A new browser at each call."""
+    """Returns a function that makes a new browser at each call."""
     app = create_app(store, GENEROUS)
     return lambda: Visitor(Client(app))
 

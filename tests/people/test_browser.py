@@ -83,7 +83,7 @@ def axe(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module")
 def rescue() -> Study:
-    """The rescue study with every kind of question, learned from few labels to save time."""
+    """Makes the rescue study with every kind of question, learned from few labels to save time."""
     from xplain.experiment.config import compose_config
 
     questions = (
@@ -98,7 +98,7 @@ def rescue() -> Study:
 
 @pytest.fixture(scope="module")
 def asking() -> Study:
-    """The rescue study with a condition that asks, with the paper's belief: it also asks after
+    """Makes the rescue study with a condition that asks. With the paper's belief it also asks after
     messages."""
     from xplain.experiment.config import compose_config
 

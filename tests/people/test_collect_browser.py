@@ -35,7 +35,7 @@ def own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def rescue() -> Collection:
-    """The rescue task with clips of two steps and the lab's questions."""
+    """Makes a collection of the rescue task with clips of two steps and the lab's questions."""
     from xplain.experiment.config import compose_config
     from xplain.people.collect.prepare import assemble, material_of
     from xplain.people.material import select_plan_keys

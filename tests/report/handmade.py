@@ -63,12 +63,12 @@ def sweep(
     floor: Callable[[Values, int], float] | None = None,
     **about: object,
 ) -> Path:
-    """A finished sweep.
+    """Writes a finished sweep.
 
     Args:
         folder: the sweep is written here.
         jobs: the swept keys with their values, for each job.
-        regret, oracle: of a job on a trace, the same for users of both types.
+        regret, oracle: values of a job on a trace, the same for users of both types.
         traces: number of traces.
         index: adjusted Rand index of the types that a job found.
         floor: the clairvoyant's cost of a job on a trace; None if none ran.

@@ -33,7 +33,7 @@ from xplain.testing.problems import random_problem
 
 
 def soft_problem(seed: int, types: int = 3, steps: int = 4, n: int = 3, **kwargs: Any) -> Problem:
-    """Every message has an effect, and no two values are alike."""
+    """Makes a problem in which every message has an effect, and no two values are equal."""
     rng = np.random.default_rng(seed)
     settings = {"trade_off": 0.7, "discount": 0.9, "prior": rng.dirichlet(np.ones(types))} | kwargs
     return Problem(rng.random((types, steps, 1 << n)), 0.2 + rng.random(n), **settings)

@@ -23,7 +23,7 @@ STREET = Street()
 
 
 def wording(**changes: Any) -> dict[str, Any]:
-    """The texts that every task has."""
+    """Returns the texts that every task has."""
     files = ("neutral.yaml", "texts/en.yaml")
     shipped = OmegaConf.merge(*(OmegaConf.load(CONF / "collect" / file) for file in files))
     texts: Any = OmegaConf.to_container(shipped)
