@@ -1,3 +1,5 @@
+"""User types from clusters and their labelers; a user's own type finder with its own labelers."""
+
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -6,17 +8,23 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.learning.conftest import made
+from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.data.observers import Observed
-from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.paper import Elbow, KMeans
+from xplain.learning.prediction import predict_held_out
+from xplain.learning.saved import LearnedTypes
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import (
     AskedOnce,
+    UserTypes,
+    find_types,
     label_table,
     learn_types,
 )
+from xplain.testing import TypeFinderConformance
 
 
 def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> None:
@@ -112,3 +120,52 @@ def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(
     assert np.array_equal(tables(dataset, np.minimum(truth, 1))[0], found[0])
     everyone = trainer.fit(dataset, 7).table(dataset.features).array(dataset.n_messages)[0]
     assert np.array_equal(tables(dataset, truth * 0)[0], everyone)
+
+
+class Told(Labeler):
+    """A labeler of people who find more transitions explicable after more messages."""
+
+    def __init__(self, n_messages: int, step: float) -> None:
+        self.n_messages, self.step = n_messages, step
+
+    def table(self, features: NDArray[np.float64], transitions: Any = None) -> LabelTable:
+        """Returns the table of all transitions."""
+        told = np.bitwise_count(np.arange(1 << self.n_messages))
+        return LabelTable.dense([np.tile(0.1 + self.step * told, (len(features), 1))])
+
+
+class FirstAndRest:
+    """The first observer is one type, all others are another."""
+
+    def find(self, observed: Observed, seed: int) -> UserTypes:
+        """Finds the two types."""
+        n = observed.dataset.n_messages
+        group = (np.arange(len(observed.dataset.observers)) > 0).astype(np.int64)
+        found = Clustering(group, "own", "the first")
+        labelers = tuple(Told(n, 0.1 + 0.05 * t) for t in range(found.n_types))
+        return UserTypes(labelers, found, ("a", "b")[: len(labelers)], found.shares)
+
+
+class TestFirstAndRest(TypeFinderConformance):
+    finds_types = False
+
+    @pytest.fixture
+    def component(self) -> FirstAndRest:
+        return FirstAndRest()
+
+    def test_observers_who_answer_alike_are_of_one_type(self, component: Any) -> None:
+        """Not here."""
+
+
+def test_its_types_are_what_agents_know(tmp_path: Any) -> None:
+    dataset, _ = made(np.random.default_rng(0), [[0], [1]])
+    known = find_types(Observed(dataset), LabelerTrainer(), FirstAndRest(), 0)
+    assert known.names == ("a", "b")
+    assert known.shares == pytest.approx([1 / 6, 5 / 6])
+    tables = known.tables(dataset.features, np.zeros((10, 3), np.int64))
+    assert tables.learned.array(4)[:, 0, 0b111] == pytest.approx([0.4, 0.55])
+    assert tables.perfect is None  # nobody knows the setting
+    assert predict_held_out(dataset, FirstAndRest(), LabelerTrainer(), 0).types < 0
+    types = FirstAndRest().find(Observed(dataset), 0)
+    with pytest.raises(InputError, match="Told"):
+        LearnedTypes.of(types, dataset).save(tmp_path / "types.npz")

@@ -9,6 +9,7 @@ from sklearn.ensemble import GradientBoostingClassifier, RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
+from tests.refusals import refused
 from xplain import LearnedTypes
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits
@@ -131,9 +132,8 @@ def test_a_doctored_file_is_refused_in_one_line(tmp_path, name):
     path = tmp_path / "types.npz"
     learned(DecisionTreeClassifier())[0].save(path)
     doctored(path, CHANGES[name])
-    with pytest.raises(InputError) as error:
+    with refused("="):
         LearnedTypes.load(path)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -157,9 +157,8 @@ def test_a_doctored_tree_is_refused_in_one_line(tmp_path, key, value, inside):
     state["nodes"][key][0] = value
     own.tree_.__setstate__(state)
     types.save(tmp_path / "types.npz")
-    with pytest.raises(InputError, match="classifier of type 0") as error:
+    with refused("classifier of type 0"):
         LearnedTypes.load(tmp_path / "types.npz")
-    assert "\n" not in str(error.value)
 
 
 def test_a_transition_is_encoded_from_its_columns_as_the_table_was(tmp_path):

@@ -1,8 +1,10 @@
 """Small hypotheses, and Bayes' rule written out."""
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.questions.questionnaire import NONE_ERROR
@@ -19,45 +21,59 @@ def random_hypotheses(seed: int, facts: int = 3, transitions: int = 5, variants:
     return Hypotheses.of(labels, variants=more, **about)
 
 
-def worlds(hypotheses: Hypotheses, error: float, none: float):
+class Rates(NamedTuple):
+    """P(an answer is wrong), P(no hypothesis fits), P(a clip is misread); by transition P(0 | label
+    1) and P(1 | label 0), if people slip and guess."""
+
+    error: float
+    none: float
+    misread: float = 0.0
+    slip: NDArray[np.float64] | None = None
+    guess: NDArray[np.float64] | None = None
+
+
+def worlds(hypotheses: Hypotheses, rates: Rates):
     """Lists every (table, fact set, error) by which a person may answer, with its prior."""
-    tables = [hypotheses.labels, *hypotheses.variants]
-    chances = (1 - none) * hypotheses.variant_prior
-    for table, chance in zip(tables, chances, strict=True):
+    chances = [*((1 - rates.none) * hypotheses.variant_prior), rates.none]
+    tables = [hypotheses.labels, *hypotheses.variants, hypotheses.labels]
+    errors = [rates.error] * (len(tables) - 1) + [NONE_ERROR]
+    for table, chance, error in zip(tables, chances, errors, strict=True):
         for facts, prior in zip(hypotheses.facts.tolist(), hypotheses.prior, strict=True):
             yield table, facts, error, chance * prior
-    for facts, prior in zip(hypotheses.facts.tolist(), hypotheses.prior, strict=True):
-        yield hypotheses.labels, facts, NONE_ERROR, none * prior
 
 
-def likelihood(hypotheses, table, facts, error, misread, transitions, told, labels):
+def likelihood(hypotheses, table, facts, error, rates, transitions, told, labels):
     """Computes P(labels of a clip | a world)."""
     row = hypotheses.facts.tolist().index(facts & ~told)
     right = 1.0
     for transition, label in zip(transitions, labels, strict=True):
-        right *= 1 - error if table[row, transition] == label else error
-    return (1 - misread) * right + misread * 0.5 ** len(labels)
+        one = float(table[row, transition])
+        if rates.slip is not None:
+            one = 1 - rates.slip[transition] if one else rates.guess[transition]
+        one = (1 - error) * one + error * (1 - one)
+        right *= one if label else 1 - one
+    return (1 - rates.misread) * right + rates.misread * 0.5 ** len(labels)
 
 
-def joint(hypotheses, error, none, misread, answers):
+def joint(hypotheses, rates, answers):
     """Computes P(world, answers so far) of every world; answers are (transitions, told, labels)."""
     found = []
-    for table, facts, rate, chance in worlds(hypotheses, error, none):
-        for transitions, told, labels in answers:
-            chance *= likelihood(hypotheses, table, facts, rate, misread, transitions, told, labels)
+    for table, facts, error, chance in worlds(hypotheses, rates):
+        for answer in answers:
+            chance *= likelihood(hypotheses, table, facts, error, rates, *answer)
         found.append(chance)
     return np.array(found) / sum(found)
 
 
-def information(hypotheses, error, none, misread, weight, transitions, told):
+def information(hypotheses, rates, weight, transitions, told):
     """Computes I(answer; world) in bits, by its definition. A world is (variant, candidate), or a
     candidate whom no hypothesis fits."""
     total = 0.0
     for labels in product((0, 1), repeat=len(transitions)):
         given = np.array(
             [
-                likelihood(hypotheses, table, facts, rate, misread, transitions, told, labels)
-                for table, facts, rate, _ in worlds(hypotheses, error, none)
+                likelihood(hypotheses, table, facts, error, rates, transitions, told, labels)
+                for table, facts, error, _ in worlds(hypotheses, rates)
             ]
         )
         marginal = (weight * given).sum()

@@ -99,17 +99,17 @@ def test_predictions_are_what_one_more_answer_would_be(seed):
     h = known.hypotheses
     reps = np.unique(h.essential)
     chance = np.bincount(np.searchsorted(reps, h.essential), h.prior)
+    worlds = [
+        (facts, d, error, prior * np.exp(known.log_prior[0, d]))
+        for facts, prior in zip(reps.tolist(), chance, strict=True)
+        for d, error in product(range(len(DEVIATION)), ERROR.tolist())
+    ]
+    likely = [w * plainly(known, answers, facts, 0, d, error) for facts, d, error, w in worlds]
     for t, told in product(range(3), range(4)):
         over = np.zeros(2)
-        for facts, prior in zip(reps.tolist(), chance, strict=True):
-            for d, e in product(range(len(DEVIATION)), range(len(ERROR))):
-                weight = prior * np.exp(known.log_prior[0, d])
-                for label in (0, 1):
-                    # An answer without error is the true label of its cell.
-                    error = float(ERROR[e])
-                    one = plainly(known, answers, facts, 0, d, error)
-                    given = _with_truth(known, answers, facts, d, error, t, told, label)
-                    over[label] += weight * given * one
+        for (facts, d, error, _), weight in zip(worlds, likely, strict=True):
+            for label in (0, 1):  # an answer without error is the true label of its cell
+                over[label] += weight * _with_truth(known, answers, facts, d, error, t, told, label)
         expected = np.clip(over[1] / over.sum(), 0.002, 0.998)
         found = made.predict_known(np.array([t]), np.array([told]))[0]
         assert found == pytest.approx(expected, abs=2e-3)  # unlikely fact sets are left out

@@ -1,4 +1,5 @@
-"""Growing lists of candidates agree with the list of all sets."""
+"""Growing lists of candidates agree with the list of all sets, and a labeler's table over the
+messages that matter with the whole table."""
 
 from functools import cache
 
@@ -7,18 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.domains.configs import setting_of
 from tests.domains.example import warehouse
 from xplain.domains.base import transition_features
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting, UserType
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.data.observers import Observed, SimulatedObservers
+from xplain.learning.data.queries import Independent
 from xplain.learning.mixture.labeler import MOST, HypothesisTrainer
 from xplain.learning.mixture.likelihood import LIKELY, grow, posterior_by
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.questions.designs import Adaptive
 
-FACTS = 7
+FACTS = 6
 
 
 @cache
@@ -96,3 +99,17 @@ def test_types_of_more_facts_than_the_list_begins_with_are_found():
         shown = sum(1 << int(j) for j in relevant)
         assert (setting.labels(t, setting.reachable, np.full(len(features), shown)) == 1).all()
         assert shown & mask
+
+
+def test_the_table_over_what_matters_is_the_whole_table(monkeypatch):
+    setting = setting_of("domain=rescue")
+    observed = SimulatedObservers(1, 40).collect(setting, Independent(), 0)
+    labeler = HypothesisTrainer().adapt_to(observed).fit(observed.dataset.of(np.array([0])), 0)
+    transitions = setting.reachable[::9]
+    asked = [(transition_features(setting.domain, transitions), x) for x in (None, transitions)]
+    whole = [labeler.table(*one) for one in asked]
+    for module in ("xplain.learning.labelers", "xplain.learning.mixture.labeler"):
+        monkeypatch.setattr(f"{module}.DENSE", 0)
+    for one, table in zip(asked, whole, strict=True):
+        assert table.rows == [list(range(6))] * table.n_types
+        assert labeler.table(*one).array(6) == pytest.approx(table.array(6), abs=1e-9)

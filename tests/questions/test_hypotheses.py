@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from tests.domains.configs import domain_of
 from tests.domains.users.corridor import Corridor
 from tests.questions.tables import random_hypotheses
+from tests.refusals import refused
 from xplain.domains.users import hypotheses as hypotheses_module
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.inaccurate_values import (
@@ -21,7 +22,7 @@ from xplain.domains.users.inaccurate_values import (
     FactLabels,
 )
 from xplain.domains.users.setting import Setting, UserType
-from xplain.errors import DomainError, InputError, XplainError
+from xplain.errors import DomainError, XplainError
 from xplain.experiment.config import compose_config
 
 seeds = st.integers(0, 10_000)
@@ -48,26 +49,21 @@ def few_facts(seed):
 @given(seeds)
 @settings(deadline=None)
 def test_classes_are_the_candidates_that_no_question_tells_apart(seed):
+    """The essential facts of a class are its smallest candidate."""
     labels, facts = few_facts(seed)
     hypotheses = Hypotheses.of(labels, facts) if labels.min() == 0 else random_hypotheses(seed)
     said = [every_label(hypotheses, row) for row in range(len(hypotheses.facts))]
     for i, one in enumerate(said):
         for j, other in enumerate(said):
             assert (one == other) == (hypotheses.classes[i] == hypotheses.classes[j])
-
-
-@given(seeds)
-@settings(deadline=None)
-def test_the_essential_facts_are_the_smallest_candidate_that_behaves_alike(seed):
-    labels, facts = few_facts(seed)
-    hypotheses = Hypotheses.of(labels, facts) if labels.min() == 0 else random_hypotheses(seed)
     for essential, own in zip(hypotheses.essential, hypotheses.classes, strict=True):
         members = hypotheses.facts[hypotheses.classes == own]
         assert essential == np.bitwise_and.reduce(members)
         assert essential in members
 
 
-def test_of_a_domain_they_are_the_labels_of_its_inaccurate_values(corridor):
+def test_of_a_domain_they_are_the_labels_of_its_inaccurate_values():
+    corridor = Corridor()
     hypotheses = Hypotheses.of_domain(corridor)
     names = [parameter.name for parameter in corridor.parameters]
     wrong = {parameter.name: parameter.inaccurate for parameter in corridor.parameters}
@@ -91,8 +87,8 @@ def test_as_many_facts_are_wrong_together_as_models_may_be_solved(limit, monkeyp
     assert max(facts.bit_count() for facts in found.facts.tolist()) == most
 
 
-def test_a_file_holds_all_of_them(tmp_path, corridor):
-    made = Hypotheses.of_domain(corridor)
+def test_a_file_holds_all_of_them(tmp_path):
+    made = Hypotheses.of_domain(Corridor())
     made.save(tmp_path / "h.npz")
     read = Hypotheses.load(tmp_path / "h.npz")
     for name in ("labels", "facts", "prior", "features", "states", "variants"):
@@ -178,9 +174,8 @@ def test_transitions_that_features_cannot_tell_apart_are_left_out_with_all_that_
     ],
 )
 def test_bad_tables_are_one_line(labels, about, said):
-    with pytest.raises(InputError, match=said) as caught:
+    with refused(said):
         Hypotheses.of(labels, **about)
-    assert "\n" not in str(caught.value)
 
 
 def test_bad_files_are_one_line(tmp_path):
@@ -189,12 +184,11 @@ def test_bad_files_are_one_line(tmp_path):
     np.savez(other, table=np.eye(2))
     np.save(one, np.eye(2))
     np.savez(tmp_path / "more.npz", labels=[[1], [0]], why=np.eye(2))
-    with pytest.raises(InputError, match="hypotheses='why': arrays labels, facts"):
+    with refused("hypotheses='why': arrays labels, facts"):
         Hypotheses.load(tmp_path / "more.npz")
     for path in (text, other, one, tmp_path / "none.npz", tmp_path):
-        with pytest.raises(InputError, match="npz") as caught:
+        with refused("npz"):
             Hypotheses.load(path)
-        assert "\n" not in str(caught.value)
 
 
 class Toll(Corridor):

@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.refusals import refused
 from xplain.errors import InputError
 from xplain.learning.data.label_file import (
     option,
@@ -90,9 +91,8 @@ def test_columns_become_a_dataset(tmp_path: Path) -> None:
 def test_bad_tables_are_named_in_a_line(
     tmp_path: Path, changes: dict[str, object], said: str
 ) -> None:
-    with pytest.raises(InputError, match=said) as caught:
+    with refused(said):
         read_table(table(tmp_path, **changes))
-    assert "\n" not in str(caught.value)
 
 
 def test_unknown_messages_are_named(tmp_path: Path) -> None:
@@ -212,6 +212,7 @@ def quoted(cell: str) -> str:
     return '"' + cell.replace('"', '""') + '"'
 
 
+@settings(max_examples=50)
 @given(
     rows=TEXTS,
     separator=st.sampled_from(",;\t|"),
@@ -239,6 +240,7 @@ def test_cells_come_out_as_they_went_in(
 NAMES = ["007", "7", "1.10", "1.1", "1E2", "NA", "null", "true", "a=b", "ü, ö", "x"]
 
 
+@settings(max_examples=50)
 @given(
     items=st.lists(st.sampled_from(NAMES), min_size=6, max_size=6),
     loads=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=6, max_size=6),

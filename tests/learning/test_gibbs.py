@@ -1,0 +1,173 @@
+"""The sampler's Gibbs steps against posteriors of which all states are enumerated; its score."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.mixture.kernels import REACH, WIDE, resample_facts, resample_transitions
+from xplain.learning.mixture.sampler import (
+    CELL,
+    NOISE,
+    ChainState,
+    Prior,
+    SortedLabels,
+    init,
+    sample,
+)
+
+LOG_NOISE = np.log(np.arange(1.0, len(NOISE) + 1) / np.arange(1.0, len(NOISE) + 1).sum())
+"""Some prior over the levels of noise."""
+CONCENTRATION = 0.7
+
+
+def some_answers(
+    rng: np.random.Generator, n: int, size: int, observers: int = 3, ones: float = 0.5
+) -> SortedLabels:
+    """Draws answers about three transitions, under any messages."""
+    dataset = Dataset(
+        features=np.arange(3.0)[:, None],
+        feature_names=("place",),
+        messages=tuple(f"m{j}" for j in range(n)),
+        observers=tuple(f"o{o}" for o in range(observers)),
+        observer=rng.integers(observers, size=size),
+        transition=rng.integers(3, size=size),
+        message_set=rng.integers(1 << n, size=size),
+        label=(rng.random(size) < ones).astype(np.uint8),
+    )
+    return SortedLabels.of(dataset)
+
+
+def counted(answers: SortedLabels, prior: Prior, state: ChainState) -> NDArray[np.int64]:
+    """Counts [T, 2^depth, 2] the labels 0 and 1 of each cell, from the labels themselves."""
+    counts = np.zeros_like(state.counts)
+    held = state.facts[answers.owner] & ~answers.message_set
+    for t, mask, label in zip(answers.transition, held, answers.label, strict=True):
+        members = [int(j) for j in prior.subsets[state.subset[t]] if j >= 0]
+        counts[t, sum((int(mask) >> j & 1) << i for i, j in enumerate(members)), label] += 1
+    return counts
+
+
+def log_joint(
+    answers: SortedLabels,
+    prior: Prior,
+    state: ChainState,
+    log_noise: NDArray[np.float64] = LOG_NOISE,
+) -> NDArray[np.float64]:
+    """Computes [T, Z, E] log P(S, ε and the labels about a transition | everybody's R), summed over
+    f."""
+    held = state.facts[answers.owner] & ~answers.message_set
+    found = np.empty((len(state.subset), len(prior.size), len(NOISE)))
+    for t, z, e in np.ndindex(found.shape):
+        about = answers.transition == t
+        cell = held & prior.members[z]
+        value = prior.log_subset[z] + log_noise[e]
+        for one in np.unique(cell[about]):
+            label = answers.label[about & (cell == one)]
+            ones, zeros = int(label.sum()), int((1 - label).sum())
+            right, wrong = np.log1p(-NOISE[e]), np.log(NOISE[e])
+            before = CELL[int(one == 0)]
+            value += np.logaddexp(
+                np.log(before) + ones * right + zeros * wrong,
+                np.log1p(-before) + ones * wrong + zeros * right,
+            )
+        found[t, z, e] = value
+    return found
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = 2
+    answers, prior = some_answers(rng, n, 18, 2), Prior.of(n, 2)
+    state = init(answers, prior, rng.integers(1 << n, size=2))
+    while not (prior.size[state.subset] > 0).any():  # some fact matters
+        resample_transitions(answers, prior, state, 1.0, rng)
+    log_new, room = np.log(CONCENTRATION) - n * np.log(2), np.zeros(2, dtype=np.int64)
+    visits = np.zeros((20, 1 << n, 1 << n))
+    for batch in visits:
+        for _ in range(300):
+            used, members = np.unique(state.facts, return_counts=True)
+            in_use = np.append(used, room), np.append(members, room), len(used)
+            resample_facts(answers, prior, state, *in_use, log_new, 1.0, rng)
+            batch[tuple(state.facts)] += 1 / 300
+    assert (state.counts == counted(answers, prior, state)).all()
+    expected = np.empty((1 << n, 1 << n))
+    for both in product(range(1 << n), repeat=2):
+        facts = np.array(both)
+        of_labels = log_joint(answers, prior, state._replace(facts=facts))
+        drawn = of_labels[np.arange(3), state.subset, state.noise]
+        restaurant = (both[0] == both[1]) + CONCENTRATION / 2**n
+        expected[both] = restaurant * np.exp(drawn.sum())
+    error = visits.std(axis=0, ddof=1) / len(visits) ** 0.5
+    off = np.abs(visits.mean(axis=0) - expected / expected.sum())
+    assert (off < 5 * error + 1e-3).all()
+
+
+@pytest.mark.parametrize(
+    ("n", "depth", "size", "temperature"),
+    [
+        (2, 2, 36, 1.0),
+        (2, 2, 36, 3.0),
+        # Few labels, so that no fact may matter, which more blocks are drawn from than one.
+        (WIDE + 18, 1, 9, 1.0),
+    ],
+)
+def test_subsets_and_noise_are_drawn_from_their_posterior(
+    n: int, depth: int, size: int, temperature: float
+) -> None:
+    rng = np.random.default_rng(3)
+    answers, prior = some_answers(rng, n, size, ones=0.6), Prior.of(n, depth)
+    state = init(answers, prior, np.array([(1 << n) - 1, 1, 3]))
+    visits = np.zeros((20, 3, len(prior.size), len(NOISE)))
+    for batch in visits:
+        for _ in range(400):
+            state.log_noise[:] = LOG_NOISE
+            resample_transitions(answers, prior, state, temperature, rng)
+            batch[np.arange(3), state.subset, state.noise] += 1 / 400
+    assert (state.counts == counted(answers, prior, state)).all()
+    share = np.bincount(state.noise, minlength=len(NOISE)) + 0.02
+    assert np.exp(state.log_noise) == pytest.approx(share / share.sum())
+    expected = log_joint(answers, prior, state) / temperature
+    expected = np.exp(expected - expected.max(axis=(1, 2), keepdims=True))
+    expected /= expected.sum(axis=(1, 2), keepdims=True)
+    # Of 20 batches the mean; where a state is rare, by the binomial law of 8,000 draws.
+    error = visits.std(axis=0, ddof=1) / 20**0.5 + (expected * (1 - expected) / 8_000) ** 0.5
+    assert (np.abs(visits.mean(axis=0) - expected) < 5 * error + 2e-4).all()
+
+
+@pytest.mark.parametrize("ones", [0.0, 0.5, 1.0])
+def test_the_score_is_the_sum_over_all_of_them_however_many_labels_agree(ones: float) -> None:
+    """This holds also beyond the size of the table, for hundreds of equal labels of a cell."""
+    rng = np.random.default_rng(4)
+    answers, prior = some_answers(rng, 2, 12 * REACH, ones=ones), Prior.of(2, 2)
+    state = init(answers, prior, np.array([3, 1, 0]))
+    state.log_noise[:] = LOG_NOISE
+    score = resample_transitions(answers, prior, state, 1.0, rng)
+    expected = np.logaddexp.reduce(log_joint(answers, prior, state).reshape(3, -1), axis=1)
+    assert score == pytest.approx(expected.sum(), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("observers", "n", "size", "sweeps"), [(4, 2, 50, 1), (4, 10, 250, 1), (120, 2, 400, 4)]
+)
+def test_chains_are_compared_by_the_joint_of_the_same_variables(
+    observers: int, n: int, size: int, sweeps: int
+) -> None:
+    """After one sweep it is that of the first state. Types of many observers are merged at the end
+    with S and ε fixed; the score is summed over both, as that of any other chain."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        answers, prior = some_answers(rng, n, size, observers), Prior.of(n, 2)
+        first = rng.integers(0, 1 << n, observers)
+        chain = sample(answers, prior, CONCENTRATION, first, sweeps, 2.0, rng)
+        even = np.full(len(NOISE), -np.log(len(NOISE)))
+        log_noise = even if sweeps == 1 else chain.best.log_noise
+        joint = log_joint(answers, prior, chain.best, log_noise).reshape(3, -1)
+        expected = np.logaddexp.reduce(joint, axis=1).sum()
+        members = np.unique(chain.best.facts, return_counts=True)[1]
+        expected += (np.log(CONCENTRATION) - n * np.log(2) + gammaln(members)).sum()
+        assert chain.score == pytest.approx(expected, rel=1e-9)
