@@ -219,7 +219,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
     ("changes", "said"),
     [
         ({"ask": "beliefs"}, r"ask\.kinds=\['beliefs'\]: clips in a study"),
-        ({"briefing": "assigned"}, r"briefing='assigned': none, for people as they are"),
+        ({"briefing": "assigned"}, r"briefing='assigned': none, because your own transitions"),
         ({"types": None}, r"types=None: types\.npz of xplain discover"),
         ({"facts": None}, r"facts=None: a \.csv file"),
         ({"transitions": None}, r"facts='facts\.csv': only with transitions"),
@@ -229,7 +229,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
         ({"trace.rows": "[[1,7]]"}, r"trace\.rows=7: lists of rows"),
         ({"trace.rows": "[1,2]"}, r"trace\.rows=.*: lists of rows"),
         ({"trace.rows": "[[1,2]]"}, r"trace\.min_steps=5: 2 steps or fewer"),
-        ({"trace.rows": "[[6,6,6,6,6]]"}, r"conditions=.* differ by a message"),
+        ({"trace.rows": "[[6,6,6,6,6]]"}, r"conditions=.* differ on average by one message"),
         ({"types": "others.npz"}, r"types='others\.npz: lane': types whose features"),
         ({"types": "fewer.npz"}, r"types='fewer\.npz: a, b, c': types whose messages"),
         ({"domain": "rescue"}, r"domain='rescue': null with transitions"),

@@ -108,7 +108,7 @@ def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
 
 
 def test_a_study_whose_conditions_are_alike_is_refused() -> None:
-    with pytest.raises(InputError, match=r"conditions=.*differ by a message"):
+    with pytest.raises(InputError, match=r"conditions=.*differ on average by one message"):
         study_plan(
             compose_config(
                 "study",

@@ -1,17 +1,17 @@
 "use strict";
-// Two things: answers go through an outbox that survives a lost network, a reload and a restart of
-// the server, and the page's own events (seen, hidden, clicked) are sent in the background.
-// Without JavaScript the forms work all the same.
+// Sends answers from an outbox, which survives a lost network, a reload and a restart of the
+// server. Sends the page's own events (seen, hidden, clicked) in the background. The forms also
+// work without JavaScript.
 (() => {
   const body = document.body;
-  // The researcher's page keeps itself up to date; what is being typed above stays.
+  // Updates the overview on the researcher's page. The fields above it keep their content.
   const glance = document.getElementById("glance");
   if (glance) setInterval(async () => {
     try {
       const reply = await fetch(location.href, { credentials: "same-origin" });
       const page = new DOMParser().parseFromString(await reply.text(), "text/html");
       if (reply.ok && page.getElementById("glance")) glance.replaceChildren(...page.getElementById("glance").childNodes);
-    } catch { /* the server is away; next time */ }
+    } catch { /* no reply; try again next time */ }
   }, 10000);
   if (!("sequence" in body.dataset)) return;
   const { token, sequence, mark, events: address } = body.dataset;
@@ -26,8 +26,8 @@
     try { item ? localStorage.setItem(OUTBOX, JSON.stringify(item)) : localStorage.removeItem(OUTBOX); } catch { /* private mode: the page itself still retries */ }
   };
 
-  // A reply with the server's mark acknowledges or refuses. Any other is that of a proxy in between,
-  // or of a server that is not well: the answer is sent again.
+  // A reply with the server's mark accepts or refuses the answer. Other replies come from a proxy,
+  // or from a server with an error: the answer is sent again.
   const acknowledges = (reply) => reply.headers.get("Study-Mark") === mark;
   async function deliver(item) {
     for (let pause = 500; ; pause = Math.min(pause * 2, 8000)) {
@@ -53,7 +53,7 @@
     if (reply.status === 204) {
       location.replace(item.action);
     } else {
-      // The page with the sentence that says what is missing.
+      // The same page, with a sentence about the refused answer.
       const page = new DOMParser().parseFromString(await reply.text(), "text/html");
       document.querySelector("main").replaceWith(page.querySelector("main"));
       document.querySelector("main").focus();
@@ -72,7 +72,7 @@
     for (const button of document.querySelectorAll("button")) button.disabled = true;
     if (form.elements.ms) form.elements.ms.value = performance.now().toFixed(1);
     if (form.elements.width) form.elements.width.value = String(window.innerWidth);
-    form.querySelector("button").after(connection); // where the eye is
+    form.querySelector("button").after(connection); // where the participant looks
     flush();
     const fields = [...new FormData(form)].map(([name, value]) => [name, String(value)]);
     send({ action, fields, sequence: Number(sequence) });
@@ -80,7 +80,7 @@
 
   window.addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
 
-  // Screen readers announce what changes, not what a new page brings along.
+  // Screen readers announce changes of a page, but not the content of a new page.
   const announce = document.getElementById("announce");
   const fresh = [...document.querySelectorAll(".message.new")].map((m) => m.textContent.trim());
   if (announce && fresh.length) setTimeout(() => { announce.textContent = fresh.join(" "); }, 400);
@@ -96,7 +96,7 @@
     queue.push({ n: number++, kind, ms, at: Date.now(), what });
   }
 
-  // A beacon outlives the page; a fetch tells whether the server took it.
+  // A beacon is sent even after the page is closed. A fetch shows that the server stored the events.
   function flush() {
     if (queue.length) {
       const text = JSON.stringify({ token, tab, items: queue.slice(-50) });
@@ -111,7 +111,7 @@
     try {
       const reply = await fetch(address, { method: "POST", body: JSON.stringify({ token, tab, items }), credentials: "same-origin" });
       if (acknowledges(reply)) queue = queue.slice(items.length);
-    } catch { /* stays in the queue */ }
+    } catch { /* the events stay in the queue */ }
     busy = false;
   }
 
@@ -125,7 +125,7 @@
   document.addEventListener("change", (event) => {
     if (event.target.type === "radio" || event.target.type === "checkbox") note("label", (event.target.name + "=" + event.target.value).slice(0, 40));
   });
-  // Typing and scrolling are signs of life.
+  // Typing and scrolling show that the participant is active.
   let active = 0;
   for (const kind of ["input", "scroll", "pointerdown", "keydown"]) document.addEventListener(kind, () => {
     if (leaving || performance.now() < active + 20000) return;

@@ -1,6 +1,6 @@
 """The analysis of a study (``study analyse``), and the document to register before the first
 participant (``study preregister``). The document follows from the plan alone, so the registered
-study is the one that runs."""
+study is the study that runs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ from xplain.randomness import derive_seed
 CONDITIONS = (CONFORMANT, PERSONALIZED)
 """The conditions that the paper compares."""
 COMPARED = {"table2": CONDITIONS, "asking": (PERSONALIZED, ASKING)}
-"""Compared conditions by the name of the table; the second table is only for studies that ask."""
+"""Compared conditions by the name of the table; the second table is only for studies with
+questions."""
 MEASURES = {
     "interaction_time_s": "Interaction time (s)",
     "inexplicable_transitions": "Inexplicable transitions",
@@ -56,9 +57,9 @@ class Analysis:
     Attributes:
         conditions: the compared conditions; differences are the first minus the second.
         stream: the analysed data: person, pilot or bot. Never mixed.
-        measures: one row for each measure, the three primary ones first (only these are corrected):
-            the figures of :func:`compare`, with the names of the conditions; ``student_p_holm``;
-            and the paper's figures ``paper_…``.
+        measures: one row for each measure, the three primary measures first (only these are
+            corrected): the figures of :func:`compare`, with the names of the conditions;
+            ``student_p_holm``; and the paper's figures ``paper_…``.
         flow: numbers of participants who reached a stage, who came to an end, who were excluded
             with the reason, and who are analysed; in all and by condition.
         data: the participants who finished and are not excluded.
@@ -73,7 +74,7 @@ class Analysis:
 
 @cache
 def paper_table() -> dict[str, dict[str, float]]:
-    """The paper's Table 2: {measure: {conformant, personalized, p_value, n_per_arm}}."""
+    """Reads the paper's Table 2: {measure: {conformant, personalized, p_value, n_per_arm}}."""
     text = files("xplain.people.study").joinpath("paper_table2.csv").read_text(encoding="utf-8")
     return {
         row["measure"]: {key: float(v) for key, v in row.items() if key != "measure"}
@@ -85,7 +86,7 @@ def read(folder: Path) -> pd.DataFrame:
     """Reads the table of participants of an export.
 
     Raises:
-        InputError: there is no such table, or a column is missing.
+        InputError: the table or a column is missing.
     """
     path = folder / "participants.csv"
     if not path.is_file():
@@ -101,7 +102,7 @@ def exclusions(path: Path | None) -> dict[str, str]:
     """Reads {participant: reason} from a CSV with these two columns.
 
     Raises:
-        InputError: no such file, or other columns.
+        InputError: the file is missing, or has other columns.
     """
     if path is None:
         return {}
@@ -117,8 +118,9 @@ def exclusions(path: Path | None) -> dict[str, str]:
 def analyse_all(
     data: pd.DataFrame, stream: str, excluded: Mapping[str, str], seed: int = 0
 ) -> dict[str, Analysis]:
-    """Applies :func:`analyse` to the paper's two conditions, and to asking if the study asks; by
-    the names in COMPARED. Each analysis corrects for its own three measures."""
+    """Compares the paper's two conditions, and the personalized condition with the asking condition
+    if the study has both. Returns the analyses by their names in COMPARED. Each analysis corrects
+    for its own three measures."""
     met = set(data.loc[(data["stream"] == stream) & (data["stage"] == "done"), "condition"])
     return {
         name: analyse(data, stream, excluded, seed, pair)
@@ -144,7 +146,8 @@ def analyse(
         conditions: the two conditions.
 
     Raises:
-        InputError: an unknown stream, participant or condition, or no participants to analyse.
+        InputError: a stream, participant or condition is unknown, or there are too few
+            participants.
     """
     one_of("stream", stream, STREAMS)
     for who in excluded:
@@ -162,12 +165,12 @@ def analyse(
     kept = done[reasons.isna()]
     counts = {c: int((kept["condition"] == c).sum()) for c in conditions}
     if min(counts.values()) < 2:
-        wanted = f"at least 2 completed participants (stream {stream}) a condition"
+        wanted = f"at least 2 completed participants (stream {stream}) in each condition"
         raise InputError("data", counts, wanted)
     shown = [m for m in SECONDARY if m in kept and kept[m].notna().all()]
     if ASKING not in conditions:
         shown = [m for m in shown if m != "questions_asked"]
-    found = {m: _compared(kept, m, conditions, seed) for m in (*MEASURES, *shown)}
+    found = {m: _compare_measure(kept, m, conditions, seed) for m in (*MEASURES, *shown)}
     measures = pd.DataFrame.from_dict(found, orient="index").rename_axis("measure")
     adjusted = pd.Series(holm(measures.loc[[*MEASURES], "student_p"]), [*MEASURES])
     measures.insert([*measures.columns].index("hedges_g"), "student_p_holm", adjusted)
@@ -177,10 +180,10 @@ def analyse(
     if kept["interaction_time_s"].isna().any():
         left_out["time left out: the clock was set back"] = kept["interaction_time_s"].isna()
     left_out["analysed"] = reasons.isna()
-    return Analysis(conditions, stream, measures, _flow(own, left_out), kept)
+    return Analysis(conditions, stream, measures, _count_flow(own, left_out), kept)
 
 
-def _compared(
+def _compare_measure(
     data: pd.DataFrame, measure: str, conditions: tuple[str, str], seed: int
 ) -> dict[str, float]:
     """Compares the first condition with the second; figures have the conditions' names."""
@@ -191,13 +194,13 @@ def _compared(
     return compare(a[measure], b[measure], types_a, types_b, drawn, conditions)
 
 
-def _flow(own: pd.DataFrame, ends: Mapping[str, pd.Series[bool]]) -> pd.DataFrame:
+def _count_flow(own: pd.DataFrame, ends: Mapping[str, pd.Series[bool]]) -> pd.DataFrame:
     """Counts participants, in all and in each condition, by stage reached, kind of end and reason
     for exclusion; also counts analysed participants.
 
     Args:
         own: participants of a stream.
-        ends: {reason: rows of ``own`` with it}; absent rows are False.
+        ends: {reason: rows of ``own`` with this reason}; absent rows are False.
     """
     everybody = own["participant"].notna()
     reached = {
@@ -239,9 +242,9 @@ def compare(
         names: names of the groups.
 
     Returns:
-        ``n_…``, ``mean_…`` and ``sd_…`` of each group; t, df and p of Student's test (the paper's)
-        and of Welch's, two-sided; Hedges' g of a − b with its 95 % interval; the permutation test's
-        p. NaN if a group is too small or has no variance.
+        ``n_…``, ``mean_…`` and ``sd_…`` of each group; t, df and p of Student's test (the paper's
+        test) and of Welch's test, two-sided; Hedges' g of a − b with its 95 % interval; p of the
+        permutation test. Figures are NaN if a group is too small or has no variance.
     """
     groups = [pd.Series(np.asarray(values, dtype=float)) for values in (a, b)]
     x, y = groups
@@ -267,7 +270,8 @@ def compare(
 
 
 def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, float, float]:
-    """Hedges' g from Student's t, with the exact interval from the noncentral t distribution.
+    """Computes Hedges' g from Student's t, with the exact interval from the noncentral t
+    distribution.
 
     The small-sample factor is exact, J = Γ(ν/2) / (√(ν/2) Γ((ν − 1)/2)) (Hedges 1981).
     """
@@ -275,14 +279,14 @@ def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, fl
     correction = np.exp(special.gammaln(df / 2) - special.gammaln((df - 1) / 2)) / np.sqrt(df / 2)
     tail = (1 - level) / 2
     to_g = float(correction * scale)
-    # Computed for |t|, because the function is accurate there, and mirrored.
+    # Computed for |t|, where the function is accurate, and then mirrored.
     low, high = (to_g * special.nctdtrinc(df, [1 - tail, tail], abs(t))).tolist()
     return (t * to_g, low, high) if t >= 0 else (t * to_g, -high, -low)
 
 
 def holm(p: ArrayLike) -> NDArray[np.float64]:
-    """[tests] Holm's step-down adjusted p values, in the given order. NaN stays NaN and does not
-    count as a test."""
+    """Computes [tests], Holm's step-down adjusted p values, in the given order. NaN stays NaN and
+    does not count as a test."""
     values = np.asarray(p, dtype=float)
     order = np.argsort(values)  # NaN last
     steps = (~np.isnan(values)).sum() - np.arange(len(values))
@@ -299,7 +303,7 @@ def stratified_permutation(
     seed: int,
     permutations: int = PERMUTATIONS,
 ) -> float:
-    """Two-sided p of the difference in means if labels are permuted within strata.
+    """Computes the two-sided p of the difference in means if labels are permuted within strata.
 
     Assignment in blocks justifies this test: within a type the condition was drawn at random. p =
     (1 + number as extreme) / (1 + permutations), so it is never 0.
@@ -336,13 +340,13 @@ def show(analysis: Analysis, console: Console) -> None:
     means = [f"{one.capitalize()}\nmean (SD), n" for one in analysis.conditions]
     tests = ("Student's\np", "p, Holm", "Welch's\np", "Permutation\np", "Hedges' g [95 %]")
     paper = ("Paper: means, p",) * published
-    title = "Table 2" if published else "Questions in between"
+    title = "Table 2" if published else "Questions between steps"
     measures = Table(
         *(Column(heading, overflow="fold") for heading in ("Measure", *means, *tests, *paper)),
         title=f"{title}: {WHOSE[analysis.stream]} ({first} − {second})",
     )
     for measure, row in analysis.measures.iterrows():
-        measures.add_row(TITLES[str(measure)], *_cells(row, analysis.conditions))
+        measures.add_row(TITLES[str(measure)], *_list_cells(row, analysis.conditions))
     flow = Table(title="Flow of participants")
     for heading in ("", *analysis.flow.columns):
         flow.add_column(heading, justify="right" if heading else "left")
@@ -351,8 +355,8 @@ def show(analysis: Analysis, console: Console) -> None:
     console.print(measures, flow)
 
 
-def _cells(row: pd.Series[float], conditions: tuple[str, str]) -> list[str]:
-    """The cells of a measure's row."""
+def _list_cells(row: pd.Series[float], conditions: tuple[str, str]) -> list[str]:
+    """Lists the cells of a measure's row."""
     shown = ((row[f"mean_{c}"], row[f"sd_{c}"], row[f"n_{c}"]) for c in conditions)
     cells = [f"{mean:.2f} ({sd:.2f}), {count:.0f}" for mean, sd, count in shown]
     every = row[["student_p", "student_p_holm", "welch_p", "permutation_p"]]

@@ -29,12 +29,12 @@ class Habits(bots.BotHabits):
     Attributes:
         label_noise: probability that a new label is wrong.
         forgetting: probability that a message is missed when it is given.
-        overload: added to it for each other message on the page, old or new.
+        overload: added to ``forgetting`` for each other message on the page, old or new.
         fading: probability that a learned fact is forgotten before the quiz.
         losing: probability that a learned fact is forgotten after a step, for each step.
         page_seconds: time to read an evaluation page and press the button.
-        message_seconds: time to read a message; half as long for a known one.
-        label_seconds: time to judge a step; a tenth of it for a step without a new judgement.
+        message_seconds: time to read a message; a twentieth of this time for a known message.
+        label_seconds: time to label a step; a tenth of this time for a step whose label is kept.
         spread: σ of the lognormal distribution of each time and of the participant's pace.
     """
 
@@ -50,7 +50,7 @@ class Habits(bots.BotHabits):
 
 
 class StudyBot(bots.Bot[StudyPlan, Habits]):
-    """One simulated participant, with beliefs of their own until a briefing assigns a role."""
+    """One simulated participant, who has a random type until a briefing assigns a role."""
 
     def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
         super().__init__(plan, habits, rng)
@@ -60,14 +60,14 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         self._judged: int | None = None
         self._labels: list[int] = []
         self._told: set[str] = set()
-        self._pace = self._spread()
+        self._pace = self._draw_factor()
 
-    def _spread(self) -> float:
+    def _draw_factor(self) -> float:
         sigma = self.habits.spread
         return float(self.rng.lognormal(-(sigma**2) / 2, sigma))
 
     def at_before(self, page: Page) -> Fields:
-        """Gives the right answers."""
+        """Gives the right answers to the questions before the briefing."""
         return self.answer_questions(self.plan.before)
 
     def at_briefing(self, page: Page) -> None:
@@ -98,17 +98,17 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
     def at_asking(self, page: Page) -> tuple[Fields, float]:
         """Answers the question about a clip, with the error rate of a new label."""
         labels, habits, (clip,) = self.plan.clip_labels, self.habits, page.steps
-        assert labels is not None, "a plan that asks knows what they would answer"
+        assert labels is not None, "a plan that asks has the answers of simulated people"
         truth = labels.of_steps([clip]).label_probabilities(1, self.known)[self.user_type, 0]
         label = int(truth) ^ self.chance(habits.label_noise)
-        seconds = (habits.page_seconds + habits.label_seconds) * self._spread() * self._pace
+        seconds = (habits.page_seconds + habits.label_seconds) * self._draw_factor() * self._pace
         self.seconds += seconds
         return [("label", str(label))], seconds
 
     def at_quiz(self, page: Page) -> Fields:
         """Ticks the statements that the simulated participant believes."""
         wrong = self.plan.wrong[self.user_type]
-        self._lose(self.habits.fading)
+        self._forget(self.habits.fading)
         true = {
             fact.belief if j in wrong and not self.known >> j & 1 else fact.message
             for j, fact in enumerate(self.plan.facts)
@@ -119,7 +119,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
             if (sentence in true) ^ self.chance(self.habits.label_noise)
         ]
 
-    def _lose(self, probability: float) -> None:
+    def _forget(self, probability: float) -> None:
         """Forgets corrected facts at random, each with this probability."""
         wrong = self.plan.wrong[self.user_type]
         for j in indices(self.known):
@@ -127,8 +127,8 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
                 self.known &= ~(1 << j)
 
     def labels(self, count: int, messages: int, new: Sequence[str]) -> tuple[list[int], float]:
-        """Labels of the first ``count`` steps, and the time in seconds. ``messages`` is the number
-        of messages on the page; ``new`` are those given now."""
+        """Labels the first ``count`` steps. Also returns the time in seconds. ``messages`` is the
+        number of messages on the page, and ``new`` has the messages that are given now."""
         habits = self.habits
         for sentence in new:
             others = messages - 1
@@ -143,18 +143,18 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
             for i in range(count)
         ]
         self._judged = self.known
-        seconds = habits.page_seconds * self._spread()
+        seconds = habits.page_seconds * self._draw_factor()
         seconds += habits.message_seconds * (
-            sum(self._spread() for _ in new) + (messages - len(new)) / 2 * 0.1
+            sum(self._draw_factor() for _ in new) + (messages - len(new)) / 2 * 0.1
         )
         seconds += habits.label_seconds * sum(
-            self._spread() if i in fresh else 0.1 for i in range(count)
+            self._draw_factor() if i in fresh else 0.1 for i in range(count)
         )
         if habits.losing:  # no draw without forgetting
-            self._lose(habits.losing)
+            self._forget(habits.losing)
         return list(self._labels), seconds * self._pace
 
 
 def bot(plan: StudyPlan, habits: Habits, seed: int, number: int) -> StudyBot:
-    """The simulated participant with a number."""
+    """Makes the simulated participant with a number."""
     return StudyBot(plan, habits, stream(seed, "bots", number))

@@ -1,5 +1,5 @@
-"""The evaluation: the robot's steps with the policy's messages, and the policy's questions before
-them.
+"""The evaluation: the robot's steps with the policy's messages, and the policy's questions before a
+step.
 
 The explanation is the :class:`~xplain.interaction.dialogue.Dialogue` of the offline experiments,
 restored for each page.
@@ -43,7 +43,7 @@ class AskedQuestion:
         step: k of the next step.
         question: index of the question.
         told: number of messages given before the question.
-        worth: the policy's value of the question minus that of its best other action; None if
+        worth: the policy's value of the question minus the value of its best other action; None if
             unknown.
         before: [M] belief over user types.
         answer: 1 if the step made sense to the participant, 0 if not, or CANNOT_TELL; None before
@@ -71,13 +71,13 @@ class StudyState(core.State):
         step: k of the evaluation.
         given: bitmask of all messages on the page, including the new ones.
         new: bitmask of the messages given at this step.
-        previous: bitmask of the messages at the previous step; None at the first.
+        previous: bitmask of the messages at the previous step; None at the first step.
         belief: belief over hidden states.
         labels: latest labels of the transitions 0 … k − 1.
         heard: indices of the given messages, in order; a repeated message occurs again.
         score: score of the quiz.
-        asked: the questions; an open one is last.
-        position: position of their place; None without a place.
+        asked: the questions; an open question is last.
+        position: position of the participant's place; None without a place.
         missed: number of attention checks after the quiz with a wrong answer.
         before, values: the data of the current decision: the belief over user types, and the
             policy's values by message set.
@@ -113,8 +113,8 @@ class StudyState(core.State):
 
     @property
     def place(self) -> int | None:
-        """The position of the place that they have now or have used; None after they gave it back,
-        for example because they are excluded from the analysis."""
+        """The position of the place that the participant holds or has used up. None if the place is
+        free again, for example because the participant is excluded from the analysis."""
         used = self.stage == "done" and not self.missed
         return self.position if used or not self.over else None
 
@@ -137,11 +137,11 @@ class Explaining(Flow[StudyPlan, StudyState]):
     belief: BeliefUpdate
 
     def role(self, state: StudyState) -> StudyRole:
-        """The participant's role, for stages after consent."""
+        """Returns the participant's role, for stages after consent."""
         return self.plan.roles[state.slot_type]
 
     def talk(self, state: StudyState) -> Dialogue:
-        """The dialogue at a page of the evaluation."""
+        """Restores the dialogue at a page of the evaluation."""
         condition = state.condition or ""
         problem = self.plan.problem_of(condition)
         # After a message, or if people may forget, a repeated question is a new question.
@@ -162,8 +162,8 @@ class Explaining(Flow[StudyPlan, StudyState]):
         return talk
 
     def next_step(self, state: StudyState) -> StudyState:
-        """Returns the policy's question, if it asks one before the state's step; otherwise the step
-        with the policy's messages."""
+        """Returns the state at the policy's question, if the policy asks before the next step;
+        otherwise the state at the next step, with the policy's messages."""
         talk, belief = self.talk(state), self.of_types(state.belief)
         action, values = talk.decide(), talk.values()
         said = {
@@ -195,7 +195,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
 
     def collect_content(self, state: StudyState) -> dict[str, Any]:
         """Collects the content that every page of the evaluation has: the briefing, the old
-        messages and the new ones. A message that was given twice appears once, at its last
+        messages and the new messages. A message that was given twice appears once, at its last
         position; ``again`` lists new messages that were also given before."""
         messages = [fact.message for fact in self.plan.facts]
         last = [*dict.fromkeys(reversed(state.heard))][::-1]
@@ -221,7 +221,7 @@ class Evaluation(Stage["Explaining", StudyState]):
         return flow.next_step(replace(state, wrong=False, belief=belief))
 
     def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
-        """Shows the steps so far, the labels, the old messages and the new ones."""
+        """Shows the steps so far, the labels, the old messages and the new messages."""
         plan = flow.plan
         return flow.collect_content(state) | {
             "step": state.step,
@@ -240,7 +240,7 @@ class Evaluation(Stage["Explaining", StudyState]):
     def advance(
         self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
     ) -> StudyState:
-        """Moves to the next step, or to the next stage after the last one."""
+        """Moves to the next step, or to the next stage after the last step."""
         count = [CANNOT_TELL + 1] * (state.step + 1)
         chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
         talk = flow.talk(state)

@@ -1,7 +1,7 @@
 """The flow of the study:
 
     consent → before → briefing → training → ahead → eligibility → evaluation → quiz → questions
-                           ↑__________________________|  (a failed attempt, while some are left)
+                           ↑__________________________|  (a failed attempt, while attempts are left)
 
 Participants without a briefing have no eligibility test. Within the evaluation, a policy that asks
 opens pages of the stage ``asking`` before a step.
@@ -57,7 +57,7 @@ class StudyConsent(Consent["Study", StudyState]):
     """The consent, with the width of the window."""
 
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
-        """Also reads the width, which is None without scripts."""
+        """Reads the decision, and the width of the window, which is None without scripts."""
         width = (form.getlist("width") or [""])[-1]
         return super().read(flow, state, form) | {
             "width": int(width) if _WIDTH.match(width) else None
@@ -65,10 +65,10 @@ class StudyConsent(Consent["Study", StudyState]):
 
 
 class StudyBriefing(Briefing["Study", StudyState]):
-    """The facts that all participants learn, and those that this user type believes."""
+    """The facts that all participants learn, and the facts as this user type believes them."""
 
     def facts(self, flow: Study, state: StudyState) -> Mapping[str, Sequence[str]]:
-        """The facts of the role only; participants without a briefing get none."""
+        """Returns the facts for all participants, and the facts in the briefing of the role."""
         known = [known.right for known in flow.plan.known]
         return {"told_to_all": known, "told_to_you": flow.role(state).briefing}
 
@@ -103,7 +103,7 @@ class Eligibility(Stage["Study", StudyState]):
     """A test of the facts in the briefing."""
 
     def is_in(self, plan: StudyPlan) -> bool:
-        """True if participants are briefed; others cannot be tested."""
+        """True if participants get a briefing, which the test is about."""
         return not plan.kinds
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
@@ -167,7 +167,7 @@ class LastQuestions(QuestionStage["Study", StudyState]):
 class Study(Explaining):
     """A running plan with its policies. Places are permuted blocks of every type and condition. A
     participant takes a place at the consent, gives it back after dropping out, a time-out or failed
-    tests, and uses it up by finishing. All of this is in the participants' states."""
+    tests, and uses it up by finishing. The participants' states have all this information."""
 
     PLAN = StudyPlan
     PACKAGE = "xplain.people.study"
@@ -189,7 +189,7 @@ class Study(Explaining):
     @classmethod
     def of(cls, plan: StudyPlan) -> Study:
         """Creates the study, with policies from the conditions' configurations."""
-        from hydra.utils import instantiate  # a running flow does not know the configuration
+        from hydra.utils import instantiate  # needed only at the start
 
         seed = derive_seed(plan.seed, "solver")
         policies = {
@@ -199,7 +199,7 @@ class Study(Explaining):
         return cls(plan, policies, instantiate(plan.belief))
 
     def view(self, state: StudyState) -> dict[str, Any]:
-        """At a final end, also shows which of the sentences in the briefing are not true."""
+        """Adds at a final end the sentences of the briefing that are not true."""
         view = super().view(state)
         if not state.over or state.stage == "timed_out" or state.user_type is None:
             return view
@@ -222,7 +222,7 @@ class Study(Explaining):
         return self.plan.cells[int(rng.permutation(len(self.plan.cells))[place])]
 
     def holders(self, people: People) -> dict[tuple[str, int], StudyState]:
-        """{(stream, position): state} of the participants who hold a place or have used it up."""
+        """Returns {(stream, position): state} of participants who hold or have used up a place."""
         return {
             (one.stream, one.state.place): one.state
             for one in people
@@ -234,7 +234,7 @@ class Study(Explaining):
         preview takes no place."""
         own, number, cell, position = person.stream, person.number, None, None
         if person.state.cell is None:
-            position = self._free(own, people)
+            position = self._find_free(own, people)
             cell = self.cell(own, position)
         user_type, condition = cell or self.plan.cells[person.state.cell or 0]
         role, rng = self.plan.roles[user_type], stream(self.plan.seed, "orders", own, number)
@@ -244,15 +244,19 @@ class Study(Explaining):
         return place | {"orders": orders}
 
     def readmit(self, person: Participant[StudyState], people: People) -> dict[str, Any]:
-        """Chooses a place with the same type and condition as the lost one."""
+        """Chooses a place with the same type and condition as the lost place."""
         state = person.state
         if state.position is None:
             return {}
-        return {"position": self._free(person.stream, people, state)}
+        return {"position": self._find_free(person.stream, people, state)}
 
-    def _free(self, own: str, people: People, like: StudyState | None = None) -> int:
-        """The first free place of a stream: any, or one with the type and condition of ``like``. If
-        all places are taken, people get none; pilots and bots always get one."""
+    def _find_free(self, own: str, people: People, like: StudyState | None = None) -> int:
+        """Finds the first free place of a stream; with ``like``, a place with this type and
+        condition.
+
+        Raises:
+            Full: all places of people are taken. (Pilots and bots always get a place.)
+        """
         held, most = self.holders(people), self.plan.rules.per_cell * len(self.plan.cells)
         for position in range(most) if own == "person" else count():
             fits = like is None or self.cell(own, position) == (like.user_type, like.condition)
@@ -290,20 +294,20 @@ class Study(Explaining):
         return super().titles | {"asking": self.words["asking"]}
 
     def about(self, state: StudyState, blinded: bool) -> dict[str, str]:
-        """Also adds type and condition."""
+        """Adds type and condition, unless these must stay hidden."""
         role = "" if state.user_type is None else self.plan.roles[state.user_type].name
         hidden = {} if blinded else {"Type": role, "Condition": state.condition or ""}
         return super().about(state, blinded) | hidden
 
     def step_of(self, state: StudyState) -> str:
-        """The step of the evaluation."""
+        """Names the step of the evaluation."""
         before = "before " if state.stage == "asking" else ""
         return f"{before}step {state.step + 1}" if state.stage in EVALUATING else ""
 
     # What to expect ------------------------------------------------------------------------------
 
     def announcement(self) -> str:
-        """If a condition asks, returns a line with the cost of each condition for people who never
+        """Returns, if a condition asks, a line with the cost of each condition for people who never
         err."""
         if ASKING not in self.plan.conditions:
             return ""

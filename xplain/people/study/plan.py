@@ -1,4 +1,5 @@
-"""The plan of a study: everything that participants may see, fixed before the first one comes.
+"""The plan of a study: everything that participants may see. It is fixed before the first
+participant enters.
 
 A plan is a value: texts, trace, label probabilities, the participants' types, and the solver of
 each condition.
@@ -20,12 +21,12 @@ from xplain.explanation.problem import Problem
 from xplain.people.plan import Clip, LabQuestion, StoredPlan, Told, Way
 
 PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
-"""Conditions that the code knows by name. The policy of the last one may ask questions."""
+"""Conditions that the code knows by name. The policy of ASKING may ask questions."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """A true sentence that everybody is told and believes, and a false one."""
+    """A true sentence that everybody is told and believes, and a false sentence."""
 
     right: str
     wrong: str
@@ -33,7 +34,7 @@ class Known:
 
 @dataclass(frozen=True)
 class QuizQuestion:
-    """One question with its possible answers; ``answer`` is the index of the right one."""
+    """One question with its possible answers; ``answer`` is the index of the right answer."""
 
     text: str
     options: tuple[str, ...]
@@ -58,7 +59,7 @@ class StudyRole:
         wrong: positions of the facts that this type believes incorrectly.
         briefing: one sentence for each fact, as this type believes it; none without a briefing.
         eligibility: one question for each fact, with this type's answer; or none.
-        quiz: the statements of the last test, true ones first.
+        quiz: the statements of the last test, true statements first.
     """
 
     name: str
@@ -102,14 +103,15 @@ class StudyPlan(StoredPlan):
     """A study of N types, a trace of m transitions, n facts (and messages).
 
     Attributes:
-        training, rules: see their types.
+        training: the practice.
+        rules: numbers of the protocol.
         known: facts that everybody is told.
         before: questions before the briefing.
-        roles: [N].
+        roles: [N] briefing and tests of each type.
         kinds: [M] the facts that each kind of simulated people believes incorrectly, in a study
-            without a briefing; such a study has one role. None for other studies.
+            without a briefing; such a study has one role. Empty for other studies.
         shown: [m + Q] the trace, then the transitions that the condition ASKING may ask about.
-        taken: [m + 1] names of the items that are off the map after 0 … m steps; or none.
+        taken: [m + 1] names of the items that are no longer on the map after 0 … m steps; or none.
         problem: label probabilities and costs of the policies, with the questions that the
             condition ASKING may ask.
         clip_labels: answers of the M kinds to the questions, as in ``true_labels``; None without
@@ -158,11 +160,11 @@ class StudyPlan(StoredPlan):
 
     @property
     def lab_questions(self) -> tuple[LabQuestion, ...]:
-        """Also includes the questions before the briefing."""
+        """The lab's own questions, before the briefing and at the end."""
         return (*self.before, *self.asked)
 
     def problem_of(self, condition: str) -> Problem:
-        """The problem that a condition's policy plans for; only that of ASKING has questions."""
+        """Returns the problem that a condition's policy plans for. Only ASKING has questions."""
         return self.problem if condition == ASKING else replace(self.problem, questions=Questions())
 
     @property
@@ -177,5 +179,5 @@ class StudyPlan(StoredPlan):
 
     @property
     def cells(self) -> tuple[tuple[int, str], ...]:
-        """Every (type, condition); the slots are balanced over them."""
+        """All pairs (type, condition); places are balanced over these pairs."""
         return tuple((t, c) for t in range(len(self.roles)) for c in self.conditions)

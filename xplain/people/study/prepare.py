@@ -69,8 +69,9 @@ def roles_of(
         labels: [N, m, 2^n] their true labels of the trace.
         wording: texts of the study. ``rewards`` has a phrase for the action of each parameter that
             is the reward of an action. About such a parameter the eligibility test asks the paper's
-            question (is the reward ≥ 0?), about others which of two sentences was in the briefing.
-            ``known`` has the facts that everybody is told, ``words`` the texts of the questions.
+            question (is the reward ≥ 0?). About other parameters the test asks which of two
+            sentences was in the briefing. ``known`` has the facts that everybody is told, and
+            ``words`` has the texts of the questions.
     """
     known = tuple(Known(**one) for one in wording["known"])
     roles = []
@@ -81,8 +82,8 @@ def roles_of(
                 user_type.name,
                 wrong,
                 tuple(f.belief if j in wrong else f.message for j, f in enumerate(facts)),
-                _eligibility(facts, user_type, wording),
-                _quiz(facts, known, wrong, find_needed(labels[t]), t),
+                _make_eligibility(facts, user_type, wording),
+                _make_quiz(facts, known, wrong, find_needed(labels[t]), t),
             )
         )
     return tuple(roles)
@@ -99,15 +100,15 @@ def natural_role(
         labels: [M, m, 2^n] true labels of the trace, for each kind of simulated people.
     """
     need = int(np.bitwise_or.reduce([find_needed(of_kind) for of_kind in labels]))
-    return StudyRole(NATURAL, (), (), (), _quiz(facts, known, (), need, 0))
+    return StudyRole(NATURAL, (), (), (), _make_quiz(facts, known, (), need, 0))
 
 
-def _eligibility(
+def _make_eligibility(
     facts: Sequence[Parameter],
     user_type: UserType,
     wording: Mapping[str, Any],
 ) -> tuple[QuizQuestion, ...]:
-    """A question for each fact; the right answer is the one of this type's briefing."""
+    """Makes a question for each fact; the right answer is in this type's briefing."""
     words, rewards, questions = wording["words"], wording["rewards"], []
     for fact in facts:
         value = user_type.inaccurate.get(fact.name, fact.accurate)
@@ -124,7 +125,7 @@ def _eligibility(
     return tuple(questions)
 
 
-def _quiz(
+def _make_quiz(
     facts: Sequence[Parameter],
     known: Sequence[Known],
     wrong: tuple[int, ...],
@@ -137,13 +138,13 @@ def _quiz(
     If fewer than two facts were needed, the type's other incorrect facts follow, then any facts.
     The other statements are about facts that everybody is told, or that the type believes
     correctly. One statement of each two is true. The true sentences of ``known`` are
-    about limits and losses, unlike the messages. So the tone of a sentence does not reveal whether
-    it is true.
+    about limits and losses, unlike the messages. So the tone of a sentence does not reveal that it
+    is true or false.
 
     Args:
         facts, known: of the plan.
         wrong: facts that the type believes incorrectly.
-        need: bitmask of the facts that it needed.
+        need: bitmask of the facts that the type needed.
         number: index of the type; it decides which statement of two is true.
     """
     order = list(dict.fromkeys([*indices(need), *wrong, *range(len(facts))]))
@@ -172,8 +173,8 @@ COSTS = ("message_cost", "inexplicability_cost", "discount", "discount_per", "pr
 def study_plan(cfg: DictConfig) -> StudyPlan:
     """Makes the plan that a configuration describes.
 
-    The label probabilities are those of the paper's study: labelers under perfect clustering,
-    learned from simulated observers of each type.
+    As in the paper's study, labelers under perfect clustering give the label probabilities. They
+    are learned from simulated observers of each type.
 
     Raises:
         XplainError: the configuration cannot be used; the text says what to change.
@@ -186,7 +187,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     StudyRules(**config["rules"])  # errors come before the expensive work
     config["conditions"] = conditions_of(config)
     one_of("briefing", config["briefing"], ("assigned", "none"))
-    material, types = _material_and_types(cfg)
+    material, types = _make_material_and_types(cfg)
     gaps = []
     for trace in traces_of(material, config["trace"], config["max_steps"], cfg.seed)[:TRIED]:
         table, asked = make_learned_table(material, types, trace), None
@@ -196,20 +197,21 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
         plan = make_draft(material, trace, table, config, types, clips)
         gaps.append(Study.of(plan).difference())
         if gaps[-1] >= LEAST_DIFFERENCE:
-            # The stored plan is the one that runs, also for the first participant.
+            # The first participant too must get the plan as it is stored.
             return StudyPlan.from_text(plan.text)
     raise InputError(
         "conditions",
         " and ".join(config["conditions"]),
-        f"conditions that differ by a message (or question) a participant or more, on average; on "
-        "the best of "
-        f"{len(gaps)} traces these differ by {max(gaps):.1f}: another seed than {cfg.seed}, more "
-        "trace.candidates, a smaller trace.min_steps, other users or another lambda",
+        "conditions that differ on average by one message (or question) or more for each "
+        f"participant; on the best of {len(gaps)} traces they differ by {max(gaps):.1f}. Try "
+        f"another seed than {cfg.seed}, more trace.candidates, a smaller trace.min_steps, other "
+        "users or another lambda",
     )
 
 
 def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The conditions. If questions are allowed, these include the personalized explainer that asks.
+    """Returns the conditions. If questions are allowed, the conditions include the personalized
+    explainer that asks.
 
     Raises:
         InputError: a condition asks but no key allows questions, or the reverse; or a study cannot
@@ -218,7 +220,7 @@ def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
     conditions, ask = config["conditions"], config.get("ask", {"kinds": []})
     if not ask["kinds"]:
         if ASKING in conditions:
-            raise InputError(f"conditions.{ASKING}", "set", "with ask=clips")
+            raise InputError(f"conditions.{ASKING}", "set", "only with ask=clips")
         return dict(conditions)
     if [*ask["kinds"]] != ["clips"]:
         raise InputError("ask.kinds", [*ask["kinds"]], "clips in a study: ask=clips")
@@ -227,21 +229,21 @@ def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
     if ASKING in conditions:
         return dict(conditions)
     if PERSONALIZED not in conditions:
-        wanted = f"with {PERSONALIZED}, whose explainer asks, or one of its own"
+        wanted = f"a condition of this name, or {PERSONALIZED}, whose explainer then asks"
         raise InputError(f"conditions.{ASKING}", None, wanted)
     return {**conditions, ASKING: conditions[PERSONALIZED]}
 
 
-def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
-    """The task, and the types that the policies know: those of a file (``types``), or learned from
-    observers.
+def _make_material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
+    """Makes the task, and the types that the policies know: types from a file (``types``), or types
+    that are learned from observers.
 
     Raises:
-        InputError: keys that exclude each other, or types with other features or messages.
+        InputError: keys exclude each other, or types have other features or messages.
     """
     own, told = cfg.transitions is not None, cfg.briefing == "assigned"
     if own and told:
-        wanted = "none, for people as they are: one's own transitions name no types"
+        wanted = "none, because your own transitions name no types"
         raise InputError("briefing", cfg.briefing, wanted)
     if own and cfg.types is None:
         wanted = "types.npz of xplain discover, from labels of these transitions"
@@ -249,7 +251,7 @@ def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
     perfect = get_class(cfg.clusterer._target_) is Perfect
     if told and (cfg.types is not None or not perfect):
         # It is unknown which found type belongs to which participant.
-        wanted = "none with types that were found, by types=FILE or another clusterer than perfect"
+        wanted = "none with types=FILE, or with another clusterer than perfect"
         raise InputError("briefing", cfg.briefing, wanted)
     if own:
         material = read_own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
@@ -268,7 +270,7 @@ def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
         (sorted(material.feature_names), sorted(types.feature_names), "features"),
     ):
         if [*mine] != [*theirs]:
-            wanted = f"types whose {what} are those of {material.name}: {', '.join(mine)}"
+            wanted = f"types with the {what} of {material.name}: {', '.join(mine)}"
             raise InputError("types", f"{cfg.types}: {', '.join(theirs)}", wanted)
     return material, types
 
@@ -277,7 +279,7 @@ def _material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
 
 
 def make_learned_table(material: Material, types: LearnedTypes, rows: Transitions) -> LabelTable:
-    """The labelers' table of some transitions."""
+    """Computes the labelers' table of some transitions."""
     made = None if material.transitions is None else material.transitions[rows]
     columns = [material.feature_names.index(name) for name in types.feature_names]
     return label_table(types.labelers, material.features[rows][:, columns], made)
@@ -286,7 +288,7 @@ def make_learned_table(material: Material, types: LearnedTypes, rows: Transition
 def facts_of_types(
     material: Material, types: LearnedTypes | None, trace: Transitions, asked: Transitions
 ) -> Facts | None:
-    """The facts that people may believe incorrectly; None if unknown."""
+    """Returns the facts that people may believe incorrectly; None if unknown."""
     if types is None or types.wrong is None:
         return None
     columns = [material.feature_names.index(name) for name in types.feature_names]
@@ -298,7 +300,7 @@ def facts_of_types(
 
 
 def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: int) -> Transitions:
-    """The transitions that may be asked about while a trace is explained, nearest first."""
+    """Lists the transitions that may be asked about while a trace is explained, nearest first."""
     Pool(clips=clips)
     order = nearest_first(material.features, material.features[trace])
     return order[alike_first(make_learned_table(material, types, order), clips)]
@@ -309,30 +311,32 @@ def traces_of(
 ) -> list[Transitions]:
     """Finds distinct traces that every participant can evaluate, best first. A domain gives
     ``candidates`` random traces from ``start`` (a cell of the map, or None for any). A table gives
-    those of ``rows``, lists of its rows from 1.
+    the traces in ``rows``, as lists of rows of the table, counted from 1.
 
-    Traces for which the types need the most facts corrected come first, and shorter ones before
-    longer ones. A trace that most types understand without messages would measure nothing, and a
-    trace of two or three steps very little.
+    Traces for which the types need the most messages come first, and shorter traces before longer
+    traces. A trace that most types understand without messages would measure nothing, and a trace
+    of two or three steps very little.
 
     Raises:
         InputError: no trace meets ``rules``.
     """
-    drawn = (_given if material.setting is None else _drawn)(material, rules, max_steps, seed)
+    drawn = (_read_traces if material.setting is None else _draw_traces)(
+        material, rules, max_steps, seed
+    )
     least = whole_number("trace.min_steps", rules["min_steps"], 1)
     long = {one.tobytes(): one for one in drawn if len(one) >= least}
     if not long:
         longest = max(len(one) for one in drawn)
         raise InputError("trace.min_steps", least, f"{longest} steps or fewer here")
 
-    def worth(trace: Transitions) -> tuple[int, int]:
+    def rate(trace: Transitions) -> tuple[int, int]:
         facts = sum(find_needed(of_type).bit_count() for of_type in material.labels(trace))
         return facts, -len(trace)
 
-    return sorted(long.values(), key=worth, reverse=True)
+    return sorted(long.values(), key=rate, reverse=True)
 
 
-def _given(
+def _read_traces(
     material: Material, rules: Mapping[str, Any], max_steps: int, seed: int
 ) -> list[Transitions]:
     last, wanted = len(material.clips), rules["rows"]
@@ -345,7 +349,7 @@ def _given(
     return [np.array(one, dtype=np.int64)[:max_steps] - 1 for one in wanted]
 
 
-def _drawn(
+def _draw_traces(
     material: Material, rules: Mapping[str, Any], max_steps: int, seed: int
 ) -> list[Transitions]:
     setting = material.setting
@@ -381,16 +385,16 @@ def make_draft(
         trace: [m] the transitions of the evaluation.
         table: the labelers' table.
         config: the study's resolved configuration (the keys of conf/study.yaml).
-        learned: names and shares of the types of the table; None: those of the task.
-        asks: transitions that the condition ASKING may ask about, with the labelers' table of them;
-            or None.
+        learned: names and shares of the types of the table; None takes the types of the task.
+        asks: transitions that the condition ASKING may ask about, with the labelers' table of these
+            transitions; or None.
 
     Raises:
         XplainError: two parts contradict each other.
     """
     types, natural = material.types, config["briefing"] == "none"
     table_of_ones_own = config.get("transitions") is not None
-    wording = _worded(config["wording"], natural, table_of_ones_own, asks is not None)
+    wording = _choose_texts(config["wording"], natural, table_of_ones_own, asks is not None)
     own, in_words = make_plan_fields(
         "study", config, wording, material, wording["words"]["robot_does"]
     )
@@ -432,11 +436,11 @@ def make_draft(
     )
 
 
-def _worded(
+def _choose_texts(
     wording: Mapping[str, Any], natural: bool, table: bool, asks: bool
 ) -> Mapping[str, Any]:
-    """Chooses the texts for studies with or without a briefing. The steps of one's own table are
-    whole sentences. If the study asks, its texts say so."""
+    """Chooses the texts for studies with or without a briefing. The steps of a lab's own table are
+    whole sentences. The texts of a study with questions describe the questions."""
     if table:
         words, example = wording["words"], wording["training"]
         said = {**example, "action": words["robot_does"].format(phrase=example["action"])}
@@ -456,14 +460,14 @@ def _worded(
 
 
 def find_needed(labels: NDArray[np.uint8]) -> int:
-    """The smallest message set with which a type finds the whole trace explicable.
+    """Finds the smallest message set with which a type finds the whole trace explicable.
 
     Args:
         labels: [m, 2^n] the type's true labels.
 
     Returns:
-        A bitmask; ties by message order. The set of all messages always suffices, because the
-        type's model is then the robot's, and the trace is optimal in it.
+        A bitmask; ties by message order. The set of all messages always suffices, because the type
+        then has the robot's model, in which the trace is optimal.
     """
     explaining = np.flatnonzero(labels.all(axis=0))
     return int(min(explaining, key=lambda mask: (int(mask).bit_count(), indices(int(mask)))))

@@ -1,5 +1,5 @@
-"""The tables of a study (``study export``), and how participants reacted to messages (``study
-habits``)."""
+"""The tables of a study (``study export``), and the messages and labels from which people's habits
+are learned (``study habits``)."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ SLEEP = 2.0
 
 
 def export(database: Path, folder: Path) -> str:
-    """Writes all tables of a database (better: of a snapshot) into a folder. Returns the SHA-256 of
-    the events.
+    """Writes all tables of a database, or better of a snapshot, into a folder. Returns the SHA-256
+    of the events.
 
     Raises:
         InputError: the file is not a study's database.
@@ -60,8 +60,8 @@ def glance(study: Study, people: People) -> dict[str, Any]:
 
 
 def fit_of(plan: StudyPlan, state: StudyState) -> float | None:
-    """P(the participant has a found type and the assumed habits). None before the evaluation, or if
-    the belief has only found types."""
+    """Computes P(the participant has a found type and the assumed habits). None before the
+    evaluation, or if the belief has only found types."""
     if not state.belief or plan.problem.as_found.all():
         return None
     return plan.problem.fit(np.array(state.belief))
@@ -72,8 +72,8 @@ class Step:
     """A step of a participant's evaluation.
 
     Attributes:
-        page: the state of its page.
-        labels: its labels; none before the answer.
+        page: the state of the step's page.
+        labels: labels at this step; empty before the answer.
         after: [M] belief over user types after the labels.
     """
 
@@ -88,7 +88,7 @@ class Step:
 
 
 def steps_of(one: Person) -> list[Step]:
-    """The steps of a participant's evaluation so far."""
+    """Lists the steps of a participant's evaluation so far."""
     steps: dict[int, Step] = {}
     for event in (event for event in one.events if event.state):
         state = StudyState.from_text(str(event.state))
@@ -102,20 +102,20 @@ def steps_of(one: Person) -> list[Step]:
 
 
 def tables(plan: StudyPlan, people: list[Person]) -> Mapping[str, Iterable[Row]]:
-    """Rows of every table by name. Answers of participants who withdrew are left out."""
+    """Makes the rows of every table, by name. Answers of participants who withdrew are left out."""
     stayed = [one for one in people if one.state.stage != "withdrawn"]
     shown = {one.id: pages(one.events) for one in stayed}
     steps = [
         (one, step) for one in sorted(stayed, key=lambda one: one.id) for step in steps_of(one)
     ]
-    asked = [row for one in stayed for row in _questions(plan, one, shown[one.id])]
+    asked = [row for one in stayed for row in _list_questions(plan, one, shown[one.id])]
     return ({"questions": asked} if plan.clips else {}) | {
-        "participants": [_participant(plan, one) for one in people],
-        "steps": [_step(plan, one, step, shown[one.id]) for one, step in steps],
+        "participants": [_describe_participant(plan, one) for one in people],
+        "steps": [_describe_step(plan, one, step, shown[one.id]) for one, step in steps],
         "pages": [page for own in shown.values() for page in own],
-        "labels": [row for one, step in steps for row in _labels(plan, one, step)],
-        "eligibility": [row for one in stayed for row in _eligibility(plan, one)],
-        "quiz": [row for one in stayed for row in _quiz(plan, one)],
+        "labels": [row for one, step in steps for row in _list_labels(plan, one, step)],
+        "eligibility": [row for one in stayed for row in _list_eligibility(plan, one)],
+        "quiz": [row for one in stayed for row in _list_quiz(plan, one)],
         "answers": [
             {"participant": one.id, "question": name, "answer": value}
             for one in stayed
@@ -126,10 +126,10 @@ def tables(plan: StudyPlan, people: list[Person]) -> Mapping[str, Iterable[Row]]
     }
 
 
-def _participant(plan: StudyPlan, one: Person) -> Row:
+def _describe_participant(plan: StudyPlan, one: Person) -> Row:
     state, consent = one.state, one.first("consent")
     finished = state.stage in ("quiz", "questions", "done")
-    cost = _cost(plan, one) if finished else None
+    cost = _compute_cost(plan, one) if finished else None
     return {
         "participant": one.id,
         "stream": one.stream,
@@ -157,7 +157,7 @@ def _participant(plan: StudyPlan, one: Person) -> Row:
     }
 
 
-def _step(plan: StudyPlan, one: Person, step: Step, shown: Sequence[Row]) -> Row:
+def _describe_step(plan: StudyPlan, one: Person, step: Step, shown: Sequence[Row]) -> Row:
     names, page = plan.problem.message_names, step.page
     here = ("evaluation", page.step)
     took = [row["seconds"] for row in shown if (row["stage"], row["step"]) == here]
@@ -175,7 +175,7 @@ def _step(plan: StudyPlan, one: Person, step: Step, shown: Sequence[Row]) -> Row
     }
 
 
-def _labels(plan: StudyPlan, one: Person, step: Step) -> Iterator[Row]:
+def _list_labels(plan: StudyPlan, one: Person, step: Step) -> Iterator[Row]:
     on_page = ";".join(names_of(step.shown, plan.problem.message_names))
     for i, label in enumerate(step.labels):
         yield {
@@ -188,8 +188,8 @@ def _labels(plan: StudyPlan, one: Person, step: Step) -> Iterator[Row]:
         }
 
 
-def _cost(plan: StudyPlan, one: Person) -> float:
-    """λ · messages + inexplicable labels of all steps + κ · questions."""
+def _compute_cost(plan: StudyPlan, one: Person) -> float:
+    """Computes λ · messages + inexplicable labels of all steps + κ · questions."""
     problem, asked = plan.problem, len(one.state.asked)
     messages = problem.communication(1 << j for j in one.state.heard)
     wrong: int = sum(event.payload["labels"].count(0) for event in one.answers("labels"))
@@ -197,7 +197,7 @@ def _cost(plan: StudyPlan, one: Person) -> float:
     return cost + problem.questions.limits.cost * asked
 
 
-def _questions(plan: StudyPlan, one: Person, shown: Sequence[Row]) -> Iterator[Row]:
+def _list_questions(plan: StudyPlan, one: Person, shown: Sequence[Row]) -> Iterator[Row]:
     names, state = plan.problem.message_names, one.state
     took = {page["sequence"]: page["seconds"] for page in shown}
     answers = [event.source_sequence for event in one.answers("clip")]
@@ -219,7 +219,7 @@ def _questions(plan: StudyPlan, one: Person, shown: Sequence[Row]) -> Iterator[R
         }
 
 
-def _eligibility(plan: StudyPlan, one: Person) -> Iterator[Row]:
+def _list_eligibility(plan: StudyPlan, one: Person) -> Iterator[Row]:
     for attempt, event in enumerate(one.answers("eligibility"), 1):
         questions = plan.roles[one.state.slot_type].eligibility
         answers = event.payload["answers"]
@@ -234,7 +234,7 @@ def _eligibility(plan: StudyPlan, one: Person) -> Iterator[Row]:
             }
 
 
-def _quiz(plan: StudyPlan, one: Person) -> Iterator[Row]:
+def _list_quiz(plan: StudyPlan, one: Person) -> Iterator[Row]:
     for event in one.answers("quiz"):
         for i, statement in enumerate(plan.roles[one.state.slot_type].quiz):
             ticked = i in event.payload["chosen"]
@@ -252,7 +252,7 @@ def _quiz(plan: StudyPlan, one: Person) -> Iterator[Row]:
 
 
 def interaction(events: Sequence[Event]) -> Row:
-    """The duration of one participant's evaluation: columns of the participants' table.
+    """Measures the duration of one participant's evaluation, as columns of the participants' table.
 
     The server measures ``interaction_time_s`` from the first rendering of the first step to the
     last accepted label; ``clock`` names the clock (:func:`xplain.people.export.measure_seconds`).
@@ -277,7 +277,7 @@ def interaction(events: Sequence[Event]) -> Row:
 
 
 def pages(events: Sequence[Event]) -> list[Row]:
-    """Every page that one participant saw, in order, with the time until its answer was
+    """Lists every page that one participant saw, in order, with the time until its answer was
     accepted."""
     answered = {e.source_sequence: e for e in events if e.source == "protocol"}
     rows, step = [], 0
@@ -299,16 +299,17 @@ def pages(events: Sequence[Event]) -> list[Row]:
 
 
 def measure_hidden(events: Sequence[Event]) -> float | None:
-    """Seconds of the evaluation in which no page was visible; None if no page reported.
+    """Measures the seconds of the evaluation in which no page was visible; None if no page
+    reported.
 
     Pages report when they become visible and when they are hidden (by another tab or window, or
     closed), but not when an answer opens the next page. So the page that became visible last is the
-    current one, and only its hidden time counts. Switching between two tabs of the study does not
+    current page, and only its hidden time counts. Switching between two tabs of the study does not
     count as hidden time.
 
     Clocks of two devices may differ. So pages are ordered by arrival. A duration on one page uses
     that page's clock, a duration between pages uses the server's clock. If the wall clock of a
-    visible page jumps ahead of the page's own clock, the device slept.
+    visible page advances more than the page's own clock, the device slept.
     """
     total, began, looked_at = 0.0, False, ""
     since: Event | None = None
@@ -318,7 +319,7 @@ def measure_hidden(events: Sequence[Event]) -> float | None:
         latest[page] = event
         visible = began and page == looked_at and since is None
         if visible and before:
-            own, wall = _passed(before, event)
+            own, wall = _measure_passed(before, event)
             total += wall - own if wall - own > SLEEP else 0.0
         if visible and event.kind == "hidden":
             since = event
@@ -326,7 +327,11 @@ def measure_hidden(events: Sequence[Event]) -> float | None:
             continue
         if since is not None:
             same = since.source == page
-            total += max(_passed(since, event)) if same else measure_seconds(since, event)[0] or 0.0
+            total += (
+                max(_measure_passed(since, event))
+                if same
+                else measure_seconds(since, event)[0] or 0.0
+            )
             since = None
         if began and event.payload["what"] not in EVALUATING:
             break  # the quiz: the evaluation is over
@@ -335,28 +340,28 @@ def measure_hidden(events: Sequence[Event]) -> float | None:
     return total if began else None
 
 
-def _passed(first: Event, last: Event) -> tuple[float, float]:
-    """Seconds between two reports of a page, by the page's own clock and by the device's clock."""
+def _measure_passed(first: Event, last: Event) -> tuple[float, float]:
+    """Measures the seconds between two reports, by the page's own clock and the device's clock."""
     own = (last.browser or 0.0) - (first.browser or 0.0)
     return own / 1000, (last.payload["at"] - first.payload["at"]) / 1000
 
 
 def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
-    """The messages and labels of each participant of a stream so far (``study habits``).
+    """Collects the messages and labels of each participant of a stream so far (``study habits``).
 
     Args:
         database: a study's database that no server has open, or a snapshot.
         stream: "person", "pilot" or "bot"; never mixed.
 
     Raises:
-        InputError: the file is not a study's database, or there is no such stream.
+        InputError: the file is not a study's database, or the stream does not exist.
     """
     one_of("stream", stream, STREAMS)
     plan, everybody = read(database, StudyPlan, StudyState)
     own = [steps_of(one) for one in everybody if one.stream == stream]
     labelled = [found for steps in own if (found := [step for step in steps if step.labels])]
     if not labelled:
-        raise InputError("database", str(database), f"one with answers (stream {stream})")
+        raise InputError("database", str(database), f"a database with answers (stream {stream})")
     return [
         Explained(
             plan.problem,

@@ -79,7 +79,7 @@ def test_costs_and_questions_are_those_of_the_log(
     ).all()
     main(["study", "analyse", str(out), "--stream", "bot"])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "Questions in between" in shown
+    assert "Questions between steps" in shown
     assert {"table2.csv", "asking.csv", "measures.png", "asking.png"} <= {
         p.name for p in out.iterdir()
     }

@@ -128,7 +128,7 @@ def test_questions_keep_to_their_limits(when: str, most: int, cost: float, error
         ({"ask": ASK | {"cost": -1}}, r"ask\.cost=-1"),
         ({"ask": ASK | {"when": "later"}}, r"ask\.when='later'"),
         ({"ask": ASK | {"clips": 0}}, r"ask\.clips=0"),
-        ({"conditions": {"asking": {}}}, r"conditions\.asking='set': with ask=clips"),
+        ({"conditions": {"asking": {}}}, r"conditions\.asking='set': only with ask=clips"),
         ({"ask": ASK, "conditions": {"conformant": {}}}, r"conditions\.asking=None: with personal"),
     ],
 )
