@@ -115,7 +115,7 @@ def test_code_that_decides_otherwise_does_not_go_on_with_what_was_begun(
 ) -> None:
     Store(snapshot, flow_of(kind)).close()
     changed(snapshot, "UPDATE event SET state = json_set(state, '$.part', 7) WHERE kind = 'labels'")
-    with pytest.raises(XplainError, match="go on and replay with that version"):
+    with pytest.raises(XplainError, match="continue and replay with that version"):
         Store(snapshot, flow_of(kind))
     with pytest.raises(SystemExit):
         main([kind, "replay", str(snapshot)])

@@ -54,4 +54,4 @@ def test_the_command_reads_a_study_that_was_started(
     assert (tmp_path / "p.md").read_text() == document(study.plan)
     with pytest.raises(SystemExit):
         main(["study", "preregister", str(tmp_path / "none.sqlite")])
-    assert "a study was started" in capsys.readouterr().err
+    assert "a study that was started" in capsys.readouterr().err

@@ -82,7 +82,7 @@ def test_a_database_in_use_is_not_read(
     with pytest.raises(SystemExit) as ended:
         main(["study", "export", str(store.path), str(tmp_path / "out")])
     assert ended.value.code == 2
-    assert "in use: another process" in capsys.readouterr().err
+    assert "a free file: another process" in capsys.readouterr().err
     with pytest.raises(SystemExit) as ended:
         main(["study", "replay", str(tmp_path / "nothing.sqlite")])
     assert ended.value.code == 2
