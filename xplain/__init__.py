@@ -1,6 +1,6 @@
 """Personalized explanations of sequential decisions (Soni, Sreedharan & Kambhampati, 2021).
 
-These names, and those of ``xplain.testing``, are public: they do not change without notice.
+These names and the names of ``xplain.testing`` are public: they do not change without notice.
 Everything else may change. docs/explainer.md describes explanations in a program, docs/python.md
 describes experiments, and docs/your-own-domain.md describes new components.
 """

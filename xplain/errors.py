@@ -161,7 +161,7 @@ def checks(prefix: str = "") -> Callable[[type[T]], type[T]]:
         @wraps(made)
         def init(self: T, *values: object, **named: object) -> None:
             given = takes.bind(self, *values, **named).arguments
-            for name, hint in _hints(annotated).items():
+            for name, hint in _read_hints(annotated).items():
                 if name in given:
                     check(f"{prefix}.{name}".lstrip("."), given[name], hint)
             made(self, *values, **named)
@@ -173,7 +173,7 @@ def checks(prefix: str = "") -> Callable[[type[T]], type[T]]:
 
 
 @cache
-def _hints(of: Any) -> dict[str, Any]:
+def _read_hints(of: Any) -> dict[str, Any]:
     return get_type_hints(of, include_extras=True)
 
 

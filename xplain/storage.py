@@ -40,7 +40,7 @@ def open_atomic(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())  # the group may read results
+        os.chmod(temporary, 0o666 & ~_read_umask())  # the group may read results
         os.replace(temporary, path)
     except BaseException as error:
         if temporary:
@@ -51,13 +51,13 @@ def open_atomic(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text atomically; see :func:`open_atomic`."""
+    """Writes a text atomically (:func:`open_atomic`)."""
     with open_atomic(path) as file:
         file.write(text)
 
 
 @cache
-def _umask() -> int:
+def _read_umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
@@ -113,7 +113,7 @@ def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = No
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return {key: decode(options[1], item, arrays) for key, item in value.items()}
     if is_dataclass(kind) and isinstance(kind, type):
-        hints, plain = _hints(kind), _plain_fields(kind)
+        hints, plain = _read_hints(kind), _plain_fields(kind)
         return kind(
             **{
                 name: item if name in plain else decode(hints[name], item, arrays)
@@ -124,14 +124,14 @@ def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = No
 
 
 @cache
-def _hints(kind: type) -> dict[str, Any]:
+def _read_hints(kind: type) -> dict[str, Any]:
     return typing.get_type_hints(kind)
 
 
 @cache
 def _plain_fields(kind: type) -> frozenset[str]:
     """Returns the fields of a dataclass whose values JSON can hold directly."""
-    return frozenset(name for name, hint in _hints(kind).items() if _is_plain(hint))
+    return frozenset(name for name, hint in _read_hints(kind).items() if _is_plain(hint))
 
 
 def _is_plain(kind: Any) -> bool:

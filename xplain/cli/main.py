@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
         arguments: words of the command line; None takes the words of this process.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    _tell(given, "loading …")
+    _show_work(given, "loading …")
     with leave_at_once():
         from xplain.experiment.config import report_errors
 
@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> None:
             _run_experiment(given) if name is None else _run_command(name, rest)
 
 
-def _tell(given: list[str], what: str) -> None:
+def _show_work(given: list[str], what: str) -> None:
     """Shows the current work on a terminal, until an experiment's first stage replaces this
     line."""
     if all("=" in word or word == "-m" for word in given) and is_terminal(sys.stderr):
@@ -101,7 +101,7 @@ def _run_experiment(words: list[str]) -> None:
     if turns.count(True) > 1:
         raise XplainError("-m and other flags must be before all keys, or after all keys")
     require_names(words)
-    _tell(words, "composing …")
+    _show_work(words, "composing …")
     # Otherwise MLflow tries an unavailable server for minutes.
     os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
     os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")  # read when MLflow is imported

@@ -259,8 +259,8 @@ def demo(words: list[str], user: str | None, trace: int | None, html: Path) -> N
         xplain demo domain=four_rooms solver=qhr seed=3
 
     By default five traces are tried. The page shows the trace in which the explainer finds the
-    user's type with the fewest messages. Keys are those of the experiment (domain, users, solver,
-    lambda, seed, ...).
+    user's type with the fewest messages. Keys are the keys of the experiment (domain, users,
+    solver, lambda, seed, ...).
     """
     if not html.absolute().parent.is_dir():
         raise InputError("--html", str(html), "a file in a folder that exists")

@@ -99,14 +99,14 @@ def git_state() -> dict[str, str]:
     if not (root / ".git").exists():
         return {}
     try:
-        commit = _git(root, "rev-parse", "HEAD")
-        dirty = bool(_git(root, "status", "--porcelain", "--untracked-files=no"))
+        commit = _run_git(root, "rev-parse", "HEAD")
+        dirty = bool(_run_git(root, "status", "--porcelain", "--untracked-files=no"))
     except (OSError, subprocess.SubprocessError):
         return {}
     return {"commit": commit, "dirty": str(dirty).lower()}
 
 
-def _git(root: Path, *arguments: str) -> str:
+def _run_git(root: Path, *arguments: str) -> str:
     command = ["git", "-C", str(root), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10)
     return done.stdout.strip()
@@ -114,7 +114,7 @@ def _git(root: Path, *arguments: str) -> str:
 
 @cache
 def library_versions() -> dict[str, str]:
-    """Versions of Python and of LIBRARIES."""
+    """Reads the versions of Python and of LIBRARIES."""
     versions = {"python": ".".join(map(str, sys.version_info[:2]))}
     for name in LIBRARIES:
         try:

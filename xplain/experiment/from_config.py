@@ -106,7 +106,7 @@ def _make_section(cfg: Config, key: str, kind: type[T]) -> T:
 
 
 def experiment_of(cfg: Config) -> Experiment:
-    """Makes, and so checks, everything that a run needs, before any work.
+    """Makes everything that a run needs, so that all values are checked before any work.
 
     Raises:
         XplainError, HydraException: a component refuses a value.

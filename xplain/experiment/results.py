@@ -157,7 +157,7 @@ class Results(Provenance):
 
     @property
     def trade_off(self) -> float:
-        """λ, the weight of a message's cost against that of inexplicable labels."""
+        """λ, the cost of a message in units of an inexplicable label."""
         return float(self.config["lambda"])
 
     @property

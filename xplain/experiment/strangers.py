@@ -28,7 +28,7 @@ def with_others(prepared: Prepared, components: Components, explainee: Explainee
     domain, seed = components.domain, components.seed
     observed = components.users.types(domain, stream(seed, "users"))
     others = explainee.others(domain, observed, stream(seed, "explainee", "strangers"))
-    setting = Setting.build(domain, (*observed, *(t for t in others if _solvable(domain, t))))
+    setting = Setting.build(domain, (*observed, *(t for t in others if _is_solvable(domain, t))))
     alike = setting.distinct.tolist()
     new = [t for t in range(len(observed), len(alike)) if alike[t] not in alike[:t]]
     new = new[: len(observed)]
@@ -53,7 +53,7 @@ def with_others(prepared: Prepared, components: Components, explainee: Explainee
     )
 
 
-def _solvable(domain: Domain, user_type: UserType) -> bool:
+def _is_solvable(domain: Domain, user_type: UserType) -> bool:
     """True if the task can be solved under the type's beliefs."""
     with suppress(DomainError):
         Setting.build(domain, (user_type,))

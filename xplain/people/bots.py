@@ -231,7 +231,7 @@ def visit(
 
 @dataclass(frozen=True, kw_only=True)
 class BotHabits:
-    """Assumptions about people. None of them was measured.
+    """Assumptions about people, which were not measured.
 
     Attributes:
         mistake: probability of a wrong answer in a practice or a test.

@@ -141,7 +141,7 @@ class Log(Generic[S]):
                     raise sqlite3.DatabaseError(f"damaged: {verdict}; restore a backup")
                 if not self._connection.execute("SELECT 1 FROM sqlite_master").fetchone():
                     self._connection.executescript(SCHEMA)
-                self._load()
+                self._load_events()
             except sqlite3.DatabaseError as error:
                 raise InputError("database", str(path), f"cannot be used ({error})") from None
             self._opened = opened.pop_all()
@@ -151,13 +151,13 @@ class Log(Generic[S]):
         with self._lock:
             self._opened.close()
 
-    def _load(self) -> None:
+    def _load_events(self) -> None:
         self.plan, self.paused = "", False
         self.invited, self.people, self.keys = {}, {}, {}
         for event in self.events():
-            self._apply(event)
+            self._apply_event(event)
 
-    def _apply(self, event: Event) -> None:
+    def _apply_event(self, event: Event) -> None:
         """Updates the state in memory by an event."""
         who, told = event.participant, event.payload
         if not who:
@@ -187,7 +187,7 @@ class Log(Generic[S]):
                 with suppress(sqlite3.OperationalError):  # SQLite has already rolled back
                     self._connection.execute("ROLLBACK")
                 if self._connection.total_changes != before:
-                    self._load()
+                    self._load_events()
                 raise
 
     def append(
@@ -211,7 +211,7 @@ class Log(Generic[S]):
         sql = f"INSERT INTO event VALUES ({', '.join('?' * len(row))}) ON CONFLICT DO NOTHING"
         stored = self._connection.execute(sql, row)
         if stored.rowcount:
-            self._apply(Event(*row[:-3], json.loads(text), state, stored.lastrowid or 0))
+            self._apply_event(Event(*row[:-3], json.loads(text), state, stored.lastrowid or 0))
 
     def events(self, where: str = "TRUE", *values: Any) -> Iterator[Event]:
         """Yields events in order of arrival, with decoded payloads."""
@@ -222,7 +222,7 @@ class Log(Generic[S]):
             yield event._replace(payload=json.loads(str(event.payload)))
 
     def everybody(self) -> list[Participant[S]]:
-        """Returns all participants except erased ones, with their events, in order of arrival."""
+        """Returns all participants whose data is not erased, with events, in order of arrival."""
         own: dict[str, list[Event]] = {}
         for event in self.events():
             own.setdefault(event.participant, []).append(event)
@@ -240,7 +240,7 @@ class Log(Generic[S]):
         sql = f"UPDATE event SET {what} WHERE participant = ? AND {which}"
         self._connection.execute(sql, (who,))
         self._connection.execute(FIXED)
-        self._load()
+        self._load_events()
 
     def erase(self, who: str, keep_key: bool = True) -> None:
         """Erases one participant's answers and outside ids.
@@ -295,7 +295,7 @@ def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
 
 
 def read(path: Path, plan: type[Plan], state: type[S]) -> tuple[Plan, list[Participant[S]]]:
-    """Reads the plan and all participants except erased ones, with their events, in order of
+    """Reads the plan and all participants whose data is not erased, with their events, in order of
     arrival. The file is a snapshot, or a database that no server has open.
 
     Raises:

@@ -137,7 +137,11 @@ class Store(Log[Any]):
             if key not in self.invited:
                 raise Unknown
             who = self.keys.get(key)
-            return self._resume(who) if who else self._enter(self.invited[key], "invitation", key)
+            return (
+                self._resume_participant(who)
+                if who
+                else self._create_participant(self.invited[key], "invitation", key)
+            )
 
     def enter_from_platform(self, ids: Mapping[str, str], keep: bool) -> str:
         """Returns the participant with a recruiting platform's ids; the first use of the ids
@@ -157,13 +161,13 @@ class Store(Log[Any]):
         with self.changes():
             if (who := self.keys.get(key)) is None:
                 more: dict[str, Any] = {"session": hashed, "kept": {**ids} if keep else {}}
-                return self._enter("person", "platform", key, **more)
+                return self._create_participant("person", "platform", key, **more)
             one = self.people[who]
             if not one.erased and one.identity["session"] != hashed:
                 if one.state.stage != "consent":
                     raise Unknown
                 self.append(who, "identity", "session", {"session": hashed})
-            return self._resume(who)
+            return self._resume_participant(who)
 
     def enter_as_pilot(self, cell: int | None = None) -> str:
         """Creates a pilot without an invitation.
@@ -177,9 +181,11 @@ class Store(Log[Any]):
         if cell is not None and not 0 <= cell < len(self.flow.cells):
             raise Refused("not_understood")
         with self.changes():
-            return self._enter("pilot", "open" if cell is None else "preview", cell=cell)
+            return self._create_participant(
+                "pilot", "open" if cell is None else "preview", cell=cell
+            )
 
-    def _enter(
+    def _create_participant(
         self, stream: str, entry: str, key: str = "", cell: int | None = None, **more: Any
     ) -> str:
         who, first = letters(14).lower(), self.flow.STATE(cell=cell).text
@@ -188,7 +194,7 @@ class Store(Log[Any]):
         self.append(who, "identity", "identity", identity)
         return who
 
-    def _resume(self, who: str) -> str:
+    def _resume_participant(self, who: str) -> str:
         if self.people[who].erased:
             raise Gone
         self.append(who, "server", "resume", {})
@@ -202,7 +208,7 @@ class Store(Log[Any]):
     # The participant's way ---------------------------------------------------------------------
 
     def present(self) -> list[Participant[Any]]:
-        """Returns all participants except erased ones, in order of arrival."""
+        """Returns all participants whose data is not erased, in order of arrival."""
         with self._lock:
             return [one for one in self.people.values() if not one.erased]
 
@@ -271,7 +277,7 @@ class Store(Log[Any]):
             one = self.participant(who)
             state: State = one.state
             if kind == "withdraw" and (not state.over or state.paused):
-                return self._accept(one, kind, payload, browser)
+                return self._accept_answer(one, kind, payload, browser)
             left = kind == "withdraw" and state.stage == "withdrawn"
             if left or (kind == "return" and not state.paused):
                 return state
@@ -284,7 +290,9 @@ class Store(Log[Any]):
             if sequence > state.accepted or (state.over and not state.paused):
                 raise Conflict("other_page")
             if state.paused:
-                state = self._accept(one, "return", self.flow.readmit(one, self._list_current()))
+                state = self._accept_answer(
+                    one, "return", self.flow.readmit(one, self._list_current())
+                )
                 if kind == "return":
                     return state
                 one = self.people[who]
@@ -292,7 +300,7 @@ class Store(Log[Any]):
                 if one.stream == "person" and self.paused:
                     raise Refused("paused")
                 payload = {**payload, **self.flow.admit(one, self._list_current())}
-            return self._accept(one, kind, payload, browser)
+            return self._accept_answer(one, kind, payload, browser)
 
     def find_state(self, found: Participant[Any], sequence: int) -> State:
         """Finds the state of a participant whose page had this number; the current state if no page
@@ -304,7 +312,7 @@ class Store(Log[Any]):
         states = (self.flow.STATE.from_text(event.state) for event in own)
         return next(one for one in states if one.accepted == sequence)
 
-    def _accept(
+    def _accept_answer(
         self,
         one: Participant[Any],
         kind: str,
@@ -337,7 +345,7 @@ class Store(Log[Any]):
                 and self._measure_silence(one) > 60 * self.flow.plan.rules.timeout_minutes
             ]
             for one in stale:
-                self._accept(one, "time_out", {})
+                self._accept_answer(one, "time_out", {})
         return len(stale)
 
     def _list_current(self) -> People:

@@ -91,7 +91,7 @@ def pair_episodes(
     two: Sequence[Value],
     on: Sequence[str],
 ) -> pd.DataFrame:
-    """Pairs the episodes of one way to solve a problem with those of another way on the same
+    """Pairs the episodes of one way to solve a problem with the episodes of another way on the same
     problem (columns with ``_other``). ``difference`` is the first cost minus the other. Episodes
     without a partner are left out.
 
@@ -279,7 +279,7 @@ def is_beside_paper(summary: Summary) -> bool:
 
 
 def _list_references(summary: Summary) -> list[str]:
-    """Columns of references, the clairvoyant first because it costs least."""
+    """Lists the columns of references, the clairvoyant first because it costs least."""
     return ["clairvoyant", *(["oracle"] if summary.measure.name == "regret" else [])]
 
 

@@ -39,7 +39,7 @@ LINE, LETTER = 0.18, 0.082
 """Height of a line below the steps, and width of a letter in the name of a transition, in
 inches."""
 TYPES = 8
-"""Maximum number of learned types in the plot of the belief: the most likely ones at the end."""
+"""Maximum number of learned types in the plot of the belief: the most likely types at the end."""
 ASKED = "#7A3F8F"
 EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
 

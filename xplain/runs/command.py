@@ -54,7 +54,7 @@ def _run_single(cfg: DictConfig, own: Any) -> float | None:
         tell_when_compiling(progress.compiling)
         made = Job.of(cfg, own.runtime.choices)
         if cfg.dry_run:
-            _check(made)
+            _check_job(made)
             return None
         return run_alone(made, folder, instantiate(cfg.tracking), progress).regret
     finally:
@@ -71,14 +71,14 @@ def _run_in_sweep(cfg: DictConfig, own: Any) -> float | None:
 
     made = Job.of(cfg, own.runtime.choices)
     if cfg.dry_run:
-        _check(made)
+        _check_job(made)
         return None
     folder = Path(own.sweep.dir).absolute() / "jobs" / made.fingerprint
     list_job(made, own.overrides.task, folder)
     return run_in_sweep(made, folder, made.fingerprint)
 
 
-def _check(made: Any) -> None:
+def _check_job(made: Any) -> None:
     """Checks one job, for ``dry_run=true``."""
     from xplain.experiment.from_config import check
 

@@ -86,14 +86,14 @@ class MLflow(Disk):
             XplainError: MLflow fails, or the experiment was deleted there.
         """
         try:
-            return [without_passwords(line) for line in self._send(folder, outputs)]
+            return [without_passwords(line) for line in self._send_folder(folder, outputs)]
         except XplainError:
             raise
         except Exception as error:  # MLflow passes on errors of SQLAlchemy, requests, the OS
             text = without_passwords(first_line(error))[:200]
             raise XplainError(f"tracking.uri: MLflow did not store the results ({text})") from error
 
-    def _send(self, folder: Path, outputs: Path) -> list[str]:
+    def _send_folder(self, folder: Path, outputs: Path) -> list[str]:
         outputs.mkdir(parents=True, exist_ok=True)
         own = outputs.resolve() / "mlflow.db"
         uri = self.uri or f"sqlite:///{own}"

@@ -233,9 +233,9 @@ def clip(
 def _vary_question(
     plan: CollectPlan, before: Sequence[AskedClip], near: set[int], asking: Questionnaire
 ) -> tuple[int, int]:
-    """Chooses the best question about a step that was not shown before, if it is about as
-    informative as the best question; otherwise the best question about a step that the neighbouring
-    clips do not show."""
+    """Chooses the best question about a step that was not shown before, if this question is about
+    as informative as the best question of all. Otherwise chooses the best question about a step
+    that the neighbouring clips do not show."""
     phrases, every = plan.hypotheses.phrases, asking.alternatives(ALTERNATIVES)
     unknown = _list_unknown(before)
     found = [one for one in every if ((one[0],), one[1]) not in unknown] or every

@@ -359,12 +359,12 @@ class Asked:
         lasting = [clip for clip in self.clips if clip.purpose in HEEDED]
         for clip in self.clips:
             if clip.purpose not in HEEDED:
-                weight = self._update([clip], weight, habits)
+                weight = self._update_weights([clip], weight, habits)
                 weight /= weight.sum()
-        found = self._update(lasting, weight, habits).reshape(-1, len(habits)).sum(axis=0)
+        found = self._update_weights(lasting, weight, habits).reshape(-1, len(habits)).sum(axis=0)
         return np.asarray(found / found.sum())
 
-    def _update(
+    def _update_weights(
         self, clips: Sequence[AskedClip], weight: NDArray[np.float64], habits: Habits
     ) -> NDArray[np.float64]:
         """Updates the weights [N F] of (fact set, habit) by the labels on these pages. Messages

@@ -179,7 +179,7 @@ class Talks(Log[State]):
                 state = json.dumps(talk.decided)
                 self.append(which, "protocol", "begin", begun, state=state)
                 self.append(which, "identity", "identity", {"key": key})
-                self._keep(which, talk)
+                self._keep_open(which, talk)
         which = self.keys[key]
         first = next(self.events(OWN, which))
         if first.payload != begun:
@@ -286,10 +286,10 @@ class Talks(Log[State]):
                 if decided != talk.decided:
                     talk.repeat(decided)
                 talk.decided = decided
-        self._keep(which, talk)
+        self._keep_open(which, talk)
         return talk
 
-    def _keep(self, which: str, talk: Talk) -> None:
+    def _keep_open(self, which: str, talk: Talk) -> None:
         self._open[which] = talk
         if len(self._open) > MOST_OPEN:
             self._open.popitem(last=False)

@@ -69,7 +69,7 @@ class StudyState(core.State):
         orders: {"eligibility" | "quiz": order of the questions}.
         attempts: number of eligibility tests.
         step: k of the evaluation.
-        given: bitmask of all messages on the page, including the new ones.
+        given: bitmask of all messages on the page, including new messages.
         new: bitmask of the messages given at this step.
         previous: bitmask of the messages at the previous step; None at the first step.
         belief: belief over hidden states.
