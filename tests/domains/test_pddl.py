@@ -2,6 +2,7 @@
 words."""
 
 import warnings
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ from tests.domains.downward import plan_cost
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.task import Source
 
-up = pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")
+pytestmark = pytest.mark.skipif(
+    find_spec("unified_planning") is None, reason="pip install 'xplain-hri[pddl]'"
+)
 
 NAMES = ["blocks", "logistics", "rover", "search_and_rescue"]
 

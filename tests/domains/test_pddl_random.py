@@ -1,6 +1,7 @@
 """Compares random tasks in PDDL, in all styles that people use, with Fast Downward."""
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from tests.domains.downward import plan_cost
 from xplain.domains.pddl.domain import PDDL
 from xplain.errors import XplainError
 
-pytest.importorskip("up_fast_downward", reason="pip install 'xplain-hri[pddl]'")
+pytestmark = pytest.mark.skipif(
+    find_spec("up_fast_downward") is None, reason="pip install 'xplain-hri[pddl]'"
+)
 
 TYPES = {"thing": "object", "box": "thing", "lid": "thing", "place": "object"}
 PREDICATES = {

@@ -1,4 +1,5 @@
-"""``labeler=truth``: labels are known, and the type is unknown."""
+"""``labeler=truth``: labels are known, and the type is unknown. Types that were found exactly give
+the same."""
 
 from __future__ import annotations
 
@@ -41,20 +42,26 @@ SOLVERS: dict[str, Solver] = {
     "silent": Silent(),
     "say_all": SayAll(),
 }
+SMALL = ("domain=rescue", "observers.label_noise=0.02", "points=150", "traces=2", "seed=2")
+PLANS: dict[str, Solver] = {"qmdp": QMDP(), "pomcp": POMCP(simulations=100)}
 GAMMA_1 = ("labeler=truth", "discount=1", "traces=4", "max_steps=7", "lambda=1.3")
 
 
 @cache
-def prepared(domain: str) -> tuple[Prepared, Costs]:
-    cfg = composed(f"domain={domain}", *GAMMA_1)
+def prepared(*overrides: str) -> tuple[Prepared, Costs]:
+    cfg = composed(*overrides)
     return prepare(components_of(cfg)), costs_of(cfg)
+
+
+def truth(domain: str) -> tuple[Prepared, Costs]:
+    return prepared(f"domain={domain}", *GAMMA_1)
 
 
 @cache
 def episodes(domain: str) -> dict[tuple[str, int, int], Record]:
     """Makes episodes of undiscounted plans, so that plans minimise the reported costs."""
     known = {"oracle": KnownType("type"), "clairvoyant": KnownType("labels")}
-    records = evaluate(*prepared(domain), SOLVERS | known, Independent(), Exact(), 0)
+    records = evaluate(*truth(domain), SOLVERS | known, Independent(), Exact(), 0)
     return {(record.solver, record.trace, record.user_type): record for record in records}
 
 
@@ -73,7 +80,7 @@ def test_the_oracle_is_the_clairvoyant(domain: str) -> None:
 
 
 def test_true_types_are_equally_likely_whatever_was_found() -> None:
-    found, costs = prepared("rescue")
+    found, costs = truth("rescue")
     two = replace(found, learned_types=found.types[:2], type_shares=np.array([0.9, 0.1]))
     known = with_true_labels(two)
     problem = problem_of_types(
@@ -92,7 +99,7 @@ def test_nobody_costs_less_than_who_knows_the_type(domain: str) -> None:
 def test_what_happens_is_what_the_model_expects(domain: str) -> None:
     """Users of every type in turn are the uniform prior, and their labels the model's own: the
     mean cost is the policy's exact expectation, and none is below the certified optimum."""
-    known, costs = prepared(domain)
+    known, costs = truth(domain)
     users = range(len(known.types))
     for index, case in enumerate(known.cases):
         problem = problem_of_types(known, case, costs, Independent())
@@ -111,14 +118,13 @@ def test_what_happens_is_what_the_model_expects(domain: str) -> None:
 
 @both
 def test_a_true_type_is_never_ruled_out_and_the_figures_say_what_is_known(domain: str) -> None:
-    known, _ = prepared(domain)
+    known, _ = truth(domain)
     for record in episodes(domain).values():
         assert (record.right_belief > 0).all()
     assert known.learned_types == known.types
     assert known.matched_true_type.tolist() == known.distinct.tolist()
     for case in known.cases:
         assert set(np.unique(case.learned.p)) <= {0.0, 1.0}
-        assert case.perfect is not None
         assert np.array_equal(case.learned.p, case.perfect.p)
         # As many observers a type: everybody's labeler is the types' mean.
         n = len(known.messages)
@@ -166,8 +172,7 @@ def test_messages_that_differ_in_price_by_hand() -> None:
 
 def test_traces_are_those_of_any_other_labeler() -> None:
     """Random numbers are common, so the costs of another labeler can be compared in pairs."""
-    learned = prepare(components_of(composed("labeler=tree", "traces=3")))
-    true = prepare(components_of(composed("labeler=truth", "traces=3")))
+    learned, true = (prepared(f"labeler={own}", *SMALL)[0] for own in ("tree", "truth"))
     for one, other in zip(learned.cases, true.cases, strict=True):
         assert np.array_equal(one.transitions, other.transitions)
         assert np.array_equal(one.labels.p, other.labels.p)
@@ -184,3 +189,62 @@ def test_types_of_real_people_are_not_known(tmp_path) -> None:
         TrueLabels().types_of(replace(observed, truth=None))
     with pytest.raises(InputError, match="absent"):
         prepare(replace(components, observers=FileObservers(str(tmp_path / "absent.csv"))))
+
+
+# --- Types that were found ------------------------------------------------------------------------
+
+
+def records(*overrides: str) -> list[Record]:
+    solvers = PLANS | {"oracle": KnownType("type")}
+    return evaluate(*prepared(*SMALL, *overrides), solvers, Independent(), Exact(), 0)
+
+
+def same(one: Record, other: Record) -> bool:
+    key = one.solver, one.trace, one.user_type
+    return (
+        key == (other.solver, other.trace, other.user_type)
+        and one.episode.cost == other.episode.cost
+        and np.array_equal(one.episode.messages, other.episode.messages)
+        and np.array_equal(one.episode.beliefs, other.episode.beliefs)
+    )
+
+
+@pytest.mark.parametrize("labeler", ["labeler=tree", "labeler=pruned"])
+def test_types_found_right_cost_what_the_true_ones_do(labeler: str) -> None:
+    """Costs are equal to the last digit, for any solver."""
+    found, _ = prepared(*SMALL, "clusterer=dirichlet", labeler)
+    assert found.learning["adjusted_rand_index"] == 1
+    true, _ = prepared(*SMALL, "clusterer=perfect", labeler)
+    assert found.matched_true_type.tolist() == true.matched_true_type.tolist()
+    for one, other in zip(found.cases, true.cases, strict=True):
+        assert np.array_equal(one.learned.p, other.learned.p)
+        # The oracle's labelers are the found ones, type by type.
+        for t, matched in enumerate(found.matched_true_type):
+            user = found.distinct.tolist().index(matched)
+            assert np.array_equal(one.learned.p[..., t], one.perfect.p[..., user])
+    ways = (records(f"clusterer={own}", labeler) for own in ("dirichlet", "perfect"))
+    assert all(same(one, other) for one, other in zip(*ways, strict=True))
+
+
+def test_types_that_behave_alike_are_one_for_the_oracle_too() -> None:
+    """The adjusted Rand index counts them as one, and so must the oracle's labelers."""
+    users = ("users=explicit", "users.groups={A: [fire, rubble], B: [fence], twin: [fire, rubble]}")
+    found, _ = prepared(*SMALL, *users, "clusterer=dirichlet")
+    true, _ = prepared(*SMALL, *users, "clusterer=perfect")
+    assert found.distinct.tolist() == [0, 1, 0]
+    assert found.learning["adjusted_rand_index"] == 1
+    for one, other in zip(found.cases, true.cases, strict=True):
+        assert np.array_equal(one.learned.p, other.learned.p)
+        assert np.array_equal(one.perfect.p[..., 0], one.perfect.p[..., 2])
+        assert np.array_equal(one.perfect.p[..., [0, 1]], one.learned.p)
+
+
+def test_a_solver_that_knows_the_labels_costs_what_it_costs_without_a_labeler() -> None:
+    """The reference that a run logs is the run with ``labeler=truth``."""
+    learned, costs = prepared(*SMALL, "labeler=tree", "clusterer=dirichlet")
+    reference, true, own = (
+        evaluate(known, costs, PLANS, Independent(), Exact(), 0)
+        for known in (with_true_labels(learned), prepared(*SMALL, "labeler=truth")[0], learned)
+    )
+    assert all(same(one, other) for one, other in zip(reference, true, strict=True))
+    assert not all(same(one, other) for one, other in zip(reference, own, strict=True))

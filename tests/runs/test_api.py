@@ -71,11 +71,6 @@ def test_a_run_is_that_of_the_command_line(here: Path, capsys: pytest.CaptureFix
     assert one.runs[0].results.started == run.results.started
 
 
-def test_what_a_component_prints_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    xplain.run(*SMALL, solver=Talkative())
-    assert set(capsys.readouterr().out.split()) == {"planning"}
-
-
 def test_runs_within_a_second_have_folders_of_their_own(
     here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -122,34 +117,34 @@ def test_a_sweep_takes_lists_and_objects_and_gives_frames_and_axes(here: Path) -
         ({"trade_off": -1}, "lambda (trade_off)=-1.0: a number ≥ 0"),
         ({"solver": object()}, "an object of a dataclass at the top level of a module"),
         ({"config_dir": "absent"}, "a folder with choices of your own"),
+        ({"dry_run": True}, "only the command line has dry runs"),
     ],
 )
-def test_what_is_wrong_is_one_line(keys: dict[str, Any], said: str) -> None:
+def test_what_is_wrong_is_one_line(here: Path, keys: dict[str, Any], said: str) -> None:
     for start in (xplain.run, xplain.sweep):
         with pytest.raises(XplainError) as error:
             start(*SMALL, **keys)
         assert said in str(error.value)
         assert "\n" not in str(error.value)
-
-
-def test_folders_and_rows_that_are_none_are_told(here: Path) -> None:
     with pytest.raises(InputError, match="of a run or a sweep"):
         xplain.load(here)
-    with pytest.raises(InputError, match="false: only the command line has dry runs"):
-        xplain.run(*SMALL, dry_run=True)
 
 
 TEXTS = ["null", "true", "1e3", "ä λ\n", "a\\'b", "${x}".replace("$", "§"), "x,y", "[1]", ""]
 
 
-def test_values_arrive_as_they_are_given(here: Path) -> None:
+def test_values_arrive_as_they_are_given_and_equal_objects_are_one_job(here: Path) -> None:
     every = dict.fromkeys(TEXTS, 1.0) | {"of": TEXTS}
-    solvers = [Named(text=text, cells=((6, 2),), fees=every) for text in ("null", "1e3")]
+    other = {"": 1.0}
+    given = [("null", every), ("1e3", every), ("1e3", dict([*every.items()][::-1])), ("1e3", other)]
+    solvers = [Named(text=text, cells=((6, 2),), fees=fees) for text, fees in given]
+    assert solvers[1] == solvers[2]
     sweep = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=range(2), outputs=here / "a b'c")
     configs = [run.results.config for run in sweep.runs]
-    assert {config["solver"]["text"] for config in configs} == {"null", "1e3"}
-    assert all(config["solver"]["fees"] == every for config in configs)
-    assert {config["seed"] for config in configs} == {0, 1}
+    found = [(own["solver"]["text"], own["solver"]["fees"], own["seed"]) for own in configs]
+    wanted = [(*own, seed) for own in (given[0], given[1], given[3]) for seed in (0, 1)]
+    assert len(found) == 6
+    assert all(own in found for own in wanted)
     assert all(config["solver"]["cells"] == [[6, 2]] for config in configs)
     assert sweep.folder.is_relative_to(here / "a b'c")
     for seed in (np.arange(2), [np.int64(0), np.int64(1)]):
@@ -161,20 +156,6 @@ def test_values_arrive_as_they_are_given(here: Path) -> None:
 
 
 FEES = dict.fromkeys(("discount", "step_cost", "penalty_cells", "penalty"), 1.0)
-
-
-def test_equal_objects_are_one_job_and_others_another() -> None:
-    one, same = (
-        Named(fees={"a": 2.0, "b": 1.0}),
-        Named(fees={"b": 1.0, "a": 2.0}),
-    )
-    assert one == same
-    others = [
-        Named(fees={"a": 1.0, "b": 2.0}),
-        Named(fees={"a": 2.0}),
-        Named(),
-    ]
-    assert len(xplain.sweep(*SMALL, SERIAL, solver=[one, same, *others]).runs) == 4
 
 
 SCRIPT = """
@@ -208,25 +189,7 @@ def test_a_component_of_the_script_itself_runs_in_this_process(here: Path) -> No
     assert jobs == "2 jobs"
 
 
-def test_a_module_that_was_edited_and_loaded_again_is_another_address(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(str(here))
-    found = []
-    for silent in (True, False):
-        base = "Silent" if silent else "SayAll"
-        (here / "edited_solver.py").write_text(
-            f"from xplain.solvers.simple import {base} as Base\nclass Mine(Base): pass\n"
-        )
-        importlib.invalidate_caches()
-        sys.modules.pop("edited_solver", None)
-        mine = importlib.import_module("edited_solver").Mine
-        found.append(xplain.run(*SMALL, solver=mine()).results)
-    assert found[0].fingerprint != found[1].fingerprint
-    assert found[0].metrics["messages"].mean == 0 < found[1].metrics["messages"].mean
-
-
-def test_a_module_that_was_edited_and_not_loaded_again_is_refused(
+def test_a_module_that_was_edited_is_refused_until_it_is_loaded_again(
     here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The results of the old code would be stored at the address of the new code."""
@@ -235,15 +198,17 @@ def test_a_module_that_was_edited_and_not_loaded_again_is_refused(
     source.write_text("from xplain.solvers.simple import Silent\nclass Mine(Silent): pass\n")
     importlib.invalidate_caches()
     loaded = importlib.import_module(source.stem)
-    xplain.run(*SMALL, solver=loaded.Mine())
-    os.utime(source, (1, 1))  # copied, and the same
-    xplain.run(*SMALL, solver=loaded.Mine(), trade_off=2)
+    for _ in range(2):
+        first = xplain.run(*SMALL, solver=loaded.Mine())
+        os.utime(source, (1, 1))  # copied, and the same
     source.write_text("from xplain.solvers.simple import SayAll\nclass Mine(SayAll): pass\n")
     for start in (xplain.run, xplain.sweep):
         with pytest.raises(XplainError, match="was edited after it was loaded; reload or restart"):
-            start(*SMALL, solver=loaded.Mine(), trade_off=3)
+            start(*SMALL, solver=loaded.Mine())
     importlib.reload(loaded)
-    assert xplain.run(*SMALL, solver=loaded.Mine(), trade_off=3).results.metrics["messages"].mean
+    again = xplain.run(*SMALL, solver=loaded.Mine())
+    assert first.results.fingerprint != again.results.fingerprint
+    assert first.results.metrics["messages"].mean == 0 < again.results.metrics["messages"].mean
 
 
 class Tee:
@@ -256,12 +221,15 @@ class Tee:
         pass
 
 
-def test_a_program_keeps_its_own_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_keeps_its_own_settings_and_what_a_component_prints(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     before, level = dict(matplotlib.rcParams), logging.getLogger("mlflow").level
     variables = {name for name in os.environ if name.startswith("MLFLOW")}
     monkeypatch.setattr(sys, "stderr", Tee())
     hydra = GlobalHydra.instance().hydra
-    xplain.run(*SMALL).plot()
+    xplain.run(*SMALL, solver=Talkative()).plot()
+    assert set(capsys.readouterr().out.split()) == {"planning"}
     assert GlobalHydra.instance().hydra is hydra
     assert dict(matplotlib.rcParams) == before
     assert logging.getLogger("mlflow").level == level

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import skops.io
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
@@ -90,6 +89,8 @@ def _make_labeler(
             raise InputError("types", f"table of type {t}", "probabilities inside (0, 1)")
         rows, table = rows.astype(np.float32), table.astype(np.float64)
         return TableLabeler(rows=rows, values=table, n_messages=messages, **figures)
+    import skops.io  # takes long, and tables do not need it
+
     data = kept["skops"].tobytes()
     unknown = {*skops.io.get_untrusted_types(data=data)} - {TREE, *trusted}
     if unknown:
