@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from tests.explanation.flat_pomdp import read
+from tests.explanation.test_pomdp_file import read
 from xplain.cli.main import main
 from xplain.experiment.config import CONF
 from xplain.explanation.asking import Limits, Questions

@@ -41,8 +41,9 @@ def tasks(draw: Any) -> tuple[GoalTask, dict[tuple[int, int], int]]:
 
 @settings(max_examples=80, deadline=None)
 @given(tasks())
-def test_the_cost_to_go_is_that_of_the_cheapest_way_to_a_goal(made: Any) -> None:
-    """No action leaves a goal. A state whose plan costs as much as a dead end is a dead end."""
+def test_plans_and_labels_are_those_of_the_cheapest_way_to_a_goal(made: Any) -> None:
+    """Nobody leaves a goal; a state that costs as much as a dead end is a dead end. Labels follow
+    the definition for each transition, and equal the dense tables."""
     task, edges = made
     distance = np.where(task.terminal, 0.0, np.inf)
     for _ in range(task.n_states):  # a cheapest way has at most so many steps
@@ -51,13 +52,6 @@ def test_the_cost_to_go_is_that_of_the_cheapest_way_to_a_goal(made: Any) -> None
                 distance[s] = min(distance[s], task.cost[a] + distance[after])
     distance[distance >= task.dead_end_cost] = np.inf
     assert task.to_go.tolist() == distance.tolist()
-
-
-@settings(max_examples=80, deadline=None)
-@given(tasks())
-def test_explicable_is_on_a_cheapest_plan_and_as_it_comes_out(made: Any) -> None:
-    """Labels follow the definition for each transition, and equal the dense tables."""
-    task, edges = made
     n, actions = task.n_states, task.n_actions
     every = np.array([(s, a, t) for s in range(n) for a in range(actions) for t in range(n)])
     expected = [

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, given
+from tests.refusals import refused
 from xplain.domains import mdp
 from xplain.errors import InputError, XplainError
 
@@ -214,9 +215,8 @@ def test_another_kind_of_model_is_refused_in_a_line(
     table: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown(table, monkeypatch)
-    with pytest.raises(InputError, match=r"^domain\.id=") as caught:
+    with refused(r"^domain\.id="):
         read_model("Other", {}, 0.9)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("error", [RuntimeError, ImportError, OSError, IndexError])
@@ -311,10 +311,8 @@ def change(**fields: Any) -> dict[str, Any]:
     ],
 )
 def test_bad_input_is_one_clear_line(changes: dict[str, Any], text: str) -> None:
-    with pytest.raises(InputError, match=text) as caught:
+    with refused(text, "domain."):
         Gymnasium(**given("cliff_walking") | changes)
-    assert caught.value.key.startswith("domain.")
-    assert "\n" not in str(caught.value)
 
 
 def test_without_gymnasium_the_error_names_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -74,7 +74,7 @@ def test_the_robots_model_is_what_the_simulator_does(problem: Any, name: str) ->
         warnings.simplefilter("ignore")  # lengths are given for roads alone
         simulator = UPSequentialSimulator(problem, error_on_failed_checks=False)
     with simulator:
-        for _ in range(8):
+        for _ in range(5):
             real, state = simulator.get_initial_state(), 0
             for _ in range(12):
                 holds = {

@@ -8,6 +8,7 @@ import pytest
 
 from tests.domains.configs import given
 from tests.domains.downward import plan_cost
+from tests.refusals import refused
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.task import Source
 from xplain.domains.users.setting import Setting, UserType
@@ -84,9 +85,8 @@ PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
     ],
 )
 def test_a_bad_file_is_one_line(key: str, old: str, new: str, text: str, tmp_path: Path) -> None:
-    with pytest.raises(XplainError, match=text) as caught:
+    with refused(text, kind=XplainError):
         PDDL(**edited(tmp_path, key, old, new))
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -94,11 +94,6 @@ def test_a_bad_file_is_one_line(key: str, old: str, new: str, text: str, tmp_pat
     [
         ("file", REQUIRES, f"{REQUIRES} :durative-actions"),  # tags that nothing uses
         ("file", REQUIRES, f"{REQUIRES} :adl :derived-predicates :fluents"),
-        ("problem", "(:metric minimize (total-cost))", ""),  # each action costs 1
-        ("file", COST, "(increase (total-cost) 0)"),
-        ("file", COST, ""),  # costs 0
-        ("file", PRECONDITION, "(ontable ?x) (or (clear ?x) (holding ?x)) (handempty))"),
-        ("file", PRECONDITION, "(clear ?x) (imply (clear ?x) (ontable ?x)) (handempty))"),
         ("file", PRECONDITION, "(ontable ?x) (not (and (clear ?x) (holding ?x))) (handempty))"),
         (
             "file",
@@ -203,9 +198,8 @@ HANDS = {"action": "pick-up", "drop_precondition": "(handempty)"}
     ],
 )
 def test_a_bad_value_is_one_line(changes: dict[str, Any], text: str) -> None:
-    with pytest.raises(XplainError, match=text) as caught:
+    with refused(text, kind=XplainError):
         PDDL(**given("blocks") | changes)
-    assert "\n" not in str(caught.value)
 
 
 def test_an_action_without_a_cost_does_not_exist(tmp_path: Path) -> None:

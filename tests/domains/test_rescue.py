@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.refusals import refused
 from xplain.domains.rescue import Rescue
-from xplain.errors import InputError
 
 RESCUE = "domain=rescue"
 REWARD = {"A": "first_aid", "F": "fire", "U": "refuel", "r": "rubble", "p": "puddle", "f": "fence"}
@@ -156,10 +156,8 @@ def test_a_slip_goes_to_one_of_the_two_sides() -> None:
     ],
 )
 def test_bad_input_is_one_clear_line(changes: dict, key: str, text: str) -> None:
-    with pytest.raises(InputError, match=text) as caught:
+    with refused(text, key):
         rescue(**changes)
-    assert caught.value.key.startswith(key)
-    assert "\n" not in str(caught.value)
 
 
 def test_the_scene_shows_every_item_in_its_place() -> None:

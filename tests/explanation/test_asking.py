@@ -22,23 +22,6 @@ from xplain.testing.literal_pomdp import literal_optimal_value
 from xplain.testing.problems import random_problem, with_questions
 
 
-def asking_problems(seed: int, count: int) -> list[Problem]:
-    """Draws small problems; in some of them users err."""
-    rng = np.random.default_rng(seed)
-    return [with_questions(rng, random_problem(rng, 3, 2, 2)) for _ in range(count)]
-
-
-def test_asking_never_makes_the_optimum_worse() -> None:
-    """Optima with and without questions come from brute force; in some problems questions improve
-    the optimum."""
-    gained = []
-    for problem in asking_problems(0, 60):
-        without = literal_optimal_value(replace(problem, questions=Questions()))
-        gained.append(literal_optimal_value(problem) - without)
-    assert min(gained) >= -1e-12
-    assert max(gained) > 0.03
-
-
 def test_what_a_question_is_worth_by_hand() -> None:
     """Type 0 needs the message (1.0 of λ C_e) or pays 3 over two steps, type 1 needs nothing, and
     labels come too late. The question separates them for κ = 0.2: 0.2 + ½ · 1 instead of 1."""
@@ -48,15 +31,6 @@ def test_what_a_question_is_worth_by_hand() -> None:
     asking = replace(problem, questions=Questions(table, Limits(cost=0.2)))
     assert literal_optimal_value(problem) == pytest.approx(-1.0)
     assert literal_optimal_value(asking) == pytest.approx(-0.7)
-
-
-def test_a_question_does_not_pay_by_delay() -> None:
-    """For any γ, a question without information is not worth its cost."""
-    for discount in (1.0, 0.95, 0.5):
-        problem = Problem(np.full((2, 2, 2), 0.3), np.array([0.4]), discount=discount)
-        table = LabelTable.dense(np.full((2, 3, 2), 0.5))
-        asking = replace(problem, questions=Questions(table, Limits(cost=0.01)))
-        assert literal_optimal_value(asking) == pytest.approx(literal_optimal_value(problem))
 
 
 def test_second_opinions_come_after_every_kind() -> None:

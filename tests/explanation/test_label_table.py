@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.explanation.by_type_problems import plain, random_pair
+from tests.refusals import refused
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.belief import update
 from xplain.explanation.files import load, save
@@ -119,7 +120,5 @@ def test_bad_tables_are_named(key: str, changes: dict[str, Any]) -> None:
         return Problem(table, **{"message_cost": np.ones(5)} | rest)
 
     problem()
-    with pytest.raises(InputError) as caught:
+    with refused(f"^{key}="):
         problem(**changes)
-    assert caught.value.key == key
-    assert "\n" not in str(caught.value)

@@ -3,12 +3,14 @@ people."""
 
 from collections import defaultdict
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xplain.errors import InputError
 from xplain.explanation.belief import Independent
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learn_habits
@@ -113,3 +115,21 @@ def test_answers_to_questions_tell_nothing_of_messages_that_do_not_land() -> Non
     for key in ("accept", "forget"):
         rates, shares = getattr(UNKNOWN, key), UNKNOWN.prior
         assert getattr(taken, key) @ taken.prior == pytest.approx(rates @ shares)
+
+
+def test_rates_come_with_their_shares_among_people() -> None:
+    """They may come from a user or from a plan in JSON; shares need not sum to 1."""
+    for accept in ({1: 0.75, 0.8: 0.25}, {"1": 3, "0.8": 1}):
+        found = habits_of(0.1, accept, 0.0)  # type: ignore[arg-type]
+        assert (found.accept.tolist(), found.prior.tolist()) == ([1, 0.8], [0.75, 0.25])
+    both = habits_of({0: 1, 0.2: 1}, {1: 3, 0.8: 1}, 0)
+    assert both.shares("error") == {0: 0.5, 0.2: 0.5}
+    assert both.shares("accept") == {0.8: 0.25, 1: 0.75}
+
+
+@pytest.mark.parametrize(
+    "accept", [0, 1.2, True, "often", {}, {1: 0}, {0: 1}, {0.5: -1}, {0.5: "x"}, {"x": 1}, [0.5]]
+)
+def test_what_is_no_rate_is_refused_with_what_is(accept: Any) -> None:
+    with pytest.raises(InputError, match=r"^belief\.accept=.*\{rate: share, …\}"):
+        Independent(accept=accept)

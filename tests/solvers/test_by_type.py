@@ -8,7 +8,9 @@ import pytest
 
 from tests.decisions import messages_given, worths
 from tests.explanation.by_type_problems import random_pair
+from tests.refusals import refused
 from xplain.errors import TooLargeError
+from xplain.explanation.habits import habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
@@ -98,10 +100,13 @@ def warehouse(n: int = 60, types: int = 8, facts: int = 6, steps: int = 20) -> P
     return Problem(LabelTable.by_type(relevant, np.where(wrong, 0.05, 0.95)), np.ones(n))
 
 
-@pytest.mark.parametrize("solver", [Lookahead(), Certified()], ids=lambda s: type(s))
+@pytest.mark.parametrize("solver", [Lookahead(), Certified()], ids=lambda s: type(s).__name__)
 def test_too_many_messages_together_are_refused_with_what_can_do_it(solver: Solver) -> None:
-    with pytest.raises(TooLargeError, match="solver=qmdp or pomcp"):
+    with refused("solver=qmdp or pomcp", kind=TooLargeError):
         solver.plan(warehouse())
+    many = Problem(np.random.default_rng(0).random((1, 2, 1 << 11)), np.full(11, 0.1), discount=1.0)
+    with refused("all sets of messages: 11 messages matter", kind=TooLargeError):
+        solver.plan(many.with_habits(habits_of(0.0, 0.9, 0.0)))
 
 
 def test_sixty_messages_are_weighed_by_the_sets_of_one_type_at_a_time() -> None:

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
-from tests.decisions import messages_given, worths
+from tests.decisions import messages_given, plain_optimal_value, worths
 from tests.explanation.problems import tiny_problems
-from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError
 from xplain.explanation.actions import give
 from xplain.explanation.asking import Limits, Questions
@@ -119,31 +118,6 @@ def test_qhr_is_the_best_set_of_its_closed_form(situation: tuple[Problem, int, i
     assert closed_form(chosen) == pytest.approx(max(every), abs=1e-8)
     for new, value in worths(policy, step, shown, problem.prior).items():
         assert value == pytest.approx(closed_form(new), abs=1e-8)
-
-
-@settings(deadline=None, max_examples=20)
-@given(tiny_problems())
-def test_a_known_type_is_served_optimally(problem: Problem) -> None:
-    """The return of the policy at a certain belief is the optimal value of the type."""
-    policy = KnownType().plan(problem)
-    per_message = problem.discount if problem.discount_per == "action" else 1.0
-    for t in range(problem.n_types):
-        given_so_far, factor, total = 0, 1.0, 0.0
-        for step in range(problem.n_steps):
-            new = messages_given(policy, step, given_so_far, np.eye(problem.n_types)[t])
-            prices = sorted(
-                problem.trade_off * problem.message_cost[j]
-                for j in range(problem.n_messages)
-                if new >> j & 1
-            )
-            for price in prices:  # the cheapest first: later ones are discounted more
-                total -= factor * price
-                factor *= per_message
-            given_so_far |= new
-            zeros = (1 - problem.p_explicable[t, : step + 1, given_so_far]).sum()
-            total -= factor * problem.inexplicability_cost * zeros
-            factor *= problem.discount
-        assert total == pytest.approx(plain_optimal_value(problem, t), abs=1e-7)
 
 
 def test_known_type_asks_for_the_type() -> None:

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.decisions import messages_given, worths
+from tests.decisions import messages_given, plain_optimal_value, worths
 from tests.explanation.problems import misleading_problem
-from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import TooLargeError
 from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, GiveMessages, VisibleState
 from xplain.explanation.asking import Limits, Questions
@@ -245,7 +244,7 @@ def test_with_missed_messages_it_approaches_the_optimum(seed: int) -> None:
     rng = np.random.default_rng(seed)
     asked = None
     if seed % 4 == 3:
-        asked = Questions(LabelTable.dense(rng.uniform(0.1, 0.9, (2, 2, 4))), Limits(0.01, 2))
+        asked = Questions(LabelTable.dense(rng.uniform(0.1, 0.9, (2, 2, 4))), Limits(0.01, 1))
     habits = Habits(np.zeros(2), np.array([0.6, 0.9]), np.array([0.3, 0.0]), np.array([0.5, 0.5]))
     plain = soft_problem(seed, types=2, steps=2, n=2, discount_per="step", questions=asked)
     problem = plain.with_habits(habits)

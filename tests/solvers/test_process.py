@@ -76,9 +76,19 @@ def test_cells_read_the_problems_tables(seed: int, dense: bool) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_messages_and_steps_change_the_belief_as_the_problem_says(seed: int) -> None:
+    """Messages that matter are those that change a label of somebody who is believed in."""
     problem, rng = some_problem(seed), np.random.default_rng(seed)
-    process = make_process(problem)
-    belief = random_belief(rng, problem)
+    process, belief = make_process(problem), random_belief(rng, problem)
+    effective = problem.table.effective()
+    for j in range(problem.n_messages):
+        changes = False
+        for s in np.flatnonzero(belief).tolist():
+            row, t = divmod(s, problem.n_types)
+            known = not problem.messages_land and j in effective[t]
+            has = known and row >> problem.table.rows[t].index(j) & 1
+            changes |= j in effective[t] and not has
+        assert (matters(process, belief) >> j & 1) == changes
+    assert before_step(process, 1) == problem.messages_land
     for said in range(1 << problem.n_messages):
         heard = give_all(process, belief, said)
         assert heard == pytest.approx(update_by_messages(problem, belief, said))
@@ -119,22 +129,6 @@ def test_outcomes_are_those_of_all_label_vectors(seed: int) -> None:
     assert left[0].sum() + left[1].sum() == pytest.approx(belief.sum())
     assert (left[0].sum(axis=1) > 0.2).all()
     assert outcomes(process, k, said, belief, most=len(weights) - 1) is None or len(weights) == 1
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_messages_that_matter_change_a_label_of_who_is_believed_in(seed: int) -> None:
-    problem, rng = some_problem(seed), np.random.default_rng(seed)
-    process, belief = make_process(problem), random_belief(rng, problem)
-    effective = problem.table.effective()
-    for j in range(problem.n_messages):
-        changes = False
-        for s in np.flatnonzero(belief).tolist():
-            row, t = divmod(s, problem.n_types)
-            known = not problem.messages_land and j in effective[t]
-            has = known and row >> problem.table.rows[t].index(j) & 1
-            changes |= j in effective[t] and not has
-        assert (matters(process, belief) >> j & 1) == changes
-    assert before_step(process, 1) == problem.messages_land
 
 
 def test_a_row_where_the_types_look_at_other_messages_is_no_set_of_all() -> None:
