@@ -12,9 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hydra.core.global_hydra import GlobalHydra
 from hypothesis import settings
 
 from tests import forked, processes
+from tests.chromium import Driver, browser, missing
+from xplain.cli.main import main
 
 ROOT = Path(__file__).parent.parent
 processes.end_as_on_ctrl_c()
@@ -22,6 +25,7 @@ settings.register_profile("untimed", deadline=None)  # a machine may be busy
 settings.load_profile("untimed")
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
+Run = Callable[..., tuple[int, str, str]]
 
 LONGEST = (
     "fixed/test_fixed.py",
@@ -100,6 +104,47 @@ def command(tmp_path: Path) -> Command:
         return forked.captured(tmp_path, *words.split()[1:], *arguments)
 
     return run
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """``run("study replay", path)`` runs ``xplain study replay PATH`` in an empty folder, in this
+    process. Returns the exit code, standard output and standard error."""
+
+    def command(words: str, *arguments: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr("sys.argv", ["xplain", *words.split(), *map(str, arguments)])
+        GlobalHydra.instance().clear()
+        code: int | str | None = 0
+        try:
+            main()
+        except SystemExit as error:
+            code = error.code
+        out, err = capsys.readouterr()
+        return code if isinstance(code, int) else 1, out, err
+
+    return command
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Driver]:
+    """A Chromium with an empty profile, for all tests of a process: its start takes seconds."""
+    if what := missing():
+        pytest.skip(f"no browser to drive: install {what}")
+    with browser() as opened:
+        opened.implicitly_wait(0)  # what is looked for and is not there is known at once
+        yield opened
+
+
+@pytest.fixture
+def driver(chromium: Driver) -> Driver:
+    """Chromium, which remembers no test before."""
+    chromium.get("about:blank")
+    chromium.execute_cdp_cmd("Network.clearBrowserCookies", {})
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    chromium.get_log("browser")
+    return chromium
 
 
 @pytest.fixture

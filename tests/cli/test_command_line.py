@@ -3,38 +3,21 @@
 from __future__ import annotations
 
 import errno
-import sys
+from functools import partial
 
 import pytest
-from hydra.core.global_hydra import GlobalHydra
 
 from tests.configurations import composed
-from xplain.cli.commands import COMMANDS
-from xplain.cli.main import main
+from tests.conftest import Run
 from xplain.experiment.config import CONF, report_errors
 from xplain.report import stages
 
 
 @pytest.fixture
-def xplain(tmp_path, monkeypatch, capsys):
-    """``xplain("lambda=2")`` runs the command in this process, in an empty folder; returns
-    (exit code, standard output, standard error)."""
-
-    def run(*arguments: str):
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(stages, "EVERY", 600.0)  # a slow machine's stages say nothing here
-        own = () if arguments[0] in COMMANDS else (f"outputs={tmp_path / 'outputs'}",)
-        monkeypatch.setattr(sys, "argv", ["xplain", *arguments, *own])
-        GlobalHydra.instance().clear()
-        code = 0
-        try:
-            main()
-        except SystemExit as error:
-            code = error.code if isinstance(error.code, int) else 1
-        out = capsys.readouterr()
-        return code, out.out, out.err
-
-    return run
+def xplain(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """``xplain("lambda=2")`` runs the command, whose stages say nothing on a slow machine."""
+    monkeypatch.setattr(stages, "EVERY", 600.0)
+    return partial(run, "")
 
 
 RAGGED = "domain.map='S..V\n...'"
@@ -107,24 +90,45 @@ BAD = [
     (["-m", "lambda=1,2", "hydra.sweeper.params=3"], ["hydra.sweeper.params", "3"]),
     (["-m", "lambda=1,2", "hydra.sweep.dir=mine"], ["hydra.sweep.dir", "mine", "outputs=FOLDER"]),
     (["sweeps=tabel1"], ["sweeps=tabel1", "did you mean table1?", "type_counts"]),
+    (["users=explicit", "users.groups={}"], ["users", "at least one"]),
+    (["users=explicit", "users.groups={A: [lava]}"], ["lava", "first_aid"]),
 ]
+HEAD = "observer,messages,label,row,column"
+LABELS = [
+    ("observer,label,row\na,1,0\nb,0,0\n", ["messages"]),
+    (f"{HEAD}\na,lava,1,0,0\nb,,0,0,0\n", ["lava"]),
+    (f"{HEAD}\na,,2,0,0\nb,,0,0,0\n", ["label", "2"]),
+    (f"{HEAD}\na,,1,0,0\na,fire,0,0,0\n", ["observer"]),
+    (f"{HEAD}\na,,1,0,0\nb,fire,1,0,0\n", ["label"]),
+    (f"{HEAD}\n", ["labels.csv"]),
+    ("\x00\x01", ["labels.csv"]),
+    (f"{HEAD}\na,,1,0,0\na,,1,0,1\nb,fire,0,0,0\nb,fire,0,0,1\n", ["action", "missing"]),
+]
+OF_FILE = ["observers=file", "observers.path=labels.csv"]
 
 
-@pytest.mark.parametrize(("arguments", "words"), BAD, ids=[" ".join(b[0])[:40] for b in BAD])
-def test_bad_input_is_one_line_and_leaves_nothing_behind(xplain, tmp_path, arguments, words):
+@pytest.mark.parametrize(
+    ("arguments", "words", "labels"),
+    [
+        *(pytest.param(*one, None, id=" ".join(one[0])[:40]) for one in BAD),
+        *(pytest.param(OF_FILE, words, labels) for labels, words in LABELS),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing_behind(
+    xplain, tmp_path, arguments, words, labels
+):
+    file = tmp_path / "labels.csv"
+    if labels:
+        file.write_text(labels)
     code, out, err = xplain(*arguments)
     assert code == 2
     assert out == ""
     lines = err.strip().splitlines()
     assert len(lines) == 1, err
-    for word in words:
-        assert word in lines[0]
-    assert_nothing_written(tmp_path)
-
-
-def assert_nothing_written(folder):
-    """Checks that there is no file except locks, which are empty and cannot be removed safely."""
-    assert not [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"]
+    assert [word for word in words if word not in lines[0]] == []
+    file.unlink(missing_ok=True)
+    # Locks are empty and cannot be removed safely.
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.suffix != ".lock"]
 
 
 def test_a_misspelt_key_lists_every_key_that_there_is(xplain):
@@ -190,47 +194,6 @@ def test_an_interruption_that_an_import_made_another_error_of_is_told_as_one(cap
         raise half
     assert ended.value.code == 130
     assert capsys.readouterr().err == "xplain: interrupted\n"
-
-
-HEAD = "observer,messages,label,row,column"
-TABLES = {
-    "missing column": ("observer,label,row\na,1,0\nb,0,0\n", ["messages"]),
-    "unknown message": (f"{HEAD}\na,lava,1,0,0\nb,,0,0,0\n", ["lava"]),
-    "label 2": (f"{HEAD}\na,,2,0,0\nb,,0,0,0\n", ["label", "2"]),
-    "one observer": (f"{HEAD}\na,,1,0,0\na,fire,0,0,0\n", ["observer"]),
-    "labels all equal": (f"{HEAD}\na,,1,0,0\nb,fire,1,0,0\n", ["label"]),
-    "no rows": (f"{HEAD}\n", ["labels.csv"]),
-    "not a table": ("\x00\x01", ["labels.csv"]),
-    "other features": (
-        f"{HEAD}\na,,1,0,0\na,,1,0,1\nb,fire,0,0,0\nb,fire,0,0,1\n",
-        ["action", "missing"],
-    ),
-}
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_a_bad_file_of_labels_is_one_line(xplain, tmp_path, name):
-    text, words = TABLES[name]
-    (tmp_path / "labels.csv").write_text(text)
-    code, _, err = xplain("observers=file", "observers.path=labels.csv")
-    assert code == 2
-    assert len(err.strip().splitlines()) == 1, err
-    for word in words:
-        assert word in err
-    (tmp_path / "labels.csv").unlink()
-    assert_nothing_written(tmp_path)
-
-
-def test_a_type_that_names_an_unknown_parameter_and_no_types(xplain):
-    for users, words in [
-        ("users.groups={}", ["users", "at least one"]),
-        ("users.groups={A: [lava]}", ["lava", "first_aid"]),
-    ]:
-        code, _, err = xplain("users=explicit", users)
-        assert code == 2
-        assert len(err.strip().splitlines()) == 1
-        for word in words:
-            assert word in err
 
 
 def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path, xplain):

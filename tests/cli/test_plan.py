@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.explanation.test_pomdp_file import read
-from xplain.cli.main import main
 from xplain.experiment.config import CONF
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.files import load, save
@@ -31,20 +30,6 @@ def file(tmp_path):
     return path
 
 
-@pytest.fixture
-def command(capsys):
-    def run(name, *arguments: object):
-        code = 0
-        try:
-            main([name, *map(str, arguments)])
-        except SystemExit as error:
-            code = error.code
-        out = capsys.readouterr()
-        return code, out.out, out.err
-
-    return run
-
-
 def worth_of_first(problem: Problem, messages: list[int]) -> float:
     """Returns the value of these messages with the best continuation, by enumeration."""
     value, factor = 0.0, 1.0
@@ -54,8 +39,8 @@ def worth_of_first(problem: Problem, messages: list[int]) -> float:
     return value + factor * reduced_optimal_value(problem, 0, sum(1 << j for j in messages))
 
 
-def test_all_prints_a_comparison_and_one_list_whose_rows_are_plans(command, file) -> None:
-    _, out, _ = command("plan", f"problem={file}", "solver=all")
+def test_all_prints_a_comparison_and_one_list_whose_rows_are_plans(run, file) -> None:
+    _, out, _ = run("plan", f"problem={file}", "solver=all")
     rows = json.loads(out.splitlines()[-1])
     assert [row["solver"] for row in rows] == SOLVERS
     table, problem = out.split("[{")[0], load(file)
@@ -77,24 +62,24 @@ def test_all_prints_a_comparison_and_one_list_whose_rows_are_plans(command, file
             assert row["value"] - 1e-9 <= first <= optimum + 1e-9
             if row["solver"] == "certified":
                 assert row["value"] == pytest.approx(optimum, abs=1e-3)
-    code, out, err = command("plan", f"problem={file}", "solver=qmdp", "seed=0")
+    code, out, err = run("plan", f"problem={file}", "solver=qmdp", "seed=0")
     assert (code, err) == (0, "")
     alone = json.loads(out.splitlines()[-1])
     (compared,) = (row for row in rows if row["solver"] == "qmdp")
     assert alone | {"seconds": 0} == compared | {"seconds": 0}
 
 
-def test_options_of_the_solver_and_simulated_values(command, file) -> None:
+def test_options_of_the_solver_and_simulated_values(run, file) -> None:
     arguments = [f"problem={file}", "solver=certified", "solver.gap=0.5", "value.beliefs=1"]
-    _, out, _ = command("plan", *arguments, "bounds.nodes=0")
+    _, out, _ = run("plan", *arguments, "bounds.nodes=0")
     row = json.loads(out.splitlines()[-1])
     assert row["value_is"] == "simulated"
     assert row["value_se"] > 0
-    _, out, _ = command("plan", *arguments[:3], "bounds.nodes=0")
+    _, out, _ = run("plan", *arguments[:3], "bounds.nodes=0")
     exact = json.loads(out.splitlines()[-1])
     assert exact["value_is"] == "exact"
     assert abs(row["value"] - exact["value"]) < 4 * row["value_se"]
-    _, out, _ = command("plan", f"problem={file}", "bounds.nodes=0")
+    _, out, _ = run("plan", f"problem={file}", "bounds.nodes=0")
     row = json.loads(out.splitlines()[-1])
     assert (row["optimal_lower"], row["optimal_upper"]) == (None, None)
 
@@ -126,8 +111,8 @@ def broken(tmp_path, **changes: object) -> str:
         ({"surprise": 1.0}, "unknown array"),
     ],
 )
-def test_bad_files_are_one_line(command, tmp_path, changes, said) -> None:
-    code, out, err = command("plan", broken(tmp_path, **changes))
+def test_bad_files_are_one_line(run, tmp_path, changes, said) -> None:
+    code, out, err = run("plan", broken(tmp_path, **changes))
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert said in err
 
@@ -142,36 +127,34 @@ def test_bad_files_are_one_line(command, tmp_path, changes, said) -> None:
         (["x.npz"], "key=value"),
     ],
 )
-def test_bad_arguments_are_one_line(command, arguments, said) -> None:
+def test_bad_arguments_are_one_line(run, arguments, said) -> None:
     for name in ("plan", "export"):
         if name == "plan" or said in ("No such file", "nonsense", "key=value"):
             more = [] if name == "plan" else ["output=x.pomdp"]
-            code, out, err = command(name, *arguments, *more)
+            code, out, err = run(name, *arguments, *more)
             assert (code, out, err.count("\n")) == (2, "", 1)
             assert said in err
 
 
-def test_bad_seed(command, file) -> None:
+def test_bad_seed(run, file) -> None:
     for seed in ("x", "-1", "0.5"):
-        code, out, err = command("plan", f"problem={file}", f"seed={seed}")
+        code, out, err = run("plan", f"problem={file}", f"seed={seed}")
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert "seed" in err
         assert seed in err
 
 
-def test_a_solver_too_small_for_the_problem_says_who_can(command, file) -> None:
-    code, _, err = command("plan", f"problem={file}", "solver=certified", "solver.memory_gib=1e-7")
+def test_a_solver_too_small_for_the_problem_says_who_can(run, file) -> None:
+    code, _, err = run("plan", f"problem={file}", "solver=certified", "solver.memory_gib=1e-7")
     assert code == 2
     assert "solver=qhr" in err
 
 
-def test_export_writes_the_file_whole(command, file, tmp_path) -> None:
-    code, _, _ = command("export", f"problem={file}", f"output={tmp_path / 'p.pomdp'}")
+def test_export_writes_the_file_whole(run, file, tmp_path) -> None:
+    code, _, _ = run("export", f"problem={file}", f"output={tmp_path / 'p.pomdp'}")
     assert code == 0
     assert read((tmp_path / "p.pomdp").read_text()).states == 2 * 3 * 4 + 1
-    code, _, err = command(
-        "export", f"problem={file}", f"output={tmp_path / 'q.pomdp'}", "format=word"
-    )
+    code, _, err = run("export", f"problem={file}", f"output={tmp_path / 'q.pomdp'}", "format=word")
     assert (code, err) == (2, "xplain: format='word': pomdp\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["p.pomdp", "problem.npz"]
 
@@ -188,10 +171,10 @@ def asking(tmp_path):
 
 
 @pytest.mark.parametrize("solver", ["qmdp", "certified"])
-def test_a_saved_question_is_planned_with(command, asking, solver) -> None:
+def test_a_saved_question_is_planned_with(run, asking, solver) -> None:
     """Half of the users need the message, which costs 2; with a question first, the plan costs
     0.125 + 1."""
-    code, out, _ = command("plan", f"problem={asking}", f"solver={solver}")
+    code, out, _ = run("plan", f"problem={asking}", f"solver={solver}")
     row = json.loads(out.splitlines()[-1])
     assert (code, row["first_messages"]) == (0, None)
     assert row["first_question"] == {"number": 0, "question": "refuels"}
@@ -202,9 +185,9 @@ def test_a_saved_question_is_planned_with(command, asking, solver) -> None:
     assert row["optimal_upper"] == pytest.approx(-1.125, abs=0.01)
 
 
-def test_a_solver_that_never_asks_is_compared_as_one_that_does_not(command, asking) -> None:
+def test_a_solver_that_never_asks_is_compared_as_one_that_does_not(run, asking) -> None:
     """Without the question, half of the users see an inexplicable step or all get the message."""
-    code, out, _ = command("plan", f"problem={asking}", "solver=all")
+    code, out, _ = run("plan", f"problem={asking}", "solver=all")
     rows = {row["solver"]: row for row in json.loads(out.splitlines()[-1])}
     assert code == 0
     assert rows["conformant"]["first_question"] is None
@@ -213,9 +196,9 @@ def test_a_solver_that_never_asks_is_compared_as_one_that_does_not(command, aski
     assert "ask 0" in out
 
 
-def test_questions_are_not_exported(command, asking, tmp_path) -> None:
+def test_questions_are_not_exported(run, asking, tmp_path) -> None:
     output = tmp_path / "asking.pomdp"
-    code, _, err = command("export", f"problem={asking}", f"output={output}")
+    code, _, err = run("export", f"problem={asking}", f"output={output}")
     assert (code, err.count("\n")) == (2, 1)
     assert "question" in err
     assert not output.exists()

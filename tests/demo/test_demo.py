@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 
-from tests.chromium import missing
-from xplain.cli.main import main
 from xplain.demo.page import content, page
 from xplain.demo.play import play, set_up
 from xplain.explanation.belief import Independent
@@ -28,24 +26,6 @@ QUICK = ["points=150", "lambda=1.5", "clusterer=dirichlet", "labeler=tree"]
 def rescue():
     GlobalHydra.instance().clear()
     return set_up(QUICK, trace=1)
-
-
-@pytest.fixture
-def demo(tmp_path, monkeypatch, capsys):
-    """``demo("--html", "mine.html")`` returns exit code, standard output and standard error."""
-
-    def run(*arguments):
-        monkeypatch.chdir(tmp_path)
-        GlobalHydra.instance().clear()
-        code = 0
-        try:
-            main(["demo", *arguments])
-        except SystemExit as error:
-            code = error.code
-        shown = capsys.readouterr()
-        return code, shown.out, shown.err
-
-    return run
 
 
 @pytest.mark.parametrize("user", ["A", "E"])
@@ -103,8 +83,8 @@ def test_words_of_a_domain_cannot_end_the_script(rescue):
 
 
 @pytest.mark.parametrize("flags", [(), ("--html", "mine.html")])
-def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path, flags):
-    code, out, err = demo(*flags, "--user", "B", *QUICK)
+def test_the_page_is_written_where_it_was_asked_for(run, tmp_path, flags):
+    code, out, err = run("demo", *flags, "--user", "B", *QUICK)
     name = "mine.html" if flags else "demo.html"
     assert (code, out, err) == (0, f"{name}\n", "")
     text = (tmp_path / name).read_text(encoding="utf-8")
@@ -130,8 +110,8 @@ def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path, flags):
     ],
     ids=lambda value: " ".join(value)[:30],
 )
-def test_bad_input_is_one_line(demo, tmp_path, arguments, words):
-    code, _, err = demo(*arguments)
+def test_bad_input_is_one_line(run, tmp_path, arguments, words):
+    code, _, err = run("demo", *arguments)
     assert code == 2
     assert len(err.strip().splitlines()) == 1, err
     for word in words:
@@ -140,39 +120,26 @@ def test_bad_input_is_one_line(demo, tmp_path, arguments, words):
 
 
 @pytest.mark.browser
-def test_the_page_can_be_stepped_through(rescue, tmp_path):
-    if what := missing():
-        pytest.skip(f"no browser to drive: install {what}")
-    from selenium import webdriver
-    from selenium.webdriver.common.by import By
+def test_the_page_can_be_stepped_through(rescue, driver, tmp_path):
     from selenium.webdriver.common.keys import Keys
 
     played = play(rescue, "A")
     (tmp_path / "session.html").write_text(page(rescue, played), encoding="utf-8")
-    options = webdriver.ChromeOptions()
-    for flag in ("--headless=new", "--no-sandbox", f"--user-data-dir={tmp_path / 'profile'}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    browser = webdriver.Chrome(options=options)
-    try:
-        browser.get((tmp_path / "session.html").as_uri())
-        body = browser.find_element(By.TAG_NAME, "body")
-        last = len(played.steps)
-        assert "believes" in browser.find_element(By.ID, "speech").text
-        for k, step in enumerate(played.steps, start=1):
-            body.send_keys(Keys.ARROW_RIGHT)
-            assert browser.find_element(By.ID, "where").text == f"step {k} of {last}"
-            speech = browser.find_element(By.ID, "speech").text
-            sentences = dict(zip(rescue.prepared.messages, rescue.prepared.sentences, strict=True))
-            for name, sentence in sentences.items():
-                assert (sentence in speech) == (name in step.said)
-            squares = browser.find_elements(By.CSS_SELECTOR, "#trace .now")
-            assert [s.text for s in squares] == ["✓" if label else "?" for label in step.labels]
-        assert f"cost {step.cost:g}" in browser.find_element(By.ID, "cost").text
-        assert not browser.find_element(By.ID, "next").is_enabled()
-        body.send_keys(Keys.HOME)
-        browser.find_element(By.ID, "next").click()
-        assert browser.find_element(By.ID, "where").text == f"step 1 of {last}"
-        assert browser.get_log("browser") == []
-    finally:
-        browser.quit()
+    driver.get((tmp_path / "session.html").as_uri())
+    body, last = driver.find_element("tag name", "body"), len(played.steps)
+    assert "believes" in driver.find_element("id", "speech").text
+    for k, step in enumerate(played.steps, start=1):
+        body.send_keys(Keys.ARROW_RIGHT)
+        assert driver.find_element("id", "where").text == f"step {k} of {last}"
+        speech = driver.find_element("id", "speech").text
+        sentences = dict(zip(rescue.prepared.messages, rescue.prepared.sentences, strict=True))
+        for name, sentence in sentences.items():
+            assert (sentence in speech) == (name in step.said)
+        squares = driver.find_elements("css selector", "#trace .now")
+        assert [s.text for s in squares] == ["✓" if label else "?" for label in step.labels]
+    assert f"cost {step.cost:g}" in driver.find_element("id", "cost").text
+    assert not driver.find_element("id", "next").is_enabled()
+    body.send_keys(Keys.HOME)
+    driver.find_element("id", "next").click()
+    assert driver.find_element("id", "where").text == f"step 1 of {last}"
+    assert driver.get_log("browser") == []

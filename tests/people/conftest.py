@@ -1,4 +1,4 @@
-"""Stores and applications on a domain that the study has never seen."""
+"""Stores, studies and simulated participants on a domain that the study has never seen."""
 
 from __future__ import annotations
 
@@ -7,19 +7,31 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from fastapi import FastAPI
 
 from tests.people.client import Client
-from tests.people.study.conftest import person as person
-from tests.people.study.conftest import study as study
-from tests.people.visitors import GENEROUS, Visitor
+from tests.people.study.stand_in import FAULTLESS, street_study
+from tests.people.visitors import Visitor, newcomer
 from xplain.people.log import Clock
 from xplain.people.store import Store
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.web import create_app
 
 Opened = Callable[..., Store]
+
+
+@pytest.fixture(scope="session")
+def study() -> Study:
+    return street_study()
+
+
+@pytest.fixture
+def person(study: Study) -> Callable[..., StudyBot]:
+    def make(number: int = 0, habits: Habits = FAULTLESS) -> StudyBot:
+        return StudyBot(study.plan, habits, np.random.default_rng(number))
+
+    return make
 
 
 @pytest.fixture
@@ -41,17 +53,10 @@ def store(opened: Opened, study: Study) -> Store:
 
 
 @pytest.fixture
-def browser(store: Store) -> Callable[[], Visitor]:
-    """Returns a function that makes a new browser at each call."""
-    app = create_app(store, GENEROUS)
-    return lambda: Visitor(Client(app))
+def browser(store: Store) -> Visitor:
+    return newcomer(store)
 
 
 @pytest.fixture
-def app(store: Store) -> FastAPI:
-    return create_app(store, GENEROUS)
-
-
-@pytest.fixture
-def client(app: FastAPI) -> Client:
-    return Client(app)
+def client(browser: Visitor) -> Client:
+    return browser.client

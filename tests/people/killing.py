@@ -98,8 +98,8 @@ def survive(
                 status, html = watching.get("/researcher")
                 seen += status == 200 and "</table>" in html
             except (InputError, OSError):
-                continue  # the server is away
-            time.sleep(0.2)
+                pass  # the server is away
+            time.sleep(0.5)
         return seen
 
     researcher = Researcher(server.url, server.key)

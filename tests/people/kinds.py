@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tests.people.client import Client
 from tests.people.collect import stand_in as collecting
 from tests.people.study import stand_in as studying
-from tests.people.visitors import GENEROUS, Visitor
-from xplain.people.bots import Bot, visit
+from tests.people.visitors import take_part
+from xplain.people.bots import Bot
 from xplain.people.collect.bot import Observer
 from xplain.people.flow import Flow
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.web import create_app
 
 KINDS = ("study", "collect")
 ASKING = "asking"
@@ -48,10 +47,7 @@ def bot_of(flow: Flow[Any, Any], *seeds: int) -> Bot[Any, Any]:
 def filled(kind: str, path: Path, people: int = 3) -> list[str]:
     """Makes a database in which this number of people reached the end; returns their ids in order
     of arrival."""
-    store = Store(path, flow_of(kind))
-    app = create_app(store, GENEROUS)
-    for number, token in enumerate(store.invite(people, "person")):
-        assert visit(Visitor(Client(app)), bot_of(store.flow, number), token) == "done"
-    found = [*store.people]
-    store.close()
-    return found
+    with closing(Store(path, flow_of(kind))) as store:
+        ends = take_part(store, (bot_of(store.flow, number) for number in range(people)))
+        assert {*ends} == {"done"}
+        return [*store.people]

@@ -16,12 +16,12 @@ import pytest
 from sklearn.metrics import adjusted_rand_score
 
 from tests import forked
+from tests.conftest import Run
 from tests.people.collect.stand_in import street_collection
 from tests.people.killing import RATE, Person, survive
 from tests.people.kinds import bot_of, flow_of
 from tests.people.server_process import ServerProcess
 from tests.people.study.stand_in import ASK, FAULTLESS, street_study
-from xplain.cli.main import main
 from xplain.explanation.message_sets import names_of
 from xplain.learning.saved import LearnedTypes
 from xplain.people.bots import Researcher
@@ -31,30 +31,22 @@ from xplain.people.study.flow import Study
 from xplain.people.study.tables import export
 
 
-def everything_replays(kind: str, database: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    capsys.readouterr()
-    main([kind, "replay", str(database)])
-    assert "all equal" in capsys.readouterr().out
-
-
 def test_bots_take_part_and_the_data_goes_all_the_way(
-    study: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    study: Study, tmp_path: Path, run: Run
 ) -> None:
     """Also, the server keeps the plan of its database, and no second server takes the database."""
-    database, archive = tmp_path / "study.sqlite", tmp_path / "study.zip"
+    database, archive, backup = (tmp_path / f for f in ("study.sqlite", "study.zip", "b.sqlite"))
     Store(database, study).close()
     with ServerProcess(database, *RATE, "rules.per_cell=99", "lambda=2") as server:
         second = forked.start(tmp_path, "study", f"database={database}", "port=1")
         assert re.search("are ignored: .*lambda", server.log())
         assert Researcher(server.url, server.key).plan(study.PLAN).hash == study.plan.hash
-        arguments = ["--url", server.url, "--key", server.key, "--count", "24", "--at-once", "6"]
-        main(["study", "bots", *arguments, "--leaving", "0.01", "--save", str(archive)])
-        backup = tmp_path / "backup.sqlite"  # made while the server runs
-        main(["study", "backup", str(database), str(backup)])
-        with pytest.raises(SystemExit) as ended:
-            main(["study", "bots", "--url", server.url, "--key", "wrong"])
-        assert ended.value.code == 2
-        assert "researcher's key" in capsys.readouterr().err
+        bots = ("study bots", "--url", server.url, "--key")
+        run(*bots, server.key, "--count", 12, "--at-once", 6, "--leaving", 0.01, "--save", archive)
+        run("study backup", database, backup)  # made while the server runs
+        code, _, error = run(*bots, "wrong")
+        assert code == 2
+        assert "researcher's key" in error
         code, said = forked.wait(tmp_path, second)
         assert code == 2
         assert "another process is using it" in said
@@ -62,11 +54,11 @@ def test_bots_take_part_and_the_data_goes_all_the_way(
     with zipfile.ZipFile(archive) as out:
         out.extractall(tmp_path)
     for path in (backup, database):
-        everything_replays("study", path, capsys)
-    main(["study", "analyse", str(tmp_path / "study"), "--stream", "bot"])
+        assert "all equal" in run("study replay", path)[1]
+    assert run("study analyse", "study", "--stream", "bot")[0] == 0
     people = pd.read_csv(tmp_path / "study" / "participants.csv")
     assert set(people["stream"]) == {"bot"}
-    assert (people["stage"] == "done").sum() >= 12
+    assert (people["stage"] == "done").sum() >= 6
 
 
 def err(flow: Study, *seeds: int) -> StudyBot:
@@ -90,7 +82,7 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
     people: int,
     least: int,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    run: Run,
 ) -> None:
     """This holds in all three conditions of the study; the server also dies while people are asked
     questions."""
@@ -99,10 +91,8 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
     path = tmp_path / "s.sqlite"
     Store(path, flow).close()
     acknowledged, stored = survive(path, flow, kind, person, kills, people)
-    with capsys.disabled():
-        print(f"\n{kills} kills: {acknowledged} answers acknowledged, {stored} stored")
     assert least < acknowledged <= stored
-    everything_replays(kind, path, capsys)
+    assert "all equal" in run(f"{kind} replay", path)[1]
     if kind == "study":
         export(path, tmp_path / "out")
         told = pd.read_csv(tmp_path / "out" / "participants.csv")
@@ -110,32 +100,25 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
         assert asked["asking"] > 0 == asked["personalized"] == asked["conformant"]
 
 
-def test_from_bots_to_types(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The first half of the method over HTTP: 24 people who err and lose attention, then the
+def test_from_bots_to_types(tmp_path: Path, run: Run) -> None:
+    """The first half of the method over HTTP: 18 people who err and lose attention, then the
     types."""
-    monkeypatch.chdir(tmp_path)
     collection, database = street_collection(points=20), tmp_path / "collect.sqlite"
     Store(database, collection).close()
     with ServerProcess(database, *RATE, "points=30", command="collect") as server:
         assert re.search("are ignored: .*points", server.log())
-        archive = tmp_path / "collect.zip"
-        arguments = ["--url", server.url, "--key", server.key, "--count", "24", "--at-once", "6"]
-        habits = ["--error", "0.05", "--lapse", "0.02"]
-        main(["collect", "bots", *arguments, *habits, "--save", str(archive)])
-        assert "24 done" in capsys.readouterr().out
-    with zipfile.ZipFile(archive) as out:
+        bots = ("--url", server.url, "--key", server.key, "--count", 18, "--at-once", 6)
+        habits = ("--error", 0.05, "--lapse", 0.02)
+        assert "18 done" in run("collect bots", *bots, *habits, "--save", "collect.zip")[1]
+    with zipfile.ZipFile(tmp_path / "collect.zip") as out:
         out.extractall(tmp_path)
     data = tmp_path / "study"
-    everything_replays("collect", database, capsys)
-    main(["collect", "export", str(database), "again"])
+    assert "all equal" in run("collect replay", database)[1]
+    run("collect export", database, "again")
     assert (tmp_path / "again/labels_bot.csv").read_text() == (data / "labels_bot.csv").read_text()
     assert not (data / "labels.csv").exists()  # nobody but bots was there
     labels = [f"data={data}/labels_bot.csv", f"hypotheses={data}/hypotheses.npz"]
-    main(["discover", *labels, "labeler=hypotheses", "output=found", "held_out=false"])
+    run("discover", *labels, "labeler=hypotheses", "output=found", "held_out=false")
     # The tests of `discover` draw no pictures.
     assert (tmp_path / "found" / "messages.png").stat().st_size > 1000
     found = pd.read_csv(tmp_path / "found" / "assignment.csv").set_index("observer")["type"]

@@ -9,17 +9,15 @@ from typing import get_args
 
 import pytest
 
-from tests.people.client import Client
+from tests.conftest import Run
 from tests.people.kinds import KINDS, filled, flow_of
-from tests.people.visitors import GENEROUS, Visitor, enter
-from xplain.cli.main import main
+from tests.people.visitors import arrive
 from xplain.errors import XplainError
 from xplain.experiment.config import compose_config
-from xplain.people.bots import Page
 from xplain.people.export import find_differences
 from xplain.people.log import read
 from xplain.people.store import Store
-from xplain.people.web import TAB_KINDS, create_app
+from xplain.people.web import TAB_KINDS
 
 LATE = "WHERE kind = 'labels' AND number = (SELECT max(number) FROM event WHERE kind = 'labels')"
 EVERYWHERE = {
@@ -91,11 +89,8 @@ def differs(kind: str, snapshot: Path) -> list[str]:
     return find_differences(flow, read(snapshot, flow.PLAN, flow.STATE)[1])
 
 
-def test_a_replay_agrees_to_the_last_bit(
-    kind: str, snapshot: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    main([kind, "replay", str(snapshot)])
-    said = capsys.readouterr().out
+def test_a_replay_agrees_to_the_last_bit(kind: str, snapshot: Path, run: Run) -> None:
+    said = run(f"{kind} replay", snapshot)[1]
     assert said.startswith("3 participants ")
     assert "all equal" in said
 
@@ -111,14 +106,13 @@ def test_a_replay_notices_every_change(
 
 
 def test_code_that_decides_otherwise_does_not_go_on_with_what_was_begun(
-    kind: str, snapshot: Path
+    kind: str, snapshot: Path, run: Run
 ) -> None:
     Store(snapshot, flow_of(kind)).close()
     changed(snapshot, "UPDATE event SET state = json_set(state, '$.part', 7) WHERE kind = 'labels'")
     with pytest.raises(XplainError, match="continue and replay with that version"):
         Store(snapshot, flow_of(kind))
-    with pytest.raises(SystemExit):
-        main([kind, "replay", str(snapshot)])
+    assert run(f"{kind} replay", snapshot)[0] == 1
 
 
 def _copy(answered: tuple[bytes, list[str]], path: Path) -> Path:
@@ -127,35 +121,32 @@ def _copy(answered: tuple[bytes, list[str]], path: Path) -> Path:
 
 
 def test_of_whoever_was_erased_others_are_replayed(
-    kind: str, snapshot: Path, answered: tuple[bytes, list[str]], capsys: pytest.CaptureFixture[str]
+    kind: str, snapshot: Path, answered: tuple[bytes, list[str]], run: Run
 ) -> None:
     """People whose questions depended on the erased answers are replayed, too."""
     with closing(Store(snapshot)) as database:
         reference = database.reference(answered[1][0])
-    main([kind, "erase", str(snapshot), reference])
-    capsys.readouterr()
-    main([kind, "replay", str(snapshot)])
-    said = capsys.readouterr().out
-    assert said == "2 participants replayed: all equal\n"
+    run(f"{kind} erase", snapshot, reference)
+    assert run(f"{kind} replay", snapshot)[1] == "2 participants replayed: all equal\n"
     if kind == "collect":
         _, people = read(snapshot, flow_of(kind).PLAN, flow_of(kind).STATE)
         assert any(1 in one.first("consent")["after"] for one in people)
 
 
-def test_what_a_page_reports_is_told_in_the_consent_and_exported(kind: str, tmp_path: Path) -> None:
+def test_what_a_page_reports_is_told_in_the_consent_and_exported(
+    kind: str, tmp_path: Path, run: Run
+) -> None:
     path = tmp_path / "s.sqlite"
     with closing(Store(path, flow_of(kind))) as store:
-        client = Client(create_app(store, GENEROUS))
-        (token,) = store.invite(1, "person")
-        page = Page.of_html(enter(Visitor(client), token))
+        visitor, page = arrive(store)
         kinds = [*get_args(TAB_KINDS)]
         items = [
             {"n": n, "kind": one, "ms": 1.0, "at": 1.0, "what": f"seen {one}"}
             for n, one in enumerate(kinds)
         ]
         report = {"token": page.hidden["token"], "tab": "a" * 16, "items": items}
-        assert client.post("/events", json=report).status_code == 200
-    main([kind, "export", str(path), str(tmp_path / "out")])
+        assert visitor.client.post("/events", json=report).status_code == 200
+    run(f"{kind} export", path, "out")
     exported = (tmp_path / "out" / "events.csv").read_text()
     assert [one for one in kinds if f"seen {one}" not in exported] == []
     shipped = " ".join(compose_config(kind, []).wording.consent)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from tests.people.client import Client
-from xplain.people.bots import Browser, Page
+from xplain.people.bots import Bot, Browser, Page, visit
 from xplain.people.export import find_differences
 from xplain.people.server import Server
 from xplain.people.store import Store
-from xplain.people.study.bot import StudyBot
 from xplain.people.web import create_app
 
+Walk = Iterator[tuple[str, Page]]
 GENEROUS = Server(("invitation", "open"), burst=1e9, visitor_burst=1e9, blinded=False)
 
 
@@ -23,6 +23,10 @@ class Visitor(Browser):
     def __init__(self, client: Client) -> None:
         super().__init__("http://localhost")
         self.client = client
+
+    def another(self) -> Visitor:
+        """A new browser of the same application."""
+        return Visitor(Client(self.client.app))
 
     def send(
         self, method: str, path: str, fields: list[tuple[str, str]] | None = None
@@ -52,10 +56,15 @@ def enter(visitor: Visitor, invitation: str) -> str:
     return html
 
 
-def arrive(store: Store, server: Server = GENEROUS, stream: str = "person") -> tuple[Visitor, Page]:
+def newcomer(store: Store, server: Server = GENEROUS) -> Visitor:
+    """A new browser of a new application."""
+    return Visitor(Client(create_app(store, server)))
+
+
+def arrive(store: Store, server: Server = GENEROUS) -> tuple[Visitor, Page]:
     """Makes a visitor with a new invitation and a new browser, at the consent page."""
-    visitor = Visitor(Client(create_app(store, server)))
-    return visitor, Page.of_html(enter(visitor, store.invite(1, stream)[0]))
+    visitor = newcomer(store, server)
+    return visitor, Page.of_html(enter(visitor, *store.invite(1, "person")))
 
 
 def consent(store: Store, who: str) -> Any:
@@ -64,7 +73,14 @@ def consent(store: Store, who: str) -> Any:
     return store.submit(who, 0, "consent", payload)
 
 
-def pages(visitor: Visitor, person: StudyBot, invitation: str) -> Iterator[tuple[str, Page]]:
+def agreed(store: Store) -> str:
+    """Somebody with a new invitation who agrees. Returns their id."""
+    who = store.enter_invited(*store.invite(1, "person"))
+    consent(store, who)
+    return who
+
+
+def pages(visitor: Visitor, person: Bot[Any, Any], invitation: str) -> Walk:
     """Yields every page, before it is answered."""
     html = enter(visitor, invitation)
     while True:
@@ -74,6 +90,18 @@ def pages(visitor: Visitor, person: StudyBot, invitation: str) -> Iterator[tuple
             return
         status, html = visitor.post("/study", [*page.hidden.items(), *person.fill(page)[0]])
         assert status == 200
+
+
+def way(store: Store, person: Bot[Any, Any], stream: str = "person") -> Walk:
+    """Every page on the way of somebody with a new invitation and a new browser."""
+    return pages(newcomer(store), person, *store.invite(1, stream))
+
+
+def take_part(store: Store, people: Iterable[Bot[Any, Any]], stream: str = "person") -> list[str]:
+    """Simulated people go through the pages, one after the other. Returns the stages where they
+    end."""
+    app = create_app(store, GENEROUS)
+    return [visit(Visitor(Client(app)), one, *store.invite(1, stream)) for one in people]
 
 
 def differences(store: Store) -> list[str]:

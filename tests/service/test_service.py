@@ -305,7 +305,7 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path, kills: int) -> No
                 found: Json = got.json()
                 return found
             except requests.RequestException:
-                time.sleep(0.05)
+                time.sleep(0.25)
         return {}
 
     def client(person: str) -> None:

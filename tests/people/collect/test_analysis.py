@@ -12,7 +12,8 @@ import pytest
 
 from tests.people.bare_flow import answer, observe
 from tests.people.collect.stand_in import FAULTLESS, street_collection
-from xplain.errors import InputError
+from tests.people.study.stand_in import street_study
+from xplain.errors import InputError, XplainError
 from xplain.learning.data.label_file import read_table, write_table
 from xplain.people.collect.asking import ATTENTION, CollectState, mean_posterior
 from xplain.people.collect.bot import Habits, bot
@@ -25,7 +26,9 @@ from xplain.people.collect.tables import (
     find_types_so_far,
     predict_new_types,
 )
+from xplain.people.log import read_plan
 from xplain.people.store import Store
+from xplain.people.study.plan import StudyPlan
 
 COLLECTION = street_collection()
 
@@ -211,11 +214,6 @@ def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
 
 
 def test_a_studys_database_is_not_a_collections(tmp_path: Path) -> None:
-    from tests.people.study.stand_in import street_study
-    from xplain.errors import XplainError
-    from xplain.people.log import read_plan
-    from xplain.people.study.plan import StudyPlan
-
     Store(tmp_path / "s.sqlite", street_study()).close()
     with pytest.raises(XplainError, match="another plan"):
         Store(tmp_path / "s.sqlite", COLLECTION)

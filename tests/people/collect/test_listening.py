@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.conftest import Run
 from tests.people.bare_flow import observe
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan
 from tests.people.kinds import filled
-from xplain.cli.main import main
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits, habits_of
@@ -34,6 +34,7 @@ from xplain.people.store import Store
 
 MESSAGES = 3
 COLLECTION = street_collection(listening=MESSAGES)
+FEW_QUESTIONS = street_collection(points=8, listening=MESSAGES)
 UNKNOWN = habits_of("learned", "learned", "learned")
 
 
@@ -138,16 +139,15 @@ def test_rates_of_simulated_people_are_found_again(accept: float, forget: float,
     the first message about such a fact, the label is 1 with p = α (1 − e) + (1 − α) e, so the
     standard error of α is sd(p) / (1 − 2e). An accepted fact is still known three pages later with
     (1 − φ)³, whose slope is at most 3."""
-    people, error = 120, 0.05
+    people, error, plan = 120, 0.05, FEW_QUESTIONS.plan
     habits = bot.Habits(error, forgetting=1 - accept, losing=forget, mistake=0)
     states: list[CollectState] = []
     for number in range(people):
-        role = COLLECTION.plan.roles[number % len(COLLECTION.plan.roles)]
-        rng = np.random.default_rng([seed, number])
-        person = Observer(COLLECTION.plan, role.held, habits, rng)
+        role = plan.roles[number % len(plan.roles)]
+        person = Observer(plan, role.held, habits, np.random.default_rng([seed, number]))
         others = mean_posterior([state.belief for state in states[-10:]])
-        states.append(observe(COLLECTION, person, number, others))
-    found = learn_habits([collect_pages(COLLECTION.plan, state) for state in states])
+        states.append(observe(FEW_QUESTIONS, person, number, others))
+    found = learn_habits([collect_pages(plan, state) for state in states])
     pull = PRIOR_PEOPLE / (people / 2 + PRIOR_PEOPLE)
     rates, stays = {"accept": accept, "forget": forget}, (1 - forget) ** MESSAGES
     noise = {"accept": (accept, 1.0, 1.0), "forget": (stays, 3 * (1 - forget) ** 2, accept)}
@@ -162,13 +162,10 @@ def test_rates_of_simulated_people_are_found_again(accept: float, forget: float,
     assert abs(mean - error) <= 4 * np.sqrt(error / clips * 2) + pull * error
 
 
-def test_the_command_learns_from_a_stream_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_learns_from_a_stream_alone(tmp_path: Path, run: Run) -> None:
     path = tmp_path / "c.sqlite"
     filled("collect", path)
-    main(["collect", "habits", str(path)])
-    said = capsys.readouterr().out
+    said = run("collect habits", path)[1]
     assert said.startswith("3 participants: ")
     assert [line.split("=")[0] for line in said.splitlines()[1:]] == [
         *("belief.error", "belief.accept", "belief.forget")

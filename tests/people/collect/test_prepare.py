@@ -12,7 +12,6 @@ from sklearn.metrics import adjusted_rand_score
 
 from tests.people.bare_flow import crowd, truth_of
 from tests.people.collect.stand_in import street_plan
-from xplain.cli.main import main
 from xplain.cli.people import load_config
 from xplain.errors import InputError
 from xplain.experiment.config import CONF
@@ -88,41 +87,6 @@ def test_a_list_tells_all_candidates_apart() -> None:
     distinct = {tuple(row) for row in labels.tolist()}
     assert len(distinct) == len(np.unique(known.classes))
     assert len(plan.questions) == 12
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["queries=independent"], "battery or adaptive"),
-        (["queries=adaptive", "queries.in_turn=true"], "queries.in_turn=True"),
-        (["briefing=some"], "briefing='some'"),
-        (["rules.people=1"], "rules.people=1"),
-        (["points=3"], "rules.repeats=2"),
-        (["transitions=nowhere.csv"], "nowhere.csv"),
-        (["facts=f.csv"], "only with transitions"),
-        (["transitions=own.csv", "briefing=assigned"], "they name no types"),
-        (["database=broken.sqlite"], "not a study's database"),
-        (["port=0"], "port=0"),
-        (["server.key=secret"], "server.key"),
-    ],
-)
-def test_what_is_wrong_is_one_line(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    said: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "broken.sqlite").write_text("broken " * 500)
-    (tmp_path / "own.csv").write_text(TABLE.replace("cable.png", ""))
-    with pytest.raises(SystemExit) as ended:
-        main(["collect", *arguments])
-    assert ended.value.code == 2
-    told = [line for line in capsys.readouterr().err.splitlines() if "preparing" not in line]
-    assert len(told) == 1
-    assert said in told[0]
-    assert not (tmp_path / "outputs" / "collect" / "collect.sqlite").exists()
 
 
 OWN_TEXTS = """introduction: [A delivery robot drives through our house.]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.people.bare_flow import answer, observe
-from tests.people.collect.stand_in import FAULTLESS, street_collection, telling
+from tests.people.collect.stand_in import FAULTLESS, street_collection
 from xplain.errors import InputError
 from xplain.people.collect.asking import (
     ATTENTION,
@@ -30,7 +29,6 @@ from xplain.questions.designs import Adaptive, Battery
 
 COLLECTION = street_collection()
 LISTED = street_collection(Battery(redundancy=2), points=12)
-KINDS = {one.name: one.kind for one in COLLECTION.STAGES}
 numbers = st.integers(0, 10_000)
 
 
@@ -45,18 +43,6 @@ def somebody(
 def consent(collection: Collection, **changes: Any) -> dict[str, Any]:
     text = collection.plan.texts.consent_hash
     return {"agree": 1, "text": text, "number": 5, "role": None, "others": {}} | changes
-
-
-def states(collection: Collection, held: int = 3, number: int = 5) -> list[CollectState]:
-    """Yields every state on the way."""
-    person = Observer(collection.plan, held, FAULTLESS, np.random.default_rng(number))
-    found = [CollectState()]
-    kind, payload = "consent", consent(collection, number=number)
-    while not found[-1].over:
-        found.append(collection.advance(found[-1], kind, payload))
-        if not found[-1].over:
-            kind, payload = answer(collection, person, found[-1])
-    return found
 
 
 @settings(deadline=None)
@@ -161,19 +147,6 @@ def test_the_posterior_is_one_and_depends_on_the_answers_alone(number: int, held
     assert min(written) >= 1e-6
     classes = COLLECTION.questionnaire(state).classes
     assert len(written) == (classes >= 1e-6).sum() < len(classes) or min(classes) >= 1e-6
-
-
-def test_nothing_of_what_is_behind_a_clip_is_on_its_page() -> None:
-    collection = telling()
-    plan = collection.plan
-    for state in states(collection):
-        view = collection.view(state)
-        text = json.dumps(view, default=str)
-        for hidden in (QUESTION + '"', ATTENTION, REPEAT, 'belief"', "posterior", "bits"):
-            assert hidden not in text
-        if state.stage == "clips" and state.clip is not None:
-            assert len(view["told"]) == state.clip.told.bit_count()
-            assert set(view["told"]) <= {fact.message for fact in plan.facts}
 
 
 def test_half_of_a_prior_is_what_others_hold_wrong() -> None:

@@ -19,7 +19,7 @@ from starlette.requests import Request
 from tests.people.client import Client
 from tests.people.conftest import Opened
 from tests.people.study.stand_in import street_study
-from tests.people.visitors import GENEROUS, Visitor, arrive, consent, enter, field
+from tests.people.visitors import GENEROUS, arrive, consent, enter, field, newcomer
 from xplain.errors import InputError
 from xplain.people import web as application
 from xplain.people.bots import Page
@@ -41,7 +41,7 @@ OF_LINK = "PROLIFIC_PID=a&STUDY_ID=s&SESSION_ID=x"
 
 def comes(store: Store, server: Server, query: str = OF_LINK, **changed: str) -> int:
     """Opens a link, and presses the button that its page has, with other values."""
-    client = Client(create_app(store, server))
+    client = newcomer(store, server).client
     form = Page.of_html(client.get(f"{server.path}/?{query}").text)
     return client.post(f"{server.path}/enter", data={**form.hidden, **changed}).status_code
 
@@ -52,7 +52,7 @@ def signed(folder: Path, key: bytes, **more: Any) -> Server:
 
 
 def test_entry_is_as_configured(store: Store) -> None:
-    platform = Client(create_app(store, PLATFORM))
+    platform = newcomer(store, PLATFORM).client
     html = platform.get("/").text
     assert 'name="invitation"' not in html
     assert "<button>Begin" not in html  # a link without ids lets nobody in
@@ -146,19 +146,19 @@ def test_a_browser_without_cookies_is_told_so(store: Store) -> None:
 
 
 def test_an_invitation_is_found_however_it_was_copied(store: Store) -> None:
-    app, made = create_app(store, GENEROUS), store.invite(200, "person")
+    made = store.invite(200, "person")
     assert all(one.isalpha() for one in made)
     token = made[0]
     blanks = (f"{token}\u200b", f" {token}»", f"{token[:9]} {token[9:]}")
     for copied in (f"{token}.", token.lower(), *blanks):
-        assert Page.of_html(enter(Visitor(Client(app)), copied)).stage == "consent"
+        assert Page.of_html(enter(newcomer(store), copied)).stage == "consent"
     assert len(store.people) == 1
 
 
 @pytest.mark.parametrize("given", ["/robots", ""])
 def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -> None:
     """The proxy may remove the path or keep it."""
-    client = Client(create_app(store, replace(GENEROUS, address=ADDRESS, https=False)))
+    client = newcomer(store, replace(GENEROUS, address=ADDRESS, https=False)).client
     entrance = client.get(f"{given}/?invitation=x", headers={"X-Forwarded-Prefix": "/robots"})
     assert 'action="/robots/enter"' in entrance.text
     assert 'href="/robots/static/study.css"' in entrance.text
@@ -176,7 +176,7 @@ def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -
 
 
 def test_a_full_disk_is_no_good_health(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    client = Client(create_app(store, GENEROUS))
+    client = newcomer(store).client
     assert client.get("/alive").status_code == 200
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(application.shutil, "disk_usage", lambda path: usage(10, 10, 0))
@@ -185,11 +185,11 @@ def test_a_full_disk_is_no_good_health(store: Store, monkeypatch: pytest.MonkeyP
 
 def test_pages_may_be_shown_in_the_frames_that_are_named(store: Store) -> None:
     survey = "https://survey.example.org"
-    shown = Client(create_app(store, replace(GENEROUS, frames=(survey,)))).get("/")
+    shown = newcomer(store, replace(GENEROUS, frames=(survey,))).client.get("/")
     assert f"frame-ancestors {survey}" in shown.headers["Content-Security-Policy"]
     assert "X-Frame-Options" not in shown.headers
     assert "SameSite=none" in shown.headers["Set-Cookie"]
-    other = Client(create_app(store, GENEROUS)).get("/")
+    other = newcomer(store).client.get("/")
     assert "frame-ancestors 'none'" in other.headers["Content-Security-Policy"]
 
 
@@ -232,14 +232,14 @@ def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(opened: Op
         (GENEROUS, "http://localhost", 303),
         (replace(GENEROUS, demo=True), "https://lab.example.org", 303),
     ):
-        client = Client(create_app(store, server))
+        client = newcomer(store, server).client
         token = field(client.get("/", base_url=host).text, "token")
         sent = {"token": token, "invitation": store.invite(1, "pilot")[0]}
         assert client.post("/enter", data=sent, base_url=host).status_code == status
 
 
 def test_pictures_and_consent_are_for_participants(store: Store) -> None:
-    client = Client(create_app(store, GENEROUS))
+    client = newcomer(store).client
     for path in ("/consent.txt", "/picture/0"):
         assert client.get(path).status_code == 403
 
@@ -248,7 +248,7 @@ def test_two_studies_on_one_host_share_a_browser(store: Store, opened: Opened) -
     """Ports share cookies, but the cookies of one study do not affect the participant of the other
     study."""
     (one, page), other = arrive(store), opened(street_study(), name="other")
-    two = Visitor(Client(create_app(other, GENEROUS)))
+    two = newcomer(other)
     two.client.cookies = one.client.cookies
     enter(two, other.invite(1, "person")[0])
     status, _, after = one.answer(page, ("agree", "1"))

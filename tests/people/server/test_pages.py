@@ -11,23 +11,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.people.client import Client
 from tests.people.collect.stand_in import street_collection, telling
 from tests.people.collect.stand_in import street_plan as collection_plan
 from tests.people.conftest import Opened
 from tests.people.kinds import ASKING, KINDS, bot_of, flow_of
 from tests.people.study.stand_in import FAULTLESS, SCREENS, street_plan
 from tests.people.visitors import (
-    GENEROUS,
     Visitor,
     arrive,
     differences,
     enter,
+    newcomer,
     pages,
     query,
+    take_part,
+    way,
 )
 from xplain.people.bots import Page
-from xplain.people.collect.asking import AskedClip, CollectState, belief
+from xplain.people.collect.asking import ATTENTION, REPEAT, AskedClip, CollectState, belief
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import KnownSoFar, glance
 from xplain.people.plan import Picture
@@ -36,7 +37,6 @@ from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.tables import steps_of
-from xplain.people.web import create_app
 from xplain.questions.questionnaire import Questionnaire
 
 BEFORE = {
@@ -45,21 +45,13 @@ BEFORE = {
 }
 STEPS = {"study": ["evaluation"] * 4, "collect": ["clips"] * 15 + ["listening"] * 6}
 AFTER = {"study": ("quiz", "questions", "done"), "collect": ("beliefs", "questions", "done")}
-Walk = list[tuple[str, Page]]
-
-
-def walk(store: Store, *seeds: int, stream: str = "person") -> Walk:
-    """Yields every page of a person."""
-    visitor = Visitor(Client(create_app(store, GENEROUS)))
-    return [*pages(visitor, bot_of(store.flow, *seeds), *store.invite(1, stream))]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_reload_back_second_tab_and_double_click_change_nothing(opened: Opened, kind: str) -> None:
     store = opened(flow_of(kind))
-    app, (token,) = create_app(store, GENEROUS), store.invite(1, "person")
-    one, two, old = Visitor(Client(app)), Visitor(Client(app)), []
-    stages = list[str]()
+    one, (token,) = newcomer(store), store.invite(1, "person")
+    two, old, stages = one.another(), list[list[tuple[str, str]]](), list[str]()
     for html, page in pages(one, bot_of(store.flow, 0), token):
         last, stages = html, [*stages, page.stage]
         again = Page.of_html(one.get("/study")[1])  # reload
@@ -84,18 +76,17 @@ def test_reload_back_second_tab_and_double_click_change_nothing(opened: Opened, 
 
 
 def test_earlier_labels_stay_and_only_the_new_one_is_needed(
-    store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot]
+    store: Store, browser: Visitor, person: Callable[[], StudyBot]
 ) -> None:
-    visitor = browser()
-    for _, page in pages(visitor, person(), store.invite(1, "person")[0]):
+    for _, page in pages(browser, person(), *store.invite(1, "person")):
         if page.stage == "evaluation":
             break
-    _, html, page = visitor.answer(page, ("label_0", "0"))
+    _, html, page = browser.answer(page, ("label_0", "0"))
     assert 'name="label_0" value="0" required checked' in html
-    status, html, page = visitor.answer(page)
+    status, html, page = browser.answer(page)
     assert status == 400
     assert "Please say for each step" in html
-    assert visitor.answer(page, ("label_1", "1"))[0] == 200
+    assert browser.answer(page, ("label_1", "1"))[0] == 200
     (who,) = store.everybody()
     assert [step.labels for step in steps_of(who)][:2] == [(0,), (0, 1)]
 
@@ -103,12 +94,11 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
 def test_a_message_is_said_again_in_words_that_blame_nobody(opened: Opened) -> None:
     """A repeated message is marked, in its own place: a page never shows a message twice."""
     told = {"_target_": "xplain.explanation.belief.Independent", "accept": 0.8, "forget": 0.1}
-    store = opened(Study.of(street_plan(belief=told)))
-    app, marked = create_app(store, GENEROUS), []
+    store, marked = opened(Study.of(street_plan(belief=told))), list[str]()
     habits = replace(FAULTLESS, forgetting=0.9, losing=0.9)
-    for number, token in enumerate(store.invite(6, "bot")):
+    for number in range(6):
         someone = StudyBot(store.flow.plan, habits, np.random.default_rng(number))
-        for html, page in pages(Visitor(Client(app)), someone, token):
+        for html, page in way(store, someone):
             assert len(set(page.messages)) == len(page.messages)
             marked += re.findall(r'<span class="tag">Said again:</span> (.*?)</div>', html)
     again = [(s.page.previous or 0) & s.page.new for p in store.everybody() for s in steps_of(p)]
@@ -116,7 +106,7 @@ def test_a_message_is_said_again_in_words_that_blame_nobody(opened: Opened) -> N
 
 
 def test_pages_have_no_inline_script_or_style_and_load_nothing_from_elsewhere(store: Store) -> None:
-    for html, page in walk(store, 0, stream="bot"):
+    for html, page in way(store, bot_of(store.flow, 0), "bot"):
         assert not re.search(r"<script(?! src=\"/static)", html), page.stage
         assert not re.search(r"\son\w+=|\sstyle=|<style|javascript:", html), page.stage
         assert not re.search(r"(src|href)=\"(?!/|#)", html), page.stage
@@ -125,24 +115,23 @@ def test_pages_have_no_inline_script_or_style_and_load_nothing_from_elsewhere(st
 
 
 def test_what_people_write_is_escaped_everywhere(
-    store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot]
+    store: Store, browser: Visitor, person: Callable[[], StudyBot]
 ) -> None:
     attack = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)>{{7*7}}\x00\u202e"
-    visitor = browser()
-    _, html = visitor.get("/?invitation=" + "%3Cscript%3Ealert(1)%3C/script%3E&PROLIFIC_PID=%22%3E")
+    _, html = browser.get("/?invitation=" + "%3Cscript%3Ealert(1)%3C/script%3E&PROLIFIC_PID=%22%3E")
     assert "<script>alert" not in html
-    for html, page in pages(visitor, person(), store.invite(1, "person")[0]):
+    for html, page in pages(browser, person(), *store.invite(1, "person")):
         assert "<script>alert" not in html
         if page.stage == "questions":
             own = ("answer_comment", attack)
-            status, html, page = visitor.answer(page, ("answer_age", attack), own)
+            status, html, page = browser.answer(page, ("answer_age", attack), own)
             assert status == 400
             assert "<script>alert" not in html
-            visitor.answer(page, ("answer_age", "30"), own)
+            browser.answer(page, ("answer_age", "30"), own)
             break
     (row,) = query(store, "SELECT payload FROM event WHERE kind = 'answers'")
     assert "<script>" in row["payload"]  # kept as it was written
-    assert "<script>alert" not in visitor.get("/researcher")[1]
+    assert "<script>alert" not in browser.get("/researcher")[1]
     # The domain's own sentences are text, too.
     assert "<robot>" in store.flow.plan.facts[0].belief
 
@@ -154,9 +143,10 @@ def test_without_a_map_the_page_lists_what_each_step_changed(opened: Opened) -> 
     shown = tuple(replace(clip, changes=new) for clip, new in zip(plan.shown, told, strict=True))
     plan = StudyPlan.from_text(replace(plan, shown=shown).text)
     assert plan.changes == told
+    store = opened(Study.of(plan))
     listed = [
         re.findall(r"now past place (\d+); no longer at &lt;\d+&gt;</li>", html)
-        for html, page in walk(opened(Study.of(plan)), 0)
+        for html, page in way(store, bot_of(store.flow, 0))
         if page.stage == "evaluation"
     ]
     assert listed == [[str(i) for i in range(k + 1)] for k in range(plan.n_steps)]
@@ -175,10 +165,9 @@ def test_an_answer_to_a_page_that_was_not_shown_is_refused(store: Store) -> None
 def test_a_question_comes_with_the_messages_moves_no_progress_and_counts_once(
     opened: Opened,
 ) -> None:
-    store = opened(flow_of(ASKING))
-    app, seen = create_app(store, GENEROUS), 0
+    store, seen = opened(flow_of(ASKING)), 0
     for number, token in enumerate(store.invite(3, "bot")):
-        told, part, visitor, before = set[str](), set[str](), Visitor(Client(app)), None
+        told, part, visitor, before = set[str](), set[str](), newcomer(store), None
         for html, page in pages(visitor, bot_of(store.flow, number), token):
             if before:  # from a second tab, as it was and otherwise, of a question that is over
                 statuses = sorted(visitor.answer(before, ("label", one))[0] for one in "01")
@@ -208,8 +197,7 @@ def test_of_the_erased_nothing_stays_in_memory(opened: Opened) -> None:
     gc.collect()
     earlier = [one for one in gc.get_objects() if isinstance(one, (Questionnaire, KnownSoFar))]
     known = {id(one) for one in earlier}
-    for number in range(2):
-        walk(store, 0, number)
+    take_part(store, [bot_of(store.flow, 0, number) for number in range(2)])
     glance(store.flow, store.present())
     gone, kept = store.present()
     beliefs = {f: p for f, p in gone.state.belief.items() if f != "none"}
@@ -235,8 +223,8 @@ def test_of_the_erased_nothing_stays_in_memory(opened: Opened) -> None:
 def test_a_clip_shows_just_what_is_told_there(opened: Opened) -> None:
     store, given = opened(telling()), set[int]()
     known = {fact.message: 1 << j for j, fact in enumerate(store.flow.plan.facts)}
-    visitor, (token,) = Visitor(Client(create_app(store, GENEROUS))), store.invite(1, "person")
-    for html, page in pages(visitor, bot_of(store.flow, 0, 1), token):
+    for html, page in way(store, bot_of(store.flow, 0, 1)):
+        assert not re.search(f"{ATTENTION}|{REPEAT}|posterior", html)
         if page.stage == "clips":
             (one,) = store.present()
             clip = one.state.clip
@@ -253,7 +241,7 @@ def test_assigned_briefings_are_balanced_and_shown_again(opened: Opened) -> None
     store = opened(street_collection(briefing="assigned", points=8))
     roles = store.flow.plan.roles
     for number in range(6):
-        for _, page in walk(store, 0, number):
+        for _, page in way(store, bot_of(store.flow, 0, number)):
             if page.stage == "clips":
                 assert tuple(page.facts) in [role.briefing for role in roles]
             assert page.stage != "task" or len(page.facts) <= 3
@@ -284,15 +272,11 @@ def test_images_of_own_transitions_are_served(opened: Opened) -> None:
 
 def test_many_at_once_share_what_was_known_when_they_came(opened: Opened) -> None:
     store = opened(street_collection(points=8))
-    app, tokens = create_app(store, GENEROUS), store.invite(3, "person")
-    ways = [
-        pages(Visitor(Client(app)), bot_of(store.flow, 0, number), token)
-        for number, token in enumerate(tokens)
-    ]
+    ways = [way(store, bot_of(store.flow, 0, number)) for number in range(3)]
     for _ in range(40):  # a page each in turn
-        for way in ways:
-            next(way, None)
-    walk(store, 0, 5)
+        for one in ways:
+            next(one, None)
+    take_part(store, [bot_of(store.flow, 0, 5)])
     after = [event.payload.get("after") for event in store.events("kind = 'consent'")]
     assert after == [[]] * 3 + [[1, 2, 3]]
     assert differences(store) == []

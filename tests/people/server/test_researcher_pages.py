@@ -8,21 +8,18 @@ import zipfile
 from dataclasses import replace
 
 import pytest
-from fastapi import FastAPI
 
 from tests.people.client import Client
 from tests.people.collect.stand_in import street_collection
 from tests.people.conftest import Opened
 from tests.people.kinds import bot_of
 from tests.people.study.stand_in import PLACES
-from tests.people.visitors import GENEROUS, Visitor, consent, field
+from tests.people.visitors import GENEROUS, Visitor, agreed, consent, field, newcomer, take_part
 from xplain.errors import Refused
-from xplain.people.bots import visit
 from xplain.people.log import Clock
 from xplain.people.server import Keys
 from xplain.people.store import Store, Unknown
 from xplain.people.study.flow import Study
-from xplain.people.web import create_app
 from xplain.runs.discovery import sentences_of
 
 
@@ -85,14 +82,13 @@ def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
     assert hidden.keys().isdisjoint(store.flow.about(state, blinded=True))
     cell = re.compile(rf"<td>({'|'.join([*names, 'personalized', 'conformant'])})</td>")
     assert cell.search(overview(client, store))
-    html = overview(Client(create_app(store, replace(GENEROUS, blinded=True))), store)
+    html = overview(newcomer(store, replace(GENEROUS, blinded=True)).client, store)
     assert "Overview of the study" in html
     assert not cell.search(html)
 
 
 def test_links_come_from_the_configured_address_not_from_the_request(store: Store) -> None:
-    app = create_app(store, replace(GENEROUS, address="https://study.example.org/"))
-    client = Client(app)
+    client = newcomer(store, replace(GENEROUS, address="https://study.example.org/")).client
     token = logged_in(client, store)
     good = {"token": token, "count": "1", "stream": "person"}
     made = client.post("/researcher/invitations", data=good).headers["Location"]
@@ -101,10 +97,9 @@ def test_links_come_from_the_configured_address_not_from_the_request(store: Stor
     assert "evil" not in html
 
 
-def test_any_type_and_condition_can_be_looked_at(store: Store, app: FastAPI) -> None:
-    plan = store.flow.plan
-    for cell, (user_type, condition) in enumerate(plan.cells):
-        client = Client(app)
+def test_any_type_and_condition_can_be_looked_at(store: Store, browser: Visitor) -> None:
+    for cell, (user_type, condition) in enumerate(store.flow.plan.cells):
+        client = browser.another().client
         token = logged_in(client, store)
         done = client.post("/researcher/preview", data={"token": token, "cell": str(cell)})
         assert done.status_code == 303
@@ -146,8 +141,8 @@ def test_looking_writes_nothing(opened: Opened, study: Study) -> None:
     """Even the time-out of a silent participant is not stored."""
     now = [1000.0]
     store = opened(study, Clock(lambda: now[0], lambda: now[0], "b"))
-    client = Client(create_app(store, GENEROUS))
-    consent(store, store.enter_invited(store.invite(1, "person")[0]))
+    client = newcomer(store).client
+    agreed(store)
     logged_in(client, store)
     now[0] += 86400
     before = [*store.events()]
@@ -158,11 +153,9 @@ def test_looking_writes_nothing(opened: Opened, study: Study) -> None:
 
 def test_the_researcher_sees_labels_types_and_what_more_people_bring(opened: Opened) -> None:
     store = opened(street_collection())
-    client = Client(create_app(store, GENEROUS))
+    client = newcomer(store).client
     assert "after two people have finished" in overview(client, store)
-    app = create_app(store, GENEROUS)
-    for number, token in enumerate(store.invite(6, "person")):
-        visit(Visitor(Client(app)), bot_of(store.flow, 0, number), token)
+    take_part(store, [bot_of(store.flow, 0, number) for number in range(6)])
     html = overview(client, store)
     assert "<strong>72</strong> labels" in html
     assert "<strong>3</strong> types found" in html

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from fastapi import FastAPI
-
 from tests.people.client import Client
-from tests.people.visitors import Visitor, arrive, enter, field
+from tests.people.visitors import Visitor, arrive, enter, field, newcomer
 from xplain.people.server import GUESSES, SESSION, Keys, RateLimit, Server
 from xplain.people.store import Store
-from xplain.people.web import create_app
 
 
-def test_nobody_can_be_somebody_else(
-    store: Store, app: FastAPI, browser: Callable[[], Visitor]
-) -> None:
-    one, two = browser(), browser()
-    first, second = (
-        enter(v, t) for v, t in zip((one, two), store.invite(2, "person"), strict=True)
-    )
+def test_nobody_can_be_somebody_else(store: Store, browser: Visitor) -> None:
+    two, tokens = browser.another(), store.invite(2, "person")
+    first, second = (enter(v, t) for v, t in zip((browser, two), tokens, strict=True))
     # The other one's form with one's own cookie.
     fields = [(n, field(first, n)) for n in ("token", "sequence", "kind", "text")]
     status, _ = two.post("/study", [*fields, ("agree", "1")])
@@ -28,7 +19,7 @@ def test_nobody_can_be_somebody_else(
     # A cookie made from the other one's id, without the server's key.
     ids = [*store.people]
     for value in (*ids, f"{ids[0]}.", f"{ids[0]}.{'0' * 64}", "." * 9, "\x00", "é" * 40):
-        client = Client(app)
+        client = browser.another().client
         client.set_cookie(f"participant_{Keys(store.secret).mark}", value)
         assert client.get("/study").status_code == 403
         assert client.post("/events", json={}).status_code == 403
@@ -82,7 +73,7 @@ def test_headers_keep_browsers_strict(client: Client, store: Store) -> None:
     cookie = client.get("/").headers["Set-Cookie"]
     assert "HttpOnly" in cookie
     assert "SameSite=lax" in cookie
-    secure = Client(create_app(store, Server(https=True))).get("/")
+    secure = newcomer(store, Server(https=True)).client.get("/")
     assert "Secure" in secure.headers["Set-Cookie"]
     assert "max-age" in secure.headers["Strict-Transport-Security"]
 
@@ -101,8 +92,8 @@ def test_too_much_is_turned_away(store: Store) -> None:
 
 def test_requests_are_limited_by_participant_and_by_address(store: Store) -> None:
     slow = {"requests_per_second": 1e-6, "visitors_per_second": 1e-6}
-    app, keys = create_app(store, Server(burst=20, visitor_burst=10, **slow)), Keys(store.secret)
-    client, other = Client(app), Client(app)
+    browser = newcomer(store, Server(burst=20, visitor_burst=10, **slow))
+    client, other, keys = browser.client, browser.another().client, Keys(store.secret)
     assert [client.get("/").status_code for _ in range(12)] == [200] * 10 + [429] * 2
     assert client.get("/").headers["Retry-After"] == "5"
     assert client.get("/static/study.css").status_code == 200
@@ -112,16 +103,16 @@ def test_requests_are_limited_by_participant_and_by_address(store: Store) -> Non
 
 
 def test_wrong_keys_of_researchers_hold_nobody_back(store: Store) -> None:
-    app = create_app(store, Server(visitors_per_second=1e-6))
-    guesser, researcher, newcomer = (Client(app) for _ in range(3))
+    browser = newcomer(store, Server(visitors_per_second=1e-6))
+    guesser, researcher, stranger = (browser.another().client for _ in range(3))
     guesses = [guesser.post("/researcher/login", data={"key": f"{n}"}) for n in range(20)]
     assert [reply.status_code for reply in guesses[:GUESSES]] == [403] * GUESSES
     assert guesses[-1].status_code == 429
-    assert newcomer.get("/").status_code == 200
+    assert stranger.get("/").status_code == 200
     key = Keys(store.secret).researcher
     reply = researcher.post("/researcher/login", data={"key": key}, follow_redirects=True)
     assert (reply.status_code, "Overview of the study" in reply.text) == (200, True)
     # A crowd at the address does not hold back who is logged in, either.
-    while newcomer.get("/").status_code == 200:
+    while stranger.get("/").status_code == 200:
         pass
     assert researcher.get("/researcher").status_code == 200

@@ -20,7 +20,7 @@ from tests.people.bare_flow import attend
 from tests.people.conftest import Opened
 from tests.people.server.test_fuzz import records
 from tests.people.study.stand_in import street_study
-from tests.people.visitors import consent, differences, query
+from tests.people.visitors import agreed, consent, differences, query
 from xplain.errors import InputError, Refused, XplainError
 from xplain.people.flow import Conflict, Full
 from xplain.people.log import read_plan
@@ -144,8 +144,7 @@ def test_who_sets_the_clock_times_nobody_out(opened: Opened, study: Study) -> No
     wall, monotonic = [1e9], [50.0]
     clock = Clock(lambda: wall[0], lambda: monotonic[0], "boot")
     store = opened(study, clock)
-    who = store.enter_invited(store.invite(1, "person")[0])
-    consent(store, who)
+    who = agreed(store)
     for jump in (1e6, -2e6):
         wall[0] += jump
         assert store.time_out_stale() == 0
@@ -204,10 +203,9 @@ def test_the_log_only_grows(store: Store, sql: str) -> None:
 
 def test_who_has_not_agreed_yet_is_never_timed_out(store: Store, time: Time, study: Study) -> None:
     """A link that was opened, or refused at a full study, stays good."""
-    places = len(study.plan.cells) * study.plan.rules.per_cell
-    *first, late = (store.enter_invited(token) for token in store.invite(places + 1, "person"))
-    for who in first:
-        consent(store, who)
+    for _ in range(len(study.plan.cells) * study.plan.rules.per_cell):
+        agreed(store)
+    late = store.enter_invited(*store.invite(1, "person"))
     with pytest.raises(Full):
         consent(store, late)
     time.now += 7 * 86400
@@ -373,8 +371,7 @@ def test_a_damaged_or_foreign_file_is_named(opened: Opened, study: Study, tmp_pa
 
 
 def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time: Time) -> None:
-    who = store.enter_invited(store.invite(1, "person")[0])
-    consent(store, who)
+    who = agreed(store)
     time.now += 31 * 60
     assert store.time_out_stale() == 1
     assert store.submit(who, 1, "read", {}).accepted == 2
@@ -386,8 +383,7 @@ def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time
 def test_an_acknowledged_answer_is_the_one_that_is_kept(store: Store) -> None:
     """The same answer again is acknowledged; another answer, or an answer to no page, is a
     conflict."""
-    who = store.enter_invited(store.invite(1, "person")[0])
-    consent(store, who)
+    who = agreed(store)
     store.submit(who, 1, "read", {})
     before = whole(store)
     assert store.submit(who, 1, "read", {}) == store.participant(who).state
@@ -401,8 +397,7 @@ def test_an_acknowledged_answer_is_the_one_that_is_kept(store: Store) -> None:
 
 def test_leaving_is_accepted_from_any_page(store: Store, time: Time) -> None:
     for number in (0, 1, 7):
-        who = store.enter_invited(store.invite(1, "person")[0])
-        consent(store, who)
+        who = agreed(store)
         time.now += 31 * 60 * (number == 7)  # also after a time-out
         store.time_out_stale()
         for _ in range(2):
@@ -428,13 +423,11 @@ def test_who_comes_back_finds_the_place_of_somebody_who_is_silent_now(
     store: Store, time: Time, study: Study
 ) -> None:
     """No check for silent people ran in between: the return runs it."""
-    places = len(study.plan.cells) * study.plan.rules.per_cell
-    away, *others = (store.enter_invited(t) for t in store.invite(places + 1, "person"))
-    consent(store, away)
+    away = agreed(store)
     time.now += 31 * 60
     assert store.time_out_stale() == 1
-    for who in others:
-        consent(store, who)
+    for _ in range(len(study.plan.cells) * study.plan.rules.per_cell):
+        agreed(store)
     with pytest.raises(Full):
         store.submit(away, 1, "return", {})
     time.now += 31 * 60

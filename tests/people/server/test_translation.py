@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.people.client import Client
 from tests.people.collect import stand_in as collect_stand_in
 from tests.people.collect.stand_in import wording
+from tests.people.conftest import Opened
 from tests.people.kinds import bot_of
 from tests.people.study.stand_in import ASK, CONFIG, english_words, street_plan
-from tests.people.visitors import GENEROUS, Visitor, enter
+from tests.people.visitors import enter, newcomer
 from xplain.errors import InputError
 from xplain.people.bots import Page
 from xplain.people.collect.flow import Collection
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
-from xplain.people.web import create_app
 
 PLACES = ("bridge", "market", "school", "tunnel")
 
@@ -97,7 +94,7 @@ def foreign_collection(briefing: str) -> Collection:
 
 
 @pytest.fixture(params=["study", "asking", "none", "assigned"])
-def foreign(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Store]:
+def foreign(opened: Opened, request: pytest.FixtureRequest) -> Store:
     """Stores a study, a study with a condition that asks, or a collection without or with a
     briefing, in the made-up language."""
     if request.param == "study":
@@ -107,9 +104,7 @@ def foreign(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Store]:
         flow = foreign_study(ask=ASK, conditions=own)
     else:
         flow = foreign_collection(request.param)
-    store = Store(tmp_path / "s.sqlite", flow)
-    yield store
-    store.close()
+    return opened(flow)
 
 
 def left_over(html: str) -> set[str]:
@@ -121,7 +116,7 @@ def left_over(html: str) -> set[str]:
 
 
 def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
-    visitor = Visitor(Client(create_app(foreign, GENEROUS)))
+    visitor = newcomer(foreign)
     person, (token,) = bot_of(foreign.flow, 0), foreign.invite(1, "bot")
     code = {foreign.participant(foreign.enter_invited(token)).identity["code"]}
     for path in ("/", "/nowhere", "/study"):
@@ -147,7 +142,7 @@ def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
 
 def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Store) -> None:
     """This holds for every end, and in the invented language."""
-    app, texts, codes = create_app(foreign, GENEROUS), foreign.flow.plan.texts, set()
+    texts, codes = foreign.flow.plan.texts, set()
     first = foreign.flow.stages[1]
     for ending in (*foreign.flow.STATE.ENDS, "done"):
         (token,) = foreign.invite(1, "bot")
@@ -155,7 +150,7 @@ def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Sto
         at = replace(foreign.flow.STATE(), stage=ending, left=first)
         with foreign.changes():
             foreign.append(who, "server", "moved", {}, state=at.text)
-        visitor = Visitor(Client(app))
+        visitor = newcomer(foreign)
         enter(visitor, token)
         html = visitor.get("/study")[1]
         away = ending == "timed_out"

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.people.client import Client
+from tests.people.conftest import Opened
 from tests.people.study.stand_in import FAULTLESS
-from tests.people.visitors import GENEROUS, Visitor, differences, pages
+from tests.people.visitors import differences, newcomer, pages, take_part
 from xplain import Explainer
 from xplain.cli.people import load_config
 from xplain.errors import InputError
@@ -24,13 +24,11 @@ from xplain.explanation.anybody import Open
 from xplain.explanation.belief import NO_FIT
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.saved import LearnedTypes, TableLabeler
-from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.tables import fit_of, glance, tables
-from xplain.people.web import create_app
 
 
 def pixels(picture: bytes) -> bytes:
@@ -128,13 +126,11 @@ def test_the_plan_is_what_the_table_says(lab: Path) -> None:
     assert plan.texts.words["robot_does"] == "{phrase}"
 
 
-def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path: Path) -> None:
+def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, opened: Opened) -> None:
     flow = Study.of(plan_of())
-    store = Store(tmp_path / "s.sqlite", flow)
-    visitor = Visitor(Client(create_app(store, GENEROUS)))
-    (token,) = store.invite(1, "person")
-    person = StudyBot(flow.plan, FAULTLESS, np.random.default_rng(0))
-    seen = list(pages(visitor, person, token))
+    store = opened(flow)
+    visitor, person = newcomer(store), StudyBot(flow.plan, FAULTLESS, np.random.default_rng(0))
+    seen = list(pages(visitor, person, *store.invite(1, "person")))
     assert [page.stage for _, page in seen] == [
         *("consent", "briefing", "briefing", "training", "training", *["evaluation"] * 5),
         *("quiz", "done"),
@@ -152,11 +148,10 @@ def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path
                 "image/png",
             )
     assert differences(store) == []
-    store.close()
 
 
 def test_whom_no_type_fits_is_in_the_export_and_on_the_researchers_page(
-    lab: Path, tmp_path: Path
+    lab: Path, opened: Opened
 ) -> None:
     save_types(lab / "types.npz", "place", facts=True)
     flow = Study.of(plan_of(belief="open"))
@@ -165,23 +160,20 @@ def test_whom_no_type_fits_is_in_the_export_and_on_the_researchers_page(
     beliefs = explainer.session([[row - 1] for row in TRACE]).belief
     known = flow.plan.problem.type_belief(flow.plan.problem.start)
     np.testing.assert_allclose([*beliefs.values()], known)
-    store, fits = Store(tmp_path / "s.sqlite", flow), []
-    visitor = Visitor(Client(create_app(store, GENEROUS)))
+    store, fits = opened(flow), []
     for who, noise in enumerate((0.0, 0.5)):
         habits = replace(FAULTLESS, label_noise=noise)
         person = StudyBot(flow.plan, habits, np.random.default_rng(who))
-        assert [*pages(visitor, person, *store.invite(1, "person"))][-1][1].stage == "done"
-        visitor.client.cookies.clear()
+        assert take_part(store, [person]) == ["done"]
         fits.append(fit_of(flow.plan, store.present()[who].state))
     assert fits[0] > NO_FIT > fits[1]
     people = [*tables(flow.plan, store.present())["participants"]]
     assert [row["fit"] for row in people] == fits
     seen = glance(flow, store.present())
     assert (seen["fits"], seen["unfit"]) == (2, 1)
-    store.close()
 
 
-def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path: Path) -> None:
+def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, opened: Opened) -> None:
     """Every row is a possible question, those of the trace first; the bot judges the row on the
     page."""
     plan = plan_of(ask="clips", **{"ask.cost": "0.02"})
@@ -196,10 +188,9 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
     questions = plan.problem.questions
     trace = [row - 1 for row in TRACE]
     assert questions.shows.tolist() == [[row == step for step in trace] for row in rows]
-    store = Store(tmp_path / "s.sqlite", Study.of(plan))
-    app, asked = create_app(store, GENEROUS), 0
+    store, asked = opened(Study.of(plan)), 0
     for number, token in enumerate(store.invite(9, "person")):
-        visitor = Visitor(Client(app))
+        visitor = newcomer(store)
         person = StudyBot(plan, FAULTLESS, np.random.default_rng(number))
         for html, page in pages(visitor, person, token):
             if page.stage != "asking":
@@ -212,7 +203,6 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
                 assert pixels(visitor.client.get(address).data) == pixels(PIXEL)
     assert asked
     assert differences(store) == []
-    store.close()
 
 
 @pytest.mark.parametrize(

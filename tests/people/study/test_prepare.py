@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,20 +10,17 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from tests.domains.configs import setting_of
-from tests.people.client import Client
+from tests.people.conftest import Opened
 from tests.people.study.stand_in import FAULTLESS
-from tests.people.visitors import GENEROUS, Visitor
+from tests.people.visitors import take_part
 from xplain.domains.base import cell_name
 from xplain.errors import InputError
 from xplain.experiment.config import compose_config
 from xplain.explanation.anybody import Open
-from xplain.people.bots import visit
 from xplain.people.material import Material, name_items, phrases_of
-from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.prepare import find_needed, study_plan, traces_of
-from xplain.people.web import create_app
 
 
 def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
@@ -66,8 +62,7 @@ def test_no_map_on_the_pages_depends_on_what_a_participant_may_believe(name: str
     assert maps[0].walls
 
 
-def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) -> None:
-
+def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(opened: Opened) -> None:
     cfg = compose_config(
         "study",
         ["seed=0", "domain=four_rooms", "observers.points=150", "trace.candidates=60"],
@@ -78,12 +73,8 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
     assert "four rooms" in plan.texts.introduction[0]
     for role in plan.roles:
         assert len(role.quiz) == 4
-    study = Study.of(plan)
-    store = Store(tmp_path / "s.sqlite", study)
-    client = Visitor(Client(create_app(store, GENEROUS)))
     person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
-    assert visit(client, person, store.invite(1, "bot")[0]) == "done"
-    store.close()
+    assert take_part(opened(Study.of(plan)), [person]) == ["done"]
 
 
 def trace_rules(**changes: object) -> dict[str, object]:

@@ -7,14 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.people.client import Client
 from tests.people.study.stand_in import FAULTLESS
-from tests.people.visitors import GENEROUS, Visitor
-from xplain.people.bots import visit
+from tests.people.visitors import take_part
 from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.web import create_app
 
 
 @pytest.fixture(scope="package")
@@ -23,15 +20,9 @@ def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[b
     the server's secret."""
     folder = tmp_path_factory.mktemp("collected")
     store = Store(folder / "study.sqlite", study)
-    app = create_app(store, GENEROUS)
-
-    def take_part(number: int, habits: Habits, token: str) -> None:
-        someone = StudyBot(study.plan, habits, np.random.default_rng(number))
-        visit(Visitor(Client(app)), someone, token)
-
-    for number, token in enumerate(store.invite(24, "bot")):
-        take_part(number, Habits(leaving=0.05, mistake=0.1), token)
-    take_part(0, FAULTLESS, store.invite(1, "person")[0])
+    rngs, err = map(np.random.default_rng, range(24)), Habits(leaving=0.05, mistake=0.1)
+    take_part(store, (StudyBot(study.plan, err, rng) for rng in rngs), "bot")
+    take_part(store, [StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))])
     store.enter_invited(store.invite(1, "person")[0])
     store.snapshot(folder / "snapshot.sqlite")
     secret = store.secret.hex()

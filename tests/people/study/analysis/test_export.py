@@ -1,4 +1,5 @@
-"""The exported tables and the codebook that describes them."""
+"""The exported tables and the codebook that describes them: no column without a meaning, no meaning
+without a column, no formula."""
 
 from __future__ import annotations
 
@@ -11,17 +12,16 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from tests.people.conftest import store as store
-from xplain.cli.main import main
-from xplain.people.export import codebook
+from tests.conftest import Run
+from xplain.people.export import codebook, defuse, order_columns
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
 
 
 def test_tables_say_what_their_codebook_says(
-    snapshot: Path, collected: tuple[bytes, str], study: Study, tmp_path: Path
+    snapshot: Path, collected: tuple[bytes, str], study: Study, tmp_path: Path, run: Run
 ) -> None:
-    main(["study", "export", str(snapshot), str(tmp_path / "out")])
+    run("study export", snapshot, "out")
     others = ("table2", "asking", "flow", "questions")  # the last where some are asked
     book = pd.DataFrame(codebook("xplain.people.study")).groupby("table")["column"]
     exported = {str(name): [*columns] for name, columns in book if name not in others}
@@ -76,15 +76,52 @@ def test_tables_say_what_their_codebook_says(
     assert collected[1] not in everything
 
 
-def test_a_database_in_use_is_not_read(
-    store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["study", "export", str(store.path), str(tmp_path / "out")])
-    assert ended.value.code == 2
-    assert "a free file: another process" in capsys.readouterr().err
-    with pytest.raises(SystemExit) as ended:
-        main(["study", "replay", str(tmp_path / "nothing.sqlite")])
-    assert ended.value.code == 2
-    assert "nothing.sqlite" in capsys.readouterr().err
+def test_a_database_in_use_is_not_read(store: Store, tmp_path: Path, run: Run) -> None:
+    code, _, error = run("study export", store.path, "out")
+    assert code == 2
+    assert "a free file: another process" in error
     assert not (tmp_path / "out").exists()
+
+
+CODEBOOK = ["who", "stated_…", "number"]
+
+
+def test_columns_are_those_of_the_codebook_in_its_order_and_others_last() -> None:
+    rows = [{"number": n, "stated_b": 1, "who": name, "stated_a": 0} for n, name in enumerate("xy")]
+    table = order_columns("people", rows, CODEBOOK)
+    assert list(table.columns) == ["who", "number", "stated_b", "stated_a"]
+    assert table.to_dict("records") == rows
+
+
+@pytest.mark.parametrize(
+    ("row", "named"),
+    [
+        ({"who": "x", "number": 1, "age": 3}, "age"),  # nobody would know what it means
+        ({"who": "x"}, "number"),  # it would be lost
+        ({"who": "x", "number": 1, "stated": 1}, "stated"),
+        ({"who": "x", "number": 1, "stated_…": 1}, "stated_…"),
+    ],
+)
+def test_a_row_that_is_not_as_its_codebook_says_is_refused(
+    row: dict[str, object], named: str
+) -> None:
+    with pytest.raises(ValueError, match=f"^people: .*'{named}'"):
+        order_columns("people", [row], CODEBOOK)
+
+
+def test_no_cell_is_a_formula() -> None:
+    for text in (
+        "=1+1",
+        "+A1",
+        "-A1",
+        "@SUM(A1)",
+        "\t=1",
+        "\r=1",
+        "\uff1d1+1",
+        "\uff0b1",
+        "\uff0d1",
+        "\uff20A1",
+    ):
+        assert defuse(text) == f"'{text}"
+    for harmless in ("1 + 1", "a=b", "", -1, -1.5, None, "[1, 0]"):
+        assert defuse(harmless) == harmless
