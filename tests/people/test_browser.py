@@ -12,52 +12,33 @@ import os
 import shutil
 import subprocess
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from filelock import FileLock
 
-from tests.chromium import (
-    Driver,
-    answer,
-    browser,
-    choose,
-    go_in,
-    missing,
-    press,
-    sequence,
-    take_part,
-    wait,
-)
+from tests.chromium import Driver, answer, choose, go_in, press, sequence, take_part, wait
+from tests.conftest import Run
 from tests.people.kinds import ASKING, flow_of
 from tests.people.server_process import ROOT, ServerProcess
-from tests.people.study.stand_in import FAULTLESS, SCREENS, street_study
+from tests.people.study.stand_in import FAULTLESS, SCREENS
 from tests.people.visitors import query
-from xplain.cli.main import main
+from xplain.experiment.config import compose_config
 from xplain.people.bots import Page, Researcher
 from xplain.people.store import Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.prepare import study_plan
 
-By = pytest.importorskip("selenium.webdriver.common.by", reason="selenium is not installed").By
-Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
+Keys = pytest.importorskip(
+    "selenium.webdriver.common.keys", reason="selenium is not installed"
+).Keys
 
 pytestmark = pytest.mark.browser
 
 SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", ROOT / "outputs/study/screenshots"))
-
-
-@pytest.fixture
-def driver() -> Iterator[Driver]:
-    """Opens a new Chromium with an empty profile."""
-    if what := missing():
-        pytest.skip(f"no browser to drive: install {what}")
-    with browser() as opened:
-        opened.implicitly_wait(0)  # what is looked for and is not there is known at once
-        yield opened
 
 
 @pytest.fixture(scope="module")
@@ -81,30 +62,11 @@ def axe(request: pytest.FixtureRequest) -> str:
         return script.read().decode()
 
 
-@pytest.fixture(scope="module")
-def rescue() -> Study:
-    """Makes the rescue study with every kind of question, learned from few labels to save time."""
-    from xplain.experiment.config import compose_config
-
-    questions = (
-        "questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
-        "{name: gender, label: Your gender, kind: choice, choices: [woman, man, another]},"
-        "{name: comment, label: 'Was anything unclear?', kind: text}]"
+def learned(*changes: str) -> Study:
+    """The rescue study, learned from few labels to save time."""
+    return Study.of(
+        study_plan(compose_config("study", ["seed=0", "observers.points=150", *changes]))
     )
-    # With this belief no message makes a faultless person change an earlier answer.
-    made = ["seed=0", "observers.points=150", "belief=persistent", questions]
-    return Study.of(study_plan(compose_config("study", made)))
-
-
-@pytest.fixture(scope="module")
-def asking() -> Study:
-    """Makes the rescue study with a condition that asks. With the paper's belief it also asks after
-    messages."""
-    from xplain.experiment.config import compose_config
-
-    paper = ["belief=independent", "belief.error=0"]
-    made = compose_config("study", ["seed=0", "observers.points=150", "ask=clips", *paper])
-    return Study.of(study_plan(made))
 
 
 def serving(path: Path, study: Study) -> ServerProcess:
@@ -135,7 +97,7 @@ def faults(driver: Driver, axe: str) -> list[str]:
 def photograph(driver: Driver, name: str) -> None:
     """Photographs the whole page on a desktop and on a phone, and checks that nothing is too
     wide."""
-    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+    (SCREENSHOTS / name).parent.mkdir(parents=True, exist_ok=True)
     for width in (1280, 390):
         size = {"width": width, "height": 700, "deviceScaleFactor": 1, "mobile": width < 500}
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
@@ -153,68 +115,6 @@ def complaints(driver: Driver) -> list[str]:
     return [line["message"] for line in driver.get_log("browser") if line["level"] == "SEVERE"]
 
 
-def test_every_page_is_accessible_and_is_photographed(
-    driver: Driver, axe: str, rescue: Study, tmp_path: Path
-) -> None:
-    plan = rescue.plan
-    with serving(tmp_path / "s.sqlite", rescue) as server:
-        researcher = Researcher(server.url, server.key)
-        seen: set[str] = set()
-
-        def look(page: Page) -> None:
-            shown = len(page.fields) if page.stage == "evaluation" else len(page.messages)
-            name = page.stage
-            if name == "evaluation":
-                name += f"-{shown:02d}"
-            elif name == "training":
-                name += f"-{shown + 1}"
-            seen.add(name)
-            assert faults(driver, axe) == [], name
-            if page.stage != "evaluation" or shown in (1, plan.n_steps // 2, plan.n_steps):
-                photograph(driver, name)
-
-        driver.get(f"{server.url}/?invitation={researcher.invite(1, 'pilot')[0]}")
-        assert faults(driver, axe) == []
-        photograph(driver, "entrance")
-        press(driver)
-        wait(lambda: moved_on(driver, "none"))
-        person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
-        assert take_part(driver, person, look=look) == "done"
-        assert len(seen) == plan.n_steps + 9
-        assert complaints(driver) == []
-
-        # The pages off the way: a failed check, the ends, errors, the researcher's.
-        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
-        forgetful = StudyBot(plan, Habits(mistake=1), np.random.default_rng(0))
-        for _ in range(20):
-            page = Page.of_html(driver.page_source)
-            if not page.hidden:
-                break
-            fields = forgetful.fill(page)[0]
-            if page.stage == "training":
-                fields = [("label", str(len(page.messages)))]
-            if "Some of your answers were different" in driver.page_source:
-                look_at(driver, axe, "briefing-again")
-            answer(driver, page, fields)
-        look_at(driver, axe, "ineligible")
-        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
-        driver.find_element(By.CSS_SELECTOR, "details.leave summary").click()
-        look_at(driver, axe, "leaving")
-        driver.find_element(By.CSS_SELECTOR, "details.leave button").click()
-        wait(lambda: "You have left the study" in driver.page_source)
-        look_at(driver, axe, "withdrawn")
-        driver.get(f"{server.url}/nowhere")
-        look_at(driver, axe, "error")
-        driver.get(f"{server.url}/researcher")
-        look_at(driver, axe, "researcher-login")
-        driver.find_element(By.ID, "key").send_keys(server.key)
-        press(driver)
-        wait(lambda: "Each participant" in driver.page_source)
-        driver.find_element(By.CSS_SELECTOR, "form.inline button").click()
-        wait(lambda: "New invitations" in driver.page_source)
-        look_at(driver, axe, "researcher")
-
-
 def look_at(driver: Driver, axe: str, name: str) -> None:
     assert faults(driver, axe) == [], name
     photograph(driver, name)
@@ -223,13 +123,13 @@ def look_at(driver: Driver, axe: str, name: str) -> None:
 def preview(driver: Driver, server: ServerProcess, cell: int) -> None:
     """Begins as a pilot participant of this type and condition, from the researcher's page."""
     driver.get(f"{server.url}/researcher")
-    if driver.find_elements(By.ID, "key"):
-        driver.find_element(By.ID, "key").send_keys(server.key)
+    if driver.find_elements("id", "key"):
+        driver.find_element("id", "key").send_keys(server.key)
         press(driver)
-    wait(lambda: bool(driver.find_elements(By.ID, "cell")))
-    box = driver.find_element(By.ID, "cell")
+    wait(lambda: bool(driver.find_elements("id", "cell")))
+    box = driver.find_element("id", "cell")
     driver.execute_script("arguments[0].value = arguments[1]", box, str(cell))
-    box.find_element(By.XPATH, "./ancestor::form//button").click()
+    box.find_element("xpath", "./ancestor::form//button").click()
     wait(lambda: sequence(driver) is not None)
 
 
@@ -255,13 +155,13 @@ for (const selector of arguments[0]) {
 SIZES = (1920, 1080), (1280, 800), (390, 844)
 
 
-def scrolled(driver: Driver, person: StudyBot) -> dict[int, float]:
-    """Measures the pixels that a participant scrolls in the evaluation, by the window's width: to
-    every clicked answer and to the button, no further than necessary."""
+def scrolled(driver: Driver, person: StudyBot, look: Callable[[Page], None]) -> dict[int, float]:
+    """Pixels that a participant scrolls in the evaluation, by the window's width: to every answer
+    that they click, and to the button, no further than they have to. Every page is looked at."""
     total = {width: 0.0 for width, _ in SIZES}
     while (page := Page.of_html(driver.page_source)).hidden:
-        fields = person.fill(page)[0]
-        targets = [f'input[name="{name}"][value="{value}"]' for name, value in fields][::-1]
+        look(page)
+        targets = [f'input[name="{name}"][value="{v}"]' for name, v in person.fill(page)[0]][::-1]
         if page.stage == "evaluation":
             for width, height in SIZES:
                 size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
@@ -269,59 +169,114 @@ def scrolled(driver: Driver, person: StudyBot) -> dict[int, float]:
                 total[width] += driver.execute_script(SCROLLED, [*targets, "main form button"])
         driver.execute_script(FILLED, targets)
         answer(driver, page, [])
+    look(page)
     assert page.stage == "done"
     return total
 
 
-def out_of_sight(driver: Driver) -> list[float]:
+BELOW = """
+window.scrollTo(0, 0);
+const bottom = one => one.getBoundingClientRect().bottom;
+const seen = [...document.querySelectorAll('.newest, .steps li, main form button')];
+const news = [...document.querySelectorAll('.message.new')];
+const end = document.querySelector('.slots');
+const hidden = end ? news.map(one => bottom(one) - bottom(end)) : [];
+return [Math.max(...seen.map(bottom)), Math.max(0, ...hidden)];
+"""
+
+
+def out_of_sight(driver: Driver) -> tuple[float, float]:
     """Measures how far the new step or the next button is below the window: on a phone, on a small
-    laptop, and there at 200 % zoom."""
-    found = []
+    laptop, and there at 200 % zoom; and the part of the new messages that one sees only after
+    scrolling, on the phone and with zoom."""
+    below, cut_off = -np.inf, 0.0
     for width, height in ((390, 844), (1280, 800), (640, 400)):
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        bottom = driver.execute_script(
-            "window.scrollTo(0, 0);"
-            "const seen = document.querySelectorAll('.newest, .steps li, main form button');"
-            "return Math.max(...[...seen].map(one => one.getBoundingClientRect().bottom))"
-        )
-        found.append(bottom - height)
+        bottom, hidden = driver.execute_script(BELOW)
+        below = max(below, bottom - height)
+        cut_off = max(cut_off, hidden if width < 1280 else 0)
     driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    return found
+    return below, cut_off
 
 
-def cut_off(driver: Driver) -> float:
-    """Measures the part of the new messages that one sees only after scrolling: on a phone, and on
-    a small laptop at 200 % zoom."""
-    below = 0.0
-    for width, height in ((390, 844), (640, 400)):
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        hidden = driver.execute_script(
-            "const end = document.querySelector('.slots').getBoundingClientRect().bottom;"
-            "const news = [...document.querySelectorAll('.message.new')];"
-            "return Math.max(0, ...news.map(one => one.getBoundingClientRect().bottom - end))"
-        )
-        below = max(below, hidden)
-    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    return below
-
-
-def test_the_new_step_and_its_button_are_in_sight(
-    driver: Driver, rescue: Study, tmp_path: Path
+def test_every_page_is_accessible_in_sight_and_photographed(
+    driver: Driver, axe: str, tmp_path: Path
 ) -> None:
+    """In both conditions; over a whole study they differ in scrolling by less than a tenth, at
+    three window sizes."""
+    questions = (
+        "questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
+        "{name: gender, label: Your gender, kind: choice, choices: [woman, man, another]},"
+        "{name: comment, label: 'Was anything unclear?', kind: text}]"
+    )
+    # With this belief no message makes a faultless person change an earlier answer.
+    rescue = learned("belief=persistent", questions)
+    plan, seen, measured = rescue.plan, set[str](), dict[str, dict[int, float]]()
+
+    def look(page: Page) -> None:
+        shown = len(page.fields) if page.stage == "evaluation" else len(page.messages)
+        name = page.stage
+        if name == "evaluation":
+            name += f"-{shown:02d}"
+        elif name == "training":
+            name += f"-{shown + 1}"
+        if page.stage in ("training", "ahead", "evaluation"):
+            below, cut_off = out_of_sight(driver)
+            assert below <= 0, page
+            assert cut_off <= 12 or page.stage != "evaluation", page  # the last one's padding
+        if name not in seen:
+            assert faults(driver, axe) == [], name
+            if page.stage != "evaluation" or shown in (1, plan.n_steps // 2, plan.n_steps):
+                photograph(driver, name)
+        seen.add(name)
+
     with serving(tmp_path / "s.sqlite", rescue) as server:
-        for cell in range(len(rescue.plan.conditions)):
-            preview(driver, server, cell)
+        researcher = Researcher(server.url, server.key)
+        driver.get(f"{server.url}/?invitation={researcher.invite(1, 'pilot')[0]}")
+        look_at(driver, axe, "entrance")
+        for cell, (user_type, condition) in enumerate(plan.cells):
+            if user_type == 0:  # the other types meet the same pages
+                preview(driver, server, cell)
+                person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
+                measured[condition] = scrolled(driver, person, look)
+        assert len(seen) == plan.n_steps + 9
+        assert measured.keys() == {*plan.conditions}
+        for width, _ in SIZES:
+            total = [of_condition[width] for of_condition in measured.values()]
+            assert max(total) - min(total) <= 0.1 * max(total), measured
+        assert complaints(driver) == []
 
-            def look(page: Page) -> None:
-                if page.stage in ("training", "ahead", "evaluation"):
-                    assert max(out_of_sight(driver)) <= 0, page
-                if page.stage == "evaluation":
-                    assert cut_off(driver) <= 12, page  # the padding below the last one
-
-            person = StudyBot(rescue.plan, FAULTLESS, np.random.default_rng(0))
-            assert take_part(driver, person, look=look) == "done"
+        # The pages off the way: a failed check, the ends, errors, the researcher's.
+        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
+        forgetful = StudyBot(plan, Habits(mistake=1), np.random.default_rng(0))
+        for _ in range(20):
+            if not (page := Page.of_html(driver.page_source)).hidden:
+                break
+            fields = forgetful.fill(page)[0]
+            if page.stage == "training":
+                fields = [("label", str(len(page.messages)))]
+            if "Some of your answers were different" in driver.page_source:
+                look_at(driver, axe, "briefing-again")
+            answer(driver, page, fields)
+        look_at(driver, axe, "ineligible")
+        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
+        driver.find_element("css selector", "details.leave summary").click()
+        look_at(driver, axe, "leaving")
+        driver.find_element("css selector", "details.leave button").click()
+        wait(lambda: "You have left the study" in driver.page_source)
+        look_at(driver, axe, "withdrawn")
+        driver.get(f"{server.url}/nowhere")
+        look_at(driver, axe, "error")
+        driver.execute_cdp_cmd("Network.clearBrowserCookies", {})
+        driver.get(f"{server.url}/researcher")
+        look_at(driver, axe, "researcher-login")
+        driver.find_element("id", "key").send_keys(server.key)
+        press(driver)
+        wait(lambda: "Each participant" in driver.page_source)
+        driver.find_element("css selector", "form.inline button").click()
+        wait(lambda: "New invitations" in driver.page_source)
+        look_at(driver, axe, "researcher")
 
 
 SAID = """
@@ -332,10 +287,11 @@ document.querySelector('fieldset.newest legend').textContent = step;
 
 
 def test_a_question_is_accessible_in_sight_and_photographed(
-    driver: Driver, axe: str, asking: Study, tmp_path: Path
+    driver: Driver, axe: str, tmp_path: Path
 ) -> None:
-    """The page is tested on a phone and on a small laptop, before the first step and with messages
-    on the page."""
+    """On a phone and on a small laptop, before the first step and with messages on the page; with
+    the paper's belief it also asks after messages."""
+    asking = learned("ask=clips", "belief=independent", "belief.error=0")
     plan, path = asking.plan, tmp_path / "s.sqlite"
     seen: list[tuple[int, int]] = []
     said = (f"Before this: {' '.join(clip.situation)}" for clip in plan.clips)
@@ -349,16 +305,16 @@ def test_a_question_is_accessible_in_sight_and_photographed(
             def look(page: Page) -> None:
                 if page.stage == "asking":
                     (clip,) = page.steps
-                    (name,) = driver.find_elements(By.CSS_SELECTOR, "fieldset.newest legend")
+                    (name,) = driver.find_elements("css selector", "fieldset.newest legend")
                     assert plan.clips[clip].phrase in name.text
-                    assert max(out_of_sight(driver)) <= 0, page
+                    assert out_of_sight(driver)[0] <= 0, page
                     assert faults(driver, axe) == [], page
                     if not seen or len(page.messages) > seen[-1][1]:
                         photograph(driver, f"asking-{len(page.messages):02d}")
                     seen.append((clip, len(page.messages)))
                     if plan.clips[clip].situation:
                         driver.execute_script(SAID, longest)
-                        assert max(out_of_sight(driver)) <= 0, longest
+                        assert out_of_sight(driver)[0] <= 0, longest
 
             person = StudyBot(plan, FAULTLESS, np.random.default_rng(user_type))
             assert take_part(driver, person, look=look) == "done"
@@ -367,34 +323,28 @@ def test_a_question_is_accessible_in_sight_and_photographed(
     assert len({messages for _, messages in seen}) > 1
 
 
-def test_scrolling_hangs_on_no_condition(driver: Driver, rescue: Study, tmp_path: Path) -> None:
-    """At three window sizes, the conditions differ by less than a tenth over a whole study."""
-    plan, measured = rescue.plan, {}
-    with serving(tmp_path / "s.sqlite", rescue) as server:
-        for cell, (user_type, condition) in enumerate(plan.cells):
-            if user_type == 0:  # the other types meet the same pages
-                preview(driver, server, cell)
-                person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
-                measured[condition] = scrolled(driver, person)
-    assert set(measured) == set(plan.conditions)
-    print(measured)
-    for width, _ in SIZES:
-        total = [of_condition[width] for of_condition in measured.values()]
-        assert max(total) - min(total) <= 0.1 * max(total), measured
-
-
-def test_bots_in_chromium_take_part_and_replay_agrees(
-    driver: Driver, study: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_bots_in_chromium_take_part_hear_new_messages_and_replay_agrees(
+    driver: Driver, study: Study, tmp_path: Path, run: Run
 ) -> None:
-    path = tmp_path / "s.sqlite"
+    path, announced = tmp_path / "s.sqlite", list[str]()
+
+    def look(page: Page) -> None:
+        new = [e.text for e in driver.find_elements("css selector", ".message.new")]
+        if new:
+            live = driver.find_element("css selector", "[aria-live]#announce")
+            wait(lambda: bool(live.get_attribute("textContent")))
+            said = " ".join(str(live.get_attribute("textContent")).split())
+            assert said == " ".join(" ".join(new).split())
+            announced.extend(new)
+
     with serving(path, study) as server:
         for number, invitation in enumerate(Researcher(server.url, server.key).invite(3)):
             go_in(driver, server.url, invitation)
             person = StudyBot(study.plan, Habits(mistake=0), np.random.default_rng(number))
-            assert take_part(driver, person) == "done"
+            assert take_part(driver, person, look=look) == "done"
             assert "Simulated participant" in driver.page_source
-    main(["study", "replay", str(path)])
-    assert "all equal" in capsys.readouterr().out
+    assert len(announced) > 3  # practice, then at least one of the robot's
+    assert "all equal" in run("study replay", path)[1]
     store = Store(path, study)
     sql = "SELECT count(*) AS n, min(browser) AS low FROM event WHERE kind = 'labels'"
     (times,) = query(store, sql)
@@ -405,10 +355,10 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
     store.close()
 
 
-@pytest.mark.parametrize("kind", ["study", ASKING])
-def test_the_keyboard_is_enough(driver: Driver, kind: str, tmp_path: Path) -> None:
-    path, study = tmp_path / "s.sqlite", flow_of(kind)
-    with serving(path, study) as server:
+def test_the_keyboard_is_enough(driver: Driver, tmp_path: Path) -> None:
+    """For every page of a study, and for questions in between."""
+    study = flow_of(ASKING)
+    with serving(tmp_path / "s.sqlite", study) as server:
         (invitation,) = Researcher(server.url, server.key).invite(1)
         driver.get(f"{server.url}/?invitation={invitation}")
         _tab_to(driver, "button")
@@ -453,11 +403,16 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
     with server:
         (invitation,) = Researcher(server.url, server.key).invite(1)
         go_in(driver, server.url, invitation)
+        # What is missing is said on the page to a browser that does not insist on it.
+        driver.execute_script("document.querySelectorAll('form').forEach(f => f.noValidate = true)")
+        press(driver)
+        wait(lambda: bool(driver.find_elements("css selector", "[role=alert]")))
+        assert "choose whether" in driver.find_element("css selector", "[role=alert]").text
         person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
         for _ in range(5 + SCREENS):
             page = Page.of_html(driver.page_source)
             choose(driver, person.fill(page)[0])
-            button = driver.find_element(By.CSS_SELECTOR, "main form button")
+            button = driver.find_element("css selector", "main form button")
             driver.execute_script("arguments[0].click(); arguments[0].click()", button)
             wait(lambda before=page.hidden["sequence"]: moved_on(driver, before))  # type: ignore[misc]
         page = Page.of_html(driver.page_source)
@@ -465,7 +420,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         choose(driver, person.fill(page)[0])
         server.kill()
         press(driver)
-        wait(lambda: "no connection" in driver.find_element(By.ID, "connection").text)
+        wait(lambda: "no connection" in driver.find_element("id", "connection").text)
         stored = driver.execute_script("return JSON.stringify(localStorage)")
         assert "labels" in stored  # the outbox
         server.start()
@@ -473,12 +428,12 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         assert len(Page.of_html(driver.page_source).fields) == 2
         assert driver.execute_script("return localStorage.length") == 0
         # Back and forth again: always where they are.
-        here = driver.find_element(By.TAG_NAME, "body").get_attribute("data-sequence")
+        here = driver.find_element("tag name", "body").get_attribute("data-sequence")
         driver.refresh()
         driver.back()
         driver.forward()
         driver.get(f"{server.url}/study")
-        assert driver.find_element(By.TAG_NAME, "body").get_attribute("data-sequence") == here
+        assert driver.find_element("tag name", "body").get_attribute("data-sequence") == here
         # An answer left in the outbox when the page was closed is sent by the next page.
         page = Page.of_html(driver.page_source)
         fields = [*page.hidden.items(), ("label_0", "1"), ("label_1", "0")]
@@ -498,37 +453,3 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         *["labels"] * 2,
     ]
     store.close()
-
-
-def test_new_messages_are_announced(driver: Driver, study: Study, tmp_path: Path) -> None:
-    with serving(tmp_path / "s.sqlite", study) as server:
-        go_in(driver, server.url, Researcher(server.url, server.key).invite(1)[0])
-        announced: list[str] = []
-
-        def look(page: Page) -> None:
-            new = [e.text for e in driver.find_elements(By.CSS_SELECTOR, ".message.new")]
-            if new:
-                live = driver.find_element(By.CSS_SELECTOR, "[aria-live]#announce")
-                wait(lambda: bool(live.get_attribute("textContent")))
-                said = " ".join(str(live.get_attribute("textContent")).split())
-                assert said == " ".join(" ".join(new).split())
-                announced.extend(new)
-
-        take_part(driver, StudyBot(study.plan, FAULTLESS, np.random.default_rng(0)), look=look)
-        assert len(announced) > 1  # practice, then at least one of the robot's
-
-
-def test_what_is_missing_is_said_on_the_page(driver: Driver, tmp_path: Path) -> None:
-    study = street_study()
-    with serving(tmp_path / "s.sqlite", study) as server:
-        (invitation,) = Researcher(server.url, server.key).invite(1)
-        go_in(driver, server.url, invitation)
-        # A browser that does not insist on mandatory fields.
-        driver.execute_script("document.querySelectorAll('form').forEach(f => f.noValidate = true)")
-        press(driver)
-        wait(lambda: bool(driver.find_elements(By.CSS_SELECTOR, "[role=alert]")))
-        assert "choose whether" in driver.find_element(By.CSS_SELECTOR, "[role=alert]").text
-        choose(driver, [("agree", "1")])
-        press(driver)
-        wait(lambda: moved_on(driver, "0"))
-        assert Page.of_html(driver.page_source).stage == "briefing"

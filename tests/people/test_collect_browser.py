@@ -10,36 +10,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.chromium import Driver, answer, go_in, press, take_part, wait
-from tests.people import test_browser
+from tests.chromium import Driver, answer, choose, go_in, press, take_part, wait
+from tests.conftest import Run
 from tests.people.collect.stand_in import FAULTLESS, at_work, street_collection
 from tests.people.server_process import ServerProcess
-from tests.people.test_browser import By, complaints, look_at, moved_on
 from tests.people.test_browser import axe as axe
-from tests.people.test_browser import driver as driver
-from xplain.cli.main import main
+from tests.people.test_browser import complaints, look_at, moved_on
+from xplain.experiment.config import compose_config
 from xplain.people.bots import Page, Researcher
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectRules
+from xplain.people.collect.prepare import assemble, material_of
+from xplain.people.material import select_plan_keys
 from xplain.people.store import Store
 from xplain.questions.designs import Adaptive
 
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(autouse=True)
-def own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(test_browser, "SCREENSHOTS", test_browser.SCREENSHOTS / "collect")
-
-
 @pytest.fixture(scope="module")
 def rescue() -> Collection:
     """Makes a collection of the rescue task with clips of two steps and the lab's questions."""
-    from xplain.experiment.config import compose_config
-    from xplain.people.collect.prepare import assemble, material_of
-    from xplain.people.material import select_plan_keys
-
     questions = (
         "wording.questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
@@ -58,7 +50,7 @@ def serving(path: Path, collection: Collection) -> ServerProcess:
 
 
 def test_every_page_is_accessible_and_is_photographed(
-    driver: Driver, axe: str, rescue: Collection, tmp_path: Path
+    driver: Driver, axe: str, rescue: Collection, tmp_path: Path, run: Run
 ) -> None:
     with serving(tmp_path / "c.sqlite", rescue) as server:
         researcher = Researcher(server.url, server.key)
@@ -67,7 +59,7 @@ def test_every_page_is_accessible_and_is_photographed(
         def look(page: Page) -> None:
             count = seen[page.stage] = seen.get(page.stage, 0) + 1
             if page.stage != "clips" or count < 3 or not page.steps:
-                look_at(driver, axe, f"{page.stage}-{count:02d}")
+                look_at(driver, axe, f"collect/{page.stage}-{count:02d}")
 
         go_in(driver, server.url, researcher.invite(1, "pilot")[0])
         person = bot(rescue.plan, FAULTLESS, 0, 0)
@@ -80,24 +72,25 @@ def test_every_page_is_accessible_and_is_photographed(
         while (page := Page.of_html(driver.page_source)).stage != "practice":
             answer(driver, page, person.fill(page)[0])
         answer(driver, page, [("label", "1")])
-        look_at(driver, axe, "practice-wrong")
-        driver.find_element(By.CSS_SELECTOR, "details.leave summary").click()
-        driver.find_element(By.CSS_SELECTOR, "details.leave button").click()
+        look_at(driver, axe, "collect/practice-wrong")
+        driver.find_element("css selector", "details.leave summary").click()
+        driver.find_element("css selector", "details.leave button").click()
         wait(lambda: "You have left" in driver.page_source)
-        main(["collect", "bots", "--url", server.url, "--key", server.key, "--count", "4"])
+        bots = ("collect bots", "--url", server.url, "--key", server.key, "--count")
+        run(*bots, 4)
         driver.get(f"{server.url}/researcher")
-        driver.find_element(By.ID, "key").send_keys(server.key)
+        driver.find_element("id", "key").send_keys(server.key)
         press(driver)
         wait(lambda: "Types found so far" in driver.page_source)
-        driver.find_element(By.CSS_SELECTOR, "form.inline button").click()
+        driver.find_element("css selector", "form.inline button").click()
         wait(lambda: "New invitations" in driver.page_source)
-        look_at(driver, axe, "researcher")
-        driver.find_element(By.ID, "count").clear()
-        driver.find_element(By.ID, "count").send_keys("7")
-        main(["collect", "bots", "--url", server.url, "--key", server.key, "--count", "2"])
+        look_at(driver, axe, "collect/researcher")
+        driver.find_element("id", "count").clear()
+        driver.find_element("id", "count").send_keys("7")
+        run(*bots, 2)
         # It keeps itself up to date, and what is typed stays.
         wait(lambda: "</meter> 6</td>" in driver.page_source)
-        assert driver.find_element(By.ID, "count").get_attribute("value") == "7"
+        assert driver.find_element("id", "count").get_attribute("value") == "7"
 
 
 def test_under_three_messages_the_button_is_in_sight(
@@ -130,16 +123,28 @@ def test_under_three_messages_the_button_is_in_sight(
 
 
 def test_the_facts_of_people_who_answer_in_a_browser_are_found(
-    driver: Driver, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    driver: Driver, tmp_path: Path, run: Run
 ) -> None:
+    """The first of them loses the network for a while, and no label."""
     collection = street_collection()
     plan, path = collection.plan, tmp_path / "c.sqlite"
     with serving(path, collection) as server:
         for number, invitation in enumerate(Researcher(server.url, server.key).invite(3, "bot")):
+            person = bot(plan, FAULTLESS, 0, number)
             go_in(driver, server.url, invitation)
-            assert take_part(driver, bot(plan, FAULTLESS, 0, number)) == "done"
-    main(["collect", "replay", str(path)])
-    assert "all equal" in capsys.readouterr().out
+            while number == 0 and (page := Page.of_html(driver.page_source)).stage != "clips":
+                answer(driver, page, person.fill(page)[0])
+            if number == 0:
+                server.kill()
+                choose(driver, person.fill(page)[0])
+                press(driver)
+                wait(lambda: "kept on your device" in driver.find_element("id", "connection").text)
+                server.start()
+                wait(lambda before=page.hidden["sequence"]: moved_on(driver, before), 40)
+                after = Page.of_html(driver.page_source)
+                assert int(after.hidden["sequence"]) == int(page.hidden["sequence"]) + 1
+            assert take_part(driver, person) == "done"
+    assert "all equal" in run("collect replay", path)[1]
     store = Store(path, collection)
     for number, one in enumerate(store.present()):
         state = one.state
@@ -147,22 +152,3 @@ def test_the_facts_of_people_who_answer_in_a_browser_are_found(
         best = max((f for f in state.belief if f != "none"), key=lambda f: state.belief[f])
         assert int(best) == plan.hypotheses.essential[plan.hypotheses.row(np.array(held))]
     store.close()
-
-
-def test_a_lost_network_loses_no_label(driver: Driver, tmp_path: Path) -> None:
-    collection = street_collection()
-    with serving(tmp_path / "c.sqlite", collection) as server:
-        go_in(driver, server.url, Researcher(server.url, server.key).invite(1)[0])
-        person = bot(collection.plan, FAULTLESS, 0, 0)
-        while (page := Page.of_html(driver.page_source)).stage != "clips":
-            answer(driver, page, person.fill(page)[0])
-        server.kill()
-        from tests.chromium import choose
-
-        choose(driver, person.fill(page)[0])
-        press(driver)
-        wait(lambda: "kept on your device" in driver.find_element(By.ID, "connection").text)
-        server.start()
-        wait(lambda: moved_on(driver, page.hidden["sequence"]), 40)
-        after = Page.of_html(driver.page_source)
-        assert int(after.hidden["sequence"]) == int(page.hidden["sequence"]) + 1

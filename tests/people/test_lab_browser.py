@@ -4,23 +4,21 @@ is saved (``outputs/study/screenshots/lab``; ``XPLAIN_SCREENSHOTS`` names anothe
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.chromium import Driver, go_in, take_part, wait
-from tests.people import test_browser
+from tests.conftest import Run
 from tests.people.collect.stand_in import FAULTLESS as OBSERVING
 from tests.people.server_process import ServerProcess
 from tests.people.study.stand_in import FAULTLESS
-from tests.people.test_browser import By, complaints, look_at, out_of_sight
 from tests.people.test_browser import axe as axe
-from tests.people.test_browser import driver as driver
+from tests.people.test_browser import complaints, look_at, out_of_sight
 from xplain import Explainer, LearnedTypes
-from xplain.cli.main import main
+from xplain.experiment.config import CONF
 from xplain.people.bots import Page, Researcher
 from xplain.people.collect.bot import bot
 from xplain.people.collect.plan import CollectPlan
@@ -51,40 +49,27 @@ ATTENTION = 'attention: "The robot turns on the spot for an hour, while the parc
 LIMITS = ("server.burst=1e6", "server.visitor_burst=1e6", "server.blinded=false")
 
 
-def png(number: int, width: int = 320, height: int = 240) -> bytes:
+def bars(number: int) -> Image.Image:
     """Draws a picture with this number of bars."""
-    y, x = np.mgrid[:height, :width]
-    bars = (x // 24 % 2 == 1) & (x < 48 * (number + 1)) & (abs(y - height // 2) < 70)
-    grey = np.where(bars, 60, 200 + 8 * number).astype(np.uint8)
-    rows = np.hstack([np.zeros((height, 1), np.uint8), grey]).tobytes()
-
-    def chunk(kind: bytes, content: bytes) -> bytes:
-        check = struct.pack(">I", zlib.crc32(kind + content))
-        return struct.pack(">I", len(content)) + kind + content + check
-
-    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    parts = (chunk(b"IHDR", head), chunk(b"IDAT", zlib.compress(rows)), chunk(b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+    y, x = np.mgrid[:240, :320]
+    drawn = (x // 24 % 2 == 1) & (x < 48 * (number + 1)) & (abs(y - 120) < 70)
+    return Image.fromarray(np.where(drawn, 60, 200 + 8 * number).astype(np.uint8))
 
 
 @pytest.fixture
-def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def lab(tmp_path: Path) -> Path:
     """Makes a folder with two tables, images, and the lab's own texts."""
     rows = [f"{line},{i}.png" for i, line in enumerate(STEPS.splitlines())]
     own = "\n".join(["text,inexplicable_if,step,alt,image", *rows])
     (tmp_path / "own.csv").write_text(f"{own}\n", encoding="utf-8")
     (tmp_path / "facts.csv").write_text(FACTS, encoding="utf-8")
     for i in range(len(rows)):
-        (tmp_path / f"{i}.png").write_bytes(png(i))
-    from xplain.experiment.config import CONF
-
+        bars(i).save(tmp_path / f"{i}.png")
     for kind, more in (("collect", ATTENTION), ("study", "")):
         texts = tmp_path / "texts" / kind / "texts"
         texts.mkdir(parents=True)
         shipped = (CONF / kind / "texts" / "en.yaml").read_text(encoding="utf-8")
         (texts / "ours.yaml").write_text(OURS + more + shipped, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(test_browser, "SCREENSHOTS", test_browser.SCREENSHOTS / "lab")
     return tmp_path
 
 
@@ -106,45 +91,43 @@ class Looking:
 
     def __call__(self, page: Page) -> None:
         count = self.seen[page.stage] = self.seen.get(page.stage, 0) + 1
-        images = self.driver.find_elements(By.CSS_SELECTOR, "img.clip")
+        images = self.driver.find_elements("css selector", "img.clip")
         loaded = "return arguments[0].complete && arguments[0].naturalWidth"
         for image in images:
             wait(lambda one=image: self.driver.execute_script(loaded, one) == 320)  # type: ignore[misc]
             self.alts.add(str(image.get_attribute("alt")))
         if page.stage in ("clips", "practice", "training", "ahead", "evaluation"):
-            self.below[page.stage] = max(*out_of_sight(self.driver), self.below.get(page.stage, 0))
+            below, _ = out_of_sight(self.driver)
+            self.below[page.stage] = max(below, self.below.get(page.stage, 0))
         if count <= 2:
-            look_at(self.driver, self.axe, f"{self.of}-{page.stage}-{count}")
+            look_at(self.driver, self.axe, f"lab/{self.of}-{page.stage}-{count}")
 
 
 def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
-    driver: Driver, axe: str, lab: Path, capsys: pytest.CaptureFixture[str]
+    driver: Driver, axe: str, lab: Path, run: Run
 ) -> None:
     people, database = lab / "people.sqlite", lab / "study.sqlite"
     with serving("collect", people, "points=8", "rules.people=8") as server:
         researcher = Researcher(server.url, server.key)
         look = Looking(driver, axe, "collect")
         go_in(driver, server.url, researcher.invite(1, "person")[0])
-        assert (
-            take_part(driver, bot(researcher.plan(CollectPlan), OBSERVING, 0, 0), look=look)
-            == "done"
-        )
+        observer = bot(researcher.plan(CollectPlan), OBSERVING, 0, 0)
+        assert take_part(driver, observer, look=look) == "done"
         assert look.seen["clips"] == 8 + 2 + 1
         assert look.alts <= {line.rsplit(",", 1)[1] for line in STEPS.splitlines()}
         assert len(look.alts) > 2
         assert max(look.below.values()) <= 0, look.below
-        main(["collect", "bots", "--url", server.url, "--key", server.key, "--count", "8"])
-    main(["collect", "export", str(people), "data"])
-    main(["collect", "replay", str(people)])
-    assert "all equal" in capsys.readouterr().out
+        run("collect bots", "--url", server.url, "--key", server.key, "--count", 8)
+    run("collect export", people, "data")
+    assert "all equal" in run("collect replay", people)[1]
     known = [
         "labeler=hypotheses",
         "hypotheses=data/hypotheses.npz",
         "sentences=data/sentences.yaml",
     ]
-    main(["discover", "data=data/labels_bot.csv", *known])
+    run("discover", "data=data/labels_bot.csv", *known)
 
-    types = LearnedTypes.load("outputs/discover/types.npz")
+    types = LearnedTypes.load(lab / "outputs/discover/types.npz")
     session = Explainer(types, trade_off=0.5).session([[0.0], [3.0]])
     assert set(session.messages()) <= {"cable", "lift", "queue"}
 
@@ -161,5 +144,4 @@ def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
         assert len(look.alts) == 5
         assert max(look.below.values()) <= 0, look.below
     assert complaints(driver) == []
-    main(["study", "replay", str(database)])
-    assert "all equal" in capsys.readouterr().out
+    assert "all equal" in run("study replay", database)[1]

@@ -11,19 +11,11 @@ from pathlib import Path
 import pytest
 import requests
 
-from tests.chromium import (
-    browser,
-    choose,
-    go_in,
-    missing,
-    press,
-    sequence,
-    wait,
-)
+from tests.chromium import Driver, choose, go_in, press, sequence, wait
 from tests.people.server_process import ServerProcess
-from tests.people.study.stand_in import street_study
 from xplain.people.bots import Researcher
 from xplain.people.store import Store
+from xplain.people.study.flow import Study
 
 pytest.importorskip("selenium", reason="selenium is not installed")
 pytestmark = pytest.mark.browser
@@ -87,20 +79,18 @@ def proxied(target: str) -> Iterator[Proxy]:
         proxy.server_close()
 
 
-@pytest.mark.parametrize("status", [302, 403, 404, 502, 503])
-def test_an_answer_outlives_what_a_proxy_says(tmp_path: Path, status: int) -> None:
-    if what := missing():
-        pytest.skip(f"no browser to drive: install {what}")
-    path = tmp_path / "s.sqlite"
-    Store(path, street_study()).close()
-    with ServerProcess(path) as server, proxied(server.url) as proxy, browser() as driver:
-        (token,) = Researcher(server.url, server.key).invite(1)
-        go_in(driver, f"http://127.0.0.1:{proxy.server_address[1]}", token)
-        proxy.status = status
-        choose(driver, [("agree", "1")])
-        press(driver)
-        wait(lambda: proxy.answered > 1)
-        assert "no connection" in driver.find_element("id", "connection").text
-        assert sequence(driver) == "0"
-        proxy.status = 0
-        wait(lambda: sequence(driver) == "1")
+def test_an_answer_outlives_what_a_proxy_says(driver: Driver, study: Study, tmp_path: Path) -> None:
+    path, statuses = tmp_path / "s.sqlite", (302, 403, 404, 502, 503)
+    Store(path, study).close()
+    with ServerProcess(path) as server, proxied(server.url) as proxy:
+        invitations = Researcher(server.url, server.key).invite(len(statuses))
+        for token, status in zip(invitations, statuses, strict=True):
+            go_in(driver, f"http://127.0.0.1:{proxy.server_address[1]}", token)
+            proxy.status, proxy.answered = status, 0
+            choose(driver, [("agree", "1")])
+            press(driver)
+            wait(lambda: proxy.answered > 1)
+            assert "no connection" in driver.find_element("id", "connection").text, status
+            assert sequence(driver) == "0"
+            proxy.status = 0
+            wait(lambda: sequence(driver) == "1")

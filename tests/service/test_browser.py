@@ -16,12 +16,12 @@ from typing import Any
 
 import pytest
 
-from tests.chromium import browser, missing, wait
+from tests.chromium import Driver, wait
 from tests.conftest import ROOT
 from tests.service.conftest import Running
 from xplain.people.service.talks import Talks
 
-pytestmark = [pytest.mark.browser, pytest.mark.skipif(bool(missing()), reason=missing())]
+pytestmark = pytest.mark.browser
 SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", ROOT / "outputs/screenshots"))
 PRESS = "const b = document.querySelector('button, [type=submit]'); b && b.click()"
 WIDTHS = {390: 844, 1280: 900}
@@ -38,32 +38,30 @@ def in_sight(driver: Any, element: Any) -> bool:
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_the_playground_tells_who_you_are(running: Running, talks: Talks, width: int) -> None:
+def test_the_playground_tells_who_you_are(running: Running, driver: Driver, width: int) -> None:
     SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-    with browser() as driver:
-        size(driver, width)
-        driver.get(running.url)
-        find = partial(driver.find_element, "css selector")
-        for fact in ("fire", "rubble"):
-            find(f"#facts input[value={fact}]").click()
-        driver.implicitly_wait(0)
-        for turn in range(60):
-            if not (button := find("#next")).is_displayed():
-                break
-            assert in_sight(driver, button)
-            before = find("body").get_attribute("data-number")
-            for reply in driver.find_elements("css selector", "#now [name=reply]")[:1]:
-                reply.click()
-            button.click()
-            wait(lambda before=before: find("body").get_attribute("data-number") != before)
-            if said := driver.find_elements("css selector", "#says .bubble"):
-                assert in_sight(driver, said[0])
-            if turn in (0, 8):
-                driver.save_screenshot(str(SCREENSHOTS / f"playground-{width}-{turn}.png"))
-        assert "messages" in find("#now").text
-        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
-        driver.save_screenshot(str(SCREENSHOTS / f"playground-{width}-end.png"))
-        assert not [one for one in driver.get_log("browser") if one["level"] == "SEVERE"]
+    size(driver, width)
+    driver.get(running.url)
+    find = partial(driver.find_element, "css selector")
+    for fact in ("fire", "rubble"):
+        find(f"#facts input[value={fact}]").click()
+    for turn in range(60):
+        if not (button := find("#next")).is_displayed():
+            break
+        assert in_sight(driver, button)
+        before = find("body").get_attribute("data-number")
+        for reply in driver.find_elements("css selector", "#now [name=reply]")[:1]:
+            reply.click()
+        button.click()
+        wait(lambda before=before: find("body").get_attribute("data-number") != before)
+        if said := driver.find_elements("css selector", "#says .bubble"):
+            assert in_sight(driver, said[0])
+        if turn in (0, 8):
+            driver.save_screenshot(str(SCREENSHOTS / f"playground-{width}-{turn}.png"))
+    assert "messages" in find("#now").text
+    assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+    driver.save_screenshot(str(SCREENSHOTS / f"playground-{width}-end.png"))
+    assert not [one for one in driver.get_log("browser") if one["level"] == "SEVERE"]
 
 
 @pytest.fixture(scope="module")
@@ -90,34 +88,28 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("kind", ["session", "questionnaire"])
-def test_a_lab_s_page_in_jspsych_counts_each_answer_once(talks: Talks, lab: str, kind: str) -> None:
+def test_a_lab_s_page_in_jspsych_counts_each_answer_once(
+    talks: Talks, driver: Driver, lab: str, kind: str
+) -> None:
     """Three people of each kind take part, with reloads and lost replies."""
     service, draw = Running(talks, origins=[lab]), random.Random(1)
     trace = list(talks.task.traces[0])[:4]
     service.lose = 0.3
     try:
-        with browser() as driver:
-            driver.implicitly_wait(0)
-            for person in range(3):
-                given = f"service={service.url}&person=p{person}&kind={kind}"
-                driver.get(f"{lab}?{given}&trace={','.join(map(str, trace))}")
-                while not driver.find_elements("id", "thanks"):
-                    press = (
-                        "const b = document.querySelector('button, [type=submit]'); b && b.click()"
-                    )
-                    driver.execute_script(press)
-                    if draw.random() < 0.02:
-                        driver.refresh()
-            assert not [e for e in driver.get_log("browser") if "Uncaught" in e["message"]]
+        for person in range(3):
+            given = f"service={service.url}&person=p{person}&kind={kind}"
+            driver.get(f"{lab}?{given}&trace={','.join(map(str, trace))}")
+            while not driver.find_elements("id", "thanks"):
+                driver.execute_script(PRESS)
+                if draw.random() < 0.02:
+                    driver.refresh()
+        assert not [e for e in driver.get_log("browser") if "Uncaught" in e["message"]]
     finally:
         service.stop()
+    began = {"trace": trace, "expected_steps": 0} if kind == "session" else {}
     for person in range(3):
-        which, _ = talks.begin(kind, f"p{person}", talks_began(kind, trace))
+        which, _ = talks.begin(kind, f"p{person}", began)
         rows, _ = talks.read(kind, which)
         keys = [row.kind for row in rows]
         assert keys == ["begin", *(f"answer {n}" for n in range(1, len(rows)))]
         assert json.loads(str(rows[-1].state))["kind"] in ("wait", "end")
-
-
-def talks_began(kind: str, trace: list[int]) -> dict[str, Any]:
-    return {"trace": trace, "expected_steps": 0} if kind == "session" else {}
