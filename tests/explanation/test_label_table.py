@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.explanation.by_type_problems import plain, random_pair
+from tests.explanation.problems import plain, random_pair
 from tests.refusals import refused
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.belief import update

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.explanation.by_type_problems import plain
+from tests.explanation.problems import plain
 from tests.refusals import refused
 from xplain.errors import InputError
 from xplain.explanation.asking import Limits, Questions, make_question

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from sklearn.tree import DecisionTreeClassifier
 
+from tests.decisions import belief_over_rows, states_after
 from xplain import Explainer, GivenTypes, LabelTable, LearnedTypes
 from xplain.explanation.asking import Limits, Question
 from xplain.explanation.belief import Independent, Persistent
@@ -29,7 +30,7 @@ from xplain.solvers.hsvi import Certified, Effort
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR, AskFirst
-from xplain.testing.literal_pomdp import EXPLAIN, LiteralPOMDP, LiteralState
+from xplain.testing.literal_pomdp import EXPLAIN, LiteralPOMDP
 
 FEATURES = (
     "questions",
@@ -155,43 +156,26 @@ def literal_belief(talk: Dialogue) -> NDArray[np.float64] | None:
     states, asked, heard = pomdp.initial(), 0, set[int]()
     repeats = not talk.belief_update.fresh_labels
 
-    def after(action: int, seen: tuple[int | None, ...]) -> dict[LiteralState, float]:
-        joint: dict[LiteralState, float] = {}
-        for state, weight in states.items():
-            for chance, new, observation, _ in pomdp.outcomes(state, action):
-                both = zip(seen, observation or (), strict=True)
-                if all(one is None or one == other for one, other in both):
-                    joint[new] = joint.get(new, 0.0) + weight * chance
-        return joint
-
     for event in talk.events:
         match event:
             case Asked(question):
                 asked = question
             case Answered(answer):
-                states = after(EXPLAIN - 1 - asked, (answer,))
+                states = states_after(pomdp, states, EXPLAIN - 1 - asked, (answer,))
                 shown = problem.questions.shows[asked]
                 heard |= set(problem.copies[: len(shown)][shown].tolist())
             case Given(messages):
                 for j in indices(messages):
-                    states = after(j, ())
+                    states = states_after(pomdp, states, j)
                 heard = set() if messages else heard
             case Labelled(labels):
                 news: list[int | None] = []
                 for label, copy in zip(labels, problem.copies.tolist(), strict=False):
                     news.append(None if repeats and copy in heard else label)
                     heard.add(copy)
-                states = after(EXPLAIN, tuple(news))
+                states = states_after(pomdp, states, EXPLAIN, tuple(news))
                 heard = set() if problem.habits.forget.any() else heard
-    total = sum(states.values())
-    if not total:
-        return None
-    belief = np.zeros((problem.table.p.shape[1], problem.n_types))
-    for state, weight in states.items():
-        facts = state.known if not problem.messages_land else ()
-        row = problem.table.subset(sum(1 << j for j in facts))[state.user_type]
-        belief[row, state.user_type] += weight / total
-    return belief
+    return belief_over_rows(problem, states) if states else None
 
 
 @pytest.mark.parametrize("features", SITUATIONS, ids="+".join)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.decisions import messages_given, worths
-from tests.explanation.by_type_problems import random_pair
+from tests.explanation.problems import random_pair
 from tests.refusals import refused
 from xplain.errors import TooLargeError
 from xplain.explanation.habits import habits_of

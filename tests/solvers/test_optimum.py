@@ -16,7 +16,7 @@ from tests.decisions import (
     worth_by_enumeration,
     worths,
 )
-from tests.explanation.test_knowledge import problem_of
+from tests.explanation.test_belief import problem_of
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import update_by_messages
 from xplain.explanation.habits import habits_of
