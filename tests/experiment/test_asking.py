@@ -55,9 +55,7 @@ def world(*overrides: str) -> tuple[Prepared, Costs]:
 
 def questions(*overrides: str) -> CaseQuestions:
     """Returns the questions of the first trace."""
-    found = world(*overrides)[0].cases[0].questions
-    assert found is not None
-    return found
+    return world(*overrides)[0].cases[0].questions
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Bad values are found before any work, in any of the jobs."""
+"""Values of a configuration: bad ones are found before any work, in any of the jobs."""
 
 from __future__ import annotations
 
@@ -12,39 +12,34 @@ from tests.configurations import composed
 from xplain.errors import InputError
 from xplain.experiment.fingerprint import configuration
 from xplain.experiment.from_config import check, costs_of
+from xplain.explanation.habits import PAPER
 
 GOOD = configuration(composed("domain=four_rooms"))
-BAD: dict[str, Any] = {
-    "lambda": -1.0,
-    "message_cost": -2.0,
-    "inexplicability_cost": -1.0,
-    "discount": 1.5,
-    "discount_per": "trace",
-    "prior": "flat",
-}
+BAD: list[tuple[str, Any]] = [
+    ("lambda", -1.0),
+    ("message_cost", -2.0),
+    ("inexplicability_cost", -1.0),
+    ("discount", 1.5),
+    ("discount_per", "trace"),
+    ("prior", "flat"),
+    ("solver.memory_gib", -1.0),
+    ("certify.gap", -1.0),
+    ("clusterer.sweeps", 0),
+    ("labeler.holdout", 2.0),
+    ("observers.points", 0),
+    ("queries.trace_length", 0),
+    ("users.count", 0),
+    ("domain.slip", 2.0),
+]
 
 
-@pytest.mark.parametrize("key", BAD)
-def test_a_bad_cost_is_found_behind_jobs_that_are_good(key: str) -> None:
-    check([GOOD])
-    with pytest.raises(InputError, match=key):
-        check([GOOD, GOOD | {key: BAD[key]}])
-
-
-def test_bad_parts_are_found_behind_jobs_that_are_good() -> None:
-    for part, key, value in (
-        ("solver", "memory_gib", -1.0),
-        ("certify", "gap", -1.0),
-        ("clusterer", "sweeps", 0),
-        ("labeler", "holdout", 2.0),
-        ("observers", "points", 0),
-        ("queries", "trace_length", 0),
-        ("users", "count", 0),
-        ("domain", "slip", 2.0),
-    ):
-        assert key in GOOD[part], (part, key)
-        with pytest.raises((InputError, HydraException), match=key):
-            check([GOOD, GOOD | {part: GOOD[part] | {key: value}}])
+@pytest.mark.parametrize(("key", "value"), BAD)
+def test_a_bad_value_is_found_behind_jobs_that_are_good(key: str, value: Any) -> None:
+    part, _, inside = key.rpartition(".")
+    assert inside in (GOOD[part] if part else GOOD)
+    change = {part: GOOD[part] | {inside: value}} if part else {key: value}
+    with pytest.raises((InputError, HydraException), match=inside):
+        check([GOOD, GOOD | change])
 
 
 def test_types_that_do_not_fit_the_domain_are_found_behind_jobs_that_are_good() -> None:
@@ -68,9 +63,24 @@ def test_every_cost_is_the_one_of_its_key() -> None:
         "prior": "observers",
     }
     costs = costs_of(composed("domain=four_rooms", *(f"{k}={v}" for k, v in given.items())))
-    assert costs.trade_off == 0.25
-    assert costs.message_cost == 3.0
-    assert costs.inexplicability_cost == 0.5
-    assert costs.discount == 0.75
-    assert costs.discount_per == "step"
-    assert costs.prior == "observers"
+    assert costs.trade_off == given.pop("lambda")
+    assert {key: getattr(costs, key) for key in given} == given
+
+
+@pytest.mark.parametrize(
+    ("overrides", "rates"),
+    [
+        ((), (0, 1, 0)),
+        (("explainee=slips", "explainee.rate=0.2"), (0.2, 1, 0)),
+        (("explainee=heedless", "explainee.accept=0.7"), (0, 0.7, 0)),
+        (("explainee=forgetful", "explainee.forget=0.3"), (0, 1, 0.3)),
+        (("explainee=unseen",), (0, 1, 0)),
+    ],
+)
+def test_who_is_told_knows_the_rates_of_these_users(
+    overrides: tuple[str, ...], rates: tuple[float, ...]
+) -> None:
+    """``belief=told``: the rates of the simulated users, and no others."""
+    told = instantiate(composed("belief=told", *overrides).belief).habits()
+    assert (told.error.item(), told.accept.item(), told.forget.item()) == rates
+    assert told.prior.tolist() == PAPER.prior.tolist()

@@ -19,6 +19,7 @@ import pytest
 from scipy import stats
 
 from tests.report import handmade
+from xplain.cli.main import main
 from xplain.experiment.results import load_results, save_results
 from xplain.report.compare import differences_csv, table
 from xplain.report.frame import Summary
@@ -251,12 +252,15 @@ def test_only_a_reproduction_of_table_1_says_it_is_one(tmp_path, known, no_pictu
     write_report(known)
 
 
-def test_the_command_finds_the_newest_sweep_and_names_what_is_wrong(sweep, command, tmp_path):
-    done = command("xplain report", str(sweep))
-    assert done.returncode == 0, done.stderr
-    assert "Disaster rescue" in done.stdout
-    assert "index.html" in done.stdout
+def test_the_command_finds_the_newest_sweep_and_names_what_is_wrong(
+    sweep, tmp_path, monkeypatch, capsys, no_pictures
+):
+    monkeypatch.chdir(tmp_path)
+    main(["report", str(sweep)])
+    said = capsys.readouterr().out
+    assert "Disaster rescue" in said
+    assert "index.html" in said
     for arguments in ([], [str(sweep / "jobs")], ["--help-me"]):
-        failed = command("xplain report", *arguments)
-        assert failed.returncode == 2
-        assert len(failed.stderr.strip().splitlines()) == 1
+        with pytest.raises(SystemExit, match=r"^2$"):
+            main(["report", *arguments])
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import subprocess
 import time
 from pathlib import Path
 
@@ -40,11 +39,6 @@ def disturb(folder: Path, whom: str, moment: float) -> None:
         assert code in (0, 1), output
 
 
-def complete(folder: Path, process: subprocess.Popen[str]) -> None:
-    code, output = sweeps.wait(folder, process)
-    assert code == 0, output
-
-
 def check(folder: Path, undisturbed: Path) -> None:
     assert sweeps.tables(folder) == sweeps.tables(undisturbed)
     with sweeps.database(folder) as database:
@@ -74,7 +68,8 @@ def seed() -> int:
 def test_a_sweep_that_was_killed_completes(tmp_path, finished):
     for whom, share in rounds(1, seed=seed()):
         disturb(tmp_path, whom, share * finished.seconds)
-    complete(tmp_path, sweeps.start(tmp_path, *sweeps.TINY))
+    code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL)
+    assert code == 0, output
     check(tmp_path, finished.folder)
 
 
@@ -84,5 +79,6 @@ def test_kills_each_on_a_fresh_sweep(tmp_path, finished):
     for index, (whom, share) in enumerate(rounds(KILLS, seed=seed())):
         folder = tmp_path / f"{index}-{whom}"
         disturb(folder, whom, share * finished.seconds)
-        complete(folder, sweeps.start(folder, *sweeps.TINY))
+        code, output = sweeps.wait(folder, sweeps.start(folder, *sweeps.TINY))
+        assert code == 0, output
         check(folder, finished.folder)

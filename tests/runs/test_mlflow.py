@@ -45,7 +45,6 @@ def folder(outputs: Path) -> SweepFolder:
 
 def runs(client: MlflowClient) -> list[Run]:
     experiment = client.get_experiment_by_name("xplain")
-    assert experiment is not None
     return list(client.search_runs([experiment.experiment_id]))
 
 
@@ -200,7 +199,6 @@ def test_a_view_of_the_sweep_shows_what_was_swept_and_the_measure(
     finish(folder, folder.jobs[0])
     send(folder)
     experiment = client.get_experiment_by_name("xplain")
-    assert experiment is not None
     (shared,) = (
         json.loads(value)
         for key, value in experiment.tags.items()
