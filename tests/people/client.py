@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import threading
 from http.cookies import SimpleCookie
+from json import dumps, loads
 from typing import Any
 from urllib.parse import unquote, urlencode, urlsplit
 
@@ -38,7 +38,7 @@ class Reply:
         return self.data.decode()
 
     def json(self) -> Any:
-        return json.loads(self.data)
+        return loads(self.data)
 
 
 class Client:
@@ -68,7 +68,7 @@ class Client:
     ) -> Reply:
         body = data if isinstance(data, bytes) else (data or "") if isinstance(data, str) else b""
         if json is not None:
-            body = _dumps(json)
+            body = dumps(json)
         elif not isinstance(data, bytes | str):
             body = urlencode(data or (), doseq=True, errors="surrogatepass")
         content = body.encode() if isinstance(body, str) else body
@@ -114,7 +114,3 @@ class Client:
         LOCAL.runner.run(self.app(scope, receive, send))
         data = b"".join(part.get("body", b"") for part in parts)
         return Reply(parts[0]["status"], parts[0]["headers"], data)
-
-
-def _dumps(value: Any) -> str:
-    return json.dumps(value)

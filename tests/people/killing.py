@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from tests.people.server_process import ServerProcess
 from tests.people.visitors import query
 from xplain.errors import InputError
-from xplain.people.bots import Browser, Page, Researcher
+from xplain.people.bots import Browser, Page, Researcher, Visitor
 from xplain.people.store import Store
 
 RATE = (
@@ -24,17 +24,10 @@ RATE = (
 )
 
 
-class Person(Protocol):
-    """Fills in pages."""
-
-    def fill(self, page: Page) -> Any:
-        """Returns the fields of a page's answer, as the first item of a tuple."""
-
-
 class Careful:
     """A participant who records every answer that the server acknowledged."""
 
-    def __init__(self, url: str, person: Person, invitation: str) -> None:
+    def __init__(self, url: str, person: Visitor, invitation: str) -> None:
         self.browser = Browser(url, patience=90)
         self.person, self.invitation = person, invitation
         self.acknowledged: list[int] = []
@@ -59,7 +52,7 @@ def survive(
     database: Path,
     flow: Any,
     command: str,
-    person: Callable[[int, int], Person],
+    person: Callable[[int, int], Visitor],
     kills: int,
     people: int,
 ) -> tuple[int, int]:

@@ -18,13 +18,13 @@ from sklearn.metrics import adjusted_rand_score
 from tests import forked
 from tests.conftest import Run
 from tests.people.collect.stand_in import street_collection
-from tests.people.killing import RATE, Person, survive
+from tests.people.killing import RATE, survive
 from tests.people.kinds import bot_of, flow_of
 from tests.people.server_process import ServerProcess
 from tests.people.study.stand_in import ASK, FAULTLESS, street_study
 from xplain.explanation.message_sets import names_of
 from xplain.learning.saved import LearnedTypes
-from xplain.people.bots import Researcher
+from xplain.people.bots import Researcher, Visitor
 from xplain.people.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
@@ -87,7 +87,7 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
     """This holds in all three conditions of the study; the server also dies while people are asked
     questions."""
     flow: Any = street_study(ask=ASK) if kind == "study" else flow_of(kind)
-    person: Callable[..., Person] = partial(err if kind == "study" else bot_of, flow)
+    person: Callable[..., Visitor] = partial(err if kind == "study" else bot_of, flow)
     path = tmp_path / "s.sqlite"
     Store(path, flow).close()
     acknowledged, stored = survive(path, flow, kind, person, kills, people)
