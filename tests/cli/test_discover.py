@@ -146,9 +146,9 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     ("text", "named"),
     [
         ("flood: Beware.", "flood"),
-        ("- fire", "a line for each message"),
-        ("fire: [1]", "a line for each message"),
-        (None, "a line for each message"),
+        ("- fire", "lines 'message: text'"),
+        ("fire: [1]", "lines 'message: text'"),
+        (None, "lines 'message: text'"),
     ],
 )
 def test_sentences_that_cannot_be_used_are_refused(tmp_path: Path, text: str, named: str) -> None:
