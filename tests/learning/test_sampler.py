@@ -159,7 +159,7 @@ def test_the_score_is_the_sum_over_all_of_them_however_many_labels_agree(ones: f
 
 
 @pytest.mark.parametrize(
-    ("observers", "n", "size", "sweeps"), [(4, 2, 50, 1), (4, 10, 250, 1), (120, 2, 400, 4)]
+    ("observers", "n", "size", "sweeps"), [(12, 2, 50, 1), (4, 10, 250, 1), (120, 2, 400, 4)]
 )
 def test_chains_are_compared_by_the_joint_of_the_same_variables(
     observers: int, n: int, size: int, sweeps: int
