@@ -1,10 +1,12 @@
-"""Claims on handmade episodes whose answer is known, and on the paper's own table."""
+"""Claims and ratios on handmade episodes whose answer is known, and on the paper's own table."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +19,7 @@ from xplain.report.claims import Claim, answer, claims, claims_of, claims_table,
 from xplain.report.compare import table
 from xplain.report.frame import Summary
 from xplain.report.paper import table1
+from xplain.report.ratios import compute_ratios
 
 TRADE_OFFS = (0.5, 1.0, 1.5, 2.0, 2.5)
 SEEDS = range(6)
@@ -264,3 +267,37 @@ def test_parts_of_a_cost_add_up_and_are_those_put_in(tmp_path) -> None:
             f"10.00 {varies}",
             "0.50 ± 0.00",
         ]
+
+
+COSTS = {
+    ("exact", "qmdp"): 2.0,
+    ("exact", "say_all"): 6.0,
+    ("exact", "conformant"): 4.0,
+    ("coin", "qmdp"): 9.0,
+    ("coin", "say_all"): 6.0,
+    ("coin", "conformant"): 3.0,
+}
+
+
+def test_a_ratio_is_to_the_best_other_way() -> None:
+    rows = [
+        {"domain": "rescue", "lambda": 1.0, "explainee": kind, "solver": solver, "seed": seed,
+         "trace": trace, "type": "A", "cost": cost * (1 + seed)}
+        for (kind, solver), cost in COSTS.items()
+        for seed, trace in itertools.product(range(3), range(2))
+    ]  # fmt: skip
+    frame = pd.DataFrame(rows)
+    summary: Any = SimpleNamespace(
+        posed=["domain", "explainee"],
+        ways=["solver"],
+        pool=(),
+        replicate="seed",
+        episodes=frame,
+        values=lambda key: list(dict.fromkeys(frame[key])),
+    )
+    found = compute_ratios(summary).frame.set_index("explainee")
+    assert found.columns.tolist()[:2] == ["Domain", "QMDP"]
+    ratio = {kind: [float(cell.split()[0]) for cell in found.loc[kind][1:]] for kind in found.index}
+    assert ratio["exact"] == pytest.approx([0.5, 3, 2])
+    assert ratio["coin"] == pytest.approx([3, 2, 0.5])
+    assert ratio["all"] == pytest.approx([1.22, 2.45, 1.0])
