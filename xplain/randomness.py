@@ -17,7 +17,7 @@ MOST = (1 << 32) - 1
 
 
 def sequence(seed: int, *names: str | int) -> np.random.SeedSequence:
-    """Returns the seed sequence of a component, which has a path of names: ``"observers", 3``."""
+    """Returns the seed sequence of the component with this path of names: ``"observers", 3``."""
     key = [name if isinstance(name, int) else zlib.crc32(name.encode()) for name in names]
     return np.random.SeedSequence(seed, spawn_key=tuple(key))
 

@@ -83,8 +83,8 @@ class Site:
         return self.words.get(key, key)
 
     def code(self, found: Participant[Any]) -> str:
-        """Returns a participant's completion code. Each end has a separate code, so only people who
-        finished have the code for finishing."""
+        """Returns a participant's completion code. The code depends on how participation ended, so
+        only people who finished have the code for finishing."""
         stage, own = found.state.stage, found.identity["code"]
         configured = self.server.codes.get(stage, "")
         if stage == "done":
@@ -93,7 +93,7 @@ class Site:
         return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
 
     def back(self, found: Participant[Any], code: str) -> str:
-        """Returns the address of a participant's link at the end; "" for none."""
+        """Returns the address that a participant's last page links to; "" if none is configured."""
         person = found.identity.get("kept", {}).get(self.server.id_names[0], "")
         address = self.server.completion_url.replace("{code}", code)
         return address.replace("{id}", quote(person, safe=""))
@@ -131,7 +131,7 @@ def direction(language: str) -> str:
 
 @jinja2.pass_context
 def checked(page: jinja2.runtime.Context, name: str, value: object) -> Markup:
-    """Makes the attribute of a choice that was selected in a refused form."""
+    """Returns the HTML attribute ``checked`` if a refused form had this choice; "" otherwise."""
     return Markup(" checked" if str(value) in page["typed"].getlist(name) else "")
 
 

@@ -303,8 +303,8 @@ class Store(Log[Any]):
             return self._accept_answer(one, kind, payload, browser)
 
     def find_state(self, found: Participant[Any], sequence: int) -> State:
-        """Finds the state of a participant whose page had this number; the current state if no page
-        had it."""
+        """Finds the participant's state whose page had this number. Returns the current state if no
+        earlier page had this number."""
         here: State = self.flow.asking(found.state)
         if not 0 <= sequence < here.accepted:
             return here

@@ -1,9 +1,10 @@
 """Query designs that use hypotheses of incorrect beliefs: one list for everybody that separates all
 candidates, or a questionnaire for each person (docs/what-to-ask.md).
 
-A question separates two candidates if their labels of it differ. The list is a greedy cover of all
-pairs of candidates with different behaviour, each ``redundancy`` times, so that the list tolerates
-errors. Greedy covers are near-optimal, because the number of covered pairs is submodular.
+A question separates two candidates if they give it different labels. The list is a greedy cover:
+its questions separate each pair of candidates with different behaviour at least ``redundancy``
+times, so that the list tolerates errors. Greedy covers are near-optimal, because the number of
+covered pairs is submodular.
 """
 
 from __future__ import annotations
@@ -35,16 +36,17 @@ QuestionList = tuple[NDArray[np.int64], NDArray[np.int64]]
 def battery(
     hypotheses: Hypotheses, redundancy: int = 1, seed: int = 0, at_least: int = 0
 ) -> QuestionList:
-    """Chooses one list of questions for everybody. Questions that separate most pairs come first;
-    among equal questions, those about a new transition and with few messages.
+    """Chooses one list of questions for everybody. Questions that separate most pairs come first.
+    Among questions that separate the same pairs, questions about new transitions with few messages
+    come first.
 
     Args:
         hypotheses: the candidates.
         redundancy: minimum number of questions that separate each pair. A question may occur twice
             if no other question separates the pair.
         seed: breaks ties between questions.
-        at_least: minimum number of questions; to reach it, the list goes on as with a larger
-            redundancy.
+        at_least: minimum number of questions; a shorter list is extended as if ``redundancy`` were
+            larger.
 
     Raises:
         InputError: redundancy < 1.
@@ -79,11 +81,12 @@ def battery(
 def distinct_questions(
     hypotheses: Hypotheses,
 ) -> tuple[list[NDArray[np.int64]], NDArray[np.bool_]]:
-    """Groups the questions by the classes of candidates that they separate.
+    """Groups questions that separate the same classes of candidates.
 
     Returns:
-        The questions of each of D partitions: [·, 2] transition and message set (only messages that
-        matter). And [D, classes] True for classes with another label than the first class.
+        D groups of questions, as arrays [·, 2] of transition and message set (only messages that
+        matter); and [D, classes], True for each class whose label differs from the label of the
+        first class.
 
     Raises:
         TooLargeError: questions × classes > MAX_CELLS.
@@ -283,12 +286,13 @@ class Adaptive:
 
 @dataclass(frozen=True)
 class _Checks:
-    """Check questions: they have the same answer under all hypotheses, because the messages about
-    all facts of the hypotheses are given.
+    """Check questions. All hypotheses predict the same answer, because the messages about all facts
+    of the hypotheses are given.
 
     Attributes:
         told: the facts of all hypotheses.
-        weight: [T] expected visits of each transition that is then explicable; lower after a check.
+        weight: [T] expected visits of each transition, 0 if it is inexplicable despite these
+            messages; reduced after each check of the transition.
         rng: random stream.
     """
 
@@ -310,7 +314,8 @@ class _Checks:
         return cls(int(np.bitwise_or.reduce(known.facts)), weight, rng)
 
     def next(self) -> tuple[int, int]:
-        """Draws a transition by its weight. Returns it with the message set."""
+        """Draws a transition with a probability proportional to its weight. Returns the transition
+        and the message set."""
         chosen = int(self.rng.choice(len(self.weight), p=self.weight / self.weight.sum()))
         self.weight[chosen] *= AGAIN
         return chosen, self.told

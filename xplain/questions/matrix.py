@@ -10,9 +10,10 @@ candidates too: the weights of all R with the same R ∩ K are added and multipl
 labels. A question has more information if its P(label 1) is closer to ½.
 
 With few facts, every K is evaluated. Otherwise random sets K are evaluated for the label functions
-in random order, until a question is about as close to ½ as the most probable candidate allows. If
-no question is that close, the search goes on from the best question: single facts are added to K or
-removed from K as long as a question comes closer to ½.
+in random order, until P(label 1) of a question is near enough to ½. (If the most probable candidate
+has a weight above ½, the distance is at least this weight minus ½.) If no question is near enough,
+the search continues from the best question: it adds single facts to K or removes them from K, as
+long as P(label 1) comes closer to ½.
 """
 
 from __future__ import annotations
@@ -94,12 +95,12 @@ class QuestionMatrix:
     def probability(
         self, functions: NDArray[np.int64], kept: NDArray[np.int64], weight: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Computes [g, M] P(label 1) of some functions [g] if messages are given about all facts
-        except K [M].
+        """Computes [g, M] P(label 1) for g label functions and M sets K, if the messages about all
+        facts except K are given.
 
         Args:
-            functions: indices of the functions.
-            kept: the sets K.
+            functions: [g] indices of the label functions.
+            kept: [M] the sets K.
             weight: [1 + V, C].
         """
         layers, count = weight.shape
@@ -116,9 +117,10 @@ class QuestionMatrix:
         count: int,
         rng: np.random.Generator,
     ) -> Nearest:
-        """Finds the ``count`` questions with P(label 1) nearest to ``middle`` under the weights [1
-        + V, C]. The result also has all questions that tie with the last of these questions, and
-        possibly further ones. The search is exact if ``sets`` has all sets of facts."""
+        """Finds the ``count`` questions whose P(label 1) is nearest to ``middle``, if the
+        candidates have the weights [1 + V, C]. Also returns all questions that tie with the last
+        one, and possibly further questions. The search is exact if ``sets`` has all sets of
+        facts."""
         # In each question, the most probable candidate has label 1 or label 0.
         enough = max(float(weight.max()) - middle, 0.0) + CLOSE
         n, best = self.hypotheses.n_messages, np.inf
@@ -145,8 +147,8 @@ class QuestionMatrix:
         return np.asarray(bits @ (1 << np.arange(n)), dtype=np.int64)
 
     def _split_functions(self, sets: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
-        """Splits the functions into parts that fit into memory, in random order; one part if facts
-        are few."""
+        """Splits the label functions, in random order, into groups that fit into memory; makes one
+        group if there are few facts."""
         every = np.arange(len(self.facts))
         if self.sets is not None:
             return [every]
@@ -161,8 +163,8 @@ class QuestionMatrix:
         middle: float,
         count: int,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-        """Finds the questions nearest to the middle: their distances, their functions, and the sets
-        K."""
+        """Finds the questions with P(label 1) nearest to ``middle``. Returns their distances, their
+        functions, and the sets K."""
         off = np.abs(self.probability(functions, kept, weight) - middle)
         # A fact without influence on a function makes no other question.
         other = self.sets is None or (kept & ~self.facts[functions, None]) == 0

@@ -55,7 +55,7 @@ class Asked:
 
 
 class Questionnaire:
-    r"""Finds out what one person believes incorrectly.
+    r"""A questionnaire that finds out what one person believes incorrectly.
 
     A person of candidate R gives the label f_τ(R \ H), flipped with probability ``error``,
     independently. With probability ``misread`` a whole clip is misunderstood, and its labels are

@@ -66,7 +66,7 @@ class Claim:
         figure: name of the figure.
         estimate: mean and interval over seeds.
         true_in: the open range of the figure if the claim is true.
-        parts: the parts of the figure, in words.
+        parts: what the figure consists of, in words.
     """
 
     group: str
@@ -159,7 +159,8 @@ def _test_orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested
 
 
 def _describe_parts(both: pd.DataFrame, trade_off: float) -> str:
-    """Describes the parts of a difference of costs, in words."""
+    """Describes how many messages and inexplicable labels a difference of costs consists of, and
+    how much of the difference is due to learned types and labels."""
     apart = {
         name: float((both[name] - both[f"{name}_other"]).mean())
         for name in ("communication", "inexplicability", "true_labels")
@@ -193,8 +194,8 @@ def _test_linearity(episodes: pd.DataFrame) -> Iterator[Tested]:
 
 
 def _measure_distances(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
-    """Computes for each seed the distance of a cost at the largest λ below the line through its
-    values at the two smallest λ, divided by the mean cost."""
+    """Computes for each seed how far a cost at the largest λ is below a line, divided by the mean
+    cost at the largest λ. The line goes through the costs at the two smallest λ."""
     known = episodes[np.isfinite(episodes[column])]
     costs = known.pivot_table(column, "seed", "lambda").dropna()
     if len(costs.columns) < 3 or not len(costs):
@@ -223,7 +224,7 @@ def _test_types(data_sets: pd.DataFrame) -> Iterator[Tested]:
 
 def claims_table(summary: Summary) -> Table:
     """Makes a row for each claim, with its figure and verdict in each group of columns. A claim
-    that does not hold also lists the parts of its figure."""
+    that does not hold also says what its figure consists of."""
     rows: dict[tuple[str, str], dict[str, str]] = {}
     for claim in claims(summary):
         heads = {"Domain": title(claim.domain), "Claim": claim.text, "Figure": claim.figure}
@@ -264,8 +265,9 @@ def decomposition(summary: Summary) -> Table:
 
 
 def answer(summary: Summary) -> str:
-    """Returns sentences with the lowest cost, its distance to the others, and whether it is
-    decided; for Table 1, the verdicts on the paper's claims; "" if nothing competes."""
+    """Returns sentences that say which solver or setting costs least, by how much, and if the 95 %
+    interval of the difference excludes 0; for Table 1, how many of the paper's claims are decided
+    and hold; "" if nothing competes."""
     if not summary.results or not summary.is_table1:
         return compare.least_cost(summary)
     if summary.seeds == 1:

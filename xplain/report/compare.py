@@ -110,7 +110,7 @@ def difference(
     summary: Summary, frame: pd.DataFrame, by: Sequence[str], one: Way, two: Way
 ) -> Estimate:
     """Estimates the cost of one way minus the cost of another way, on the same traces and users;
-    NaN if the two ways share none."""
+    NaN if the two ways have no trace and user in common."""
     both = pair_episodes(frame, by, one, two, [*summary.pool, "seed", "trace", "type"])
     if not len(both):
         return UNKNOWN
@@ -182,8 +182,8 @@ def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
 
 def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
     """Chooses the keys of the table's rows, of its groups of columns, and of its columns. Rows are
-    problems, and columns are ways to solve the problems. Numeric keys of a problem vary from row to
-    row."""
+    problems, and columns are ways to solve the problems. The main numeric key of a problem varies
+    from row to row."""
     groups, across = list[str](), list[str]()
     for key in sorted(summary.ways, key=lambda key: key != "solver"):
         if len(across) < 2 and prod(len(summary.values(k)) for k in (*across, key)) <= WIDEST:
@@ -361,8 +361,8 @@ def _make_caption(summary: Summary, is_marked: bool) -> str:
 
 
 def least_cost(summary: Summary) -> str:
-    """Returns one or two sentences with the lowest cost, its distance to the others, and whether it
-    is decided; "" if nothing competes."""
+    """Returns one or two sentences that say which solver or setting costs least, by how much, and
+    if the 95 % interval of the difference excludes 0; "" if nothing competes."""
     found = verdicts(summary)
     if not found:
         return ""
@@ -396,9 +396,9 @@ def _warn_if_few(summary: Summary) -> str:
 
 
 def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
-    """Returns the smallest number of seeds whose interval excludes 0 in four of five sweeps,
-    assuming the mean and variance of these seeds. Returns None if the mean or variance is unknown,
-    or if the number is above MOST_SEEDS.
+    """Returns the smallest number of seeds with which the interval excludes 0 in four of five
+    sweeps, if the mean and variance over seeds are as in ``gap``. Returns None if the mean or
+    variance is unknown, or if the number is above MOST_SEEDS.
 
     Args:
         gap: a difference with its 95 % interval over seeds.
@@ -433,7 +433,8 @@ Undecided = tuple[dict[str, str], Estimate, str]
 
 
 def find_undecided(summary: Summary) -> Iterator[Undecided]:
-    """Finds the differences to the best solver or setting with an undecided sign."""
+    """Finds the differences to the best solver or setting whose 95 % interval does not exclude
+    0."""
     for values, (best, *others) in verdicts(summary):
         heads = {heading(key): value_title(key, own) for key, own in values.items()}
         for other in others:

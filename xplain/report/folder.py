@@ -69,7 +69,7 @@ class SweepFolder:
         )
 
     def of(self, job: Listed) -> Path:
-        """Returns path of the job's own folder, whether it exists or not."""
+        """Returns the path of the job's own folder, whether it exists or not."""
         return self.path / "jobs" / job.fingerprint
 
     def address(self, job: Listed) -> Path:

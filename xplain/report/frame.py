@@ -102,7 +102,8 @@ _SOURCE = {*SOURCE, "points"} - {"seed"}
 
 
 def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> str:
-    """Warns about an oracle that is no reference, and about a regret below 0; "" without either.
+    """Returns warnings about an oracle that is no reference and about a regret below 0; "" if there
+    is nothing to warn about.
 
     Args:
         learning: figures of the learning stage; for several jobs, the smallest figures.
@@ -350,5 +351,6 @@ def rank(solver: str) -> int:
 
 
 def is_unreliable(frame: pd.DataFrame) -> bool:
-    """True if the oracle of these episodes is no reference, by the mean share of right labels."""
+    """True if the oracle of these episodes is no reference: the mean share of new labels that its
+    labelers predict correctly is below RIGHT."""
     return bool(frame["fresh_accuracy"].fillna(1.0).mean() < RIGHT)

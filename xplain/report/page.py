@@ -97,7 +97,7 @@ def page(summary: Summary, tables: dict[str, Table], report: Path, made_of: str)
     """Makes the HTML of the whole page, which contains all pictures; the pictures are also files.
 
     Args:
-        summary, tables: of the sweep.
+        summary, tables: the jobs and the tables of the sweep.
         report: receives the pictures.
         made_of: digest of the content, kept in the page.
     """
@@ -171,7 +171,7 @@ def address(path: Path) -> str:
 
 
 def learning_table(summary: Summary) -> Table:
-    """Makes a row for each setting: how well types and labels were learned."""
+    """Makes a table of how well types and labels were learned, with a row for each setting."""
     found, rows = summary.data_sets, []
     names = [name for name in LEARNING if name in found and found[name].notna().any()]
     groups: Any = found.groupby(summary.settings, sort=False)

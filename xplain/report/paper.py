@@ -33,7 +33,7 @@ GROUPS = {
 
 
 def title(key: str) -> str:
-    """Returns readable name of a solver or domain."""
+    """Returns the readable name of a solver or domain."""
     name, _, rest = key.partition(" ")
     return " ".join(filter(None, [NAMES.get(name, name), rest]))
 

@@ -183,7 +183,8 @@ def _list_panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.Da
 
 
 def _count_per_row(summary: Summary, keys: Sequence[str]) -> int:
-    """Counts the panels of a row, which have one scale: a row for each domain."""
+    """Counts the panels of a row, at most 4. A row has panels of one domain, so they share a
+    scale."""
     counts = [len(summary.values(key)) for key in keys if key != "domain"]
     return min(4, int(np.prod(counts))) if counts else 1 + (len(keys) == 0)
 

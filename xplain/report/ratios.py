@@ -22,9 +22,9 @@ from xplain.report.table import Table
 
 
 def compute_ratios(summary: Summary) -> Table:
-    """Makes a row for each problem, a column for each way to explain; the last rows are geometric
-    means over the kinds of people. A ratio above 1 means that another way of the sweep costs
-    less."""
+    """Makes a table with a row for each problem and a column for each way to explain. The last rows
+    are geometric means over the kinds of people. A ratio above 1 means that another way of the
+    sweep costs less."""
     by, posed = summary.ways or ["solver"], summary.posed
     names = {tuple(values.values()): label(values) for values, _ in group_episodes(summary, by)}
     rows = list[dict[str, str]]()

@@ -64,7 +64,7 @@ class Table:
         return "\n\n".join(filter(None, parts)).replace("*", r"\*") + "\n"
 
     def latex(self) -> str:
-        """Formats the table for a paper (booktabs); other texts are comments."""
+        """Formats the table for a paper (booktabs), with ``about`` and the caption as comments."""
         columns = "l" * self.left + "r" * (self.frame.shape[1] - self.left)
         flat = self.sparse.replace("\n", " ", regex=True)
         text = flat.to_latex(index=False, column_format=columns, escape=True).translate(_TEX)
@@ -72,8 +72,8 @@ class Table:
         return "\n".join([r"% \usepackage{booktabs}", f"{text}% {said}", ""])
 
     def html(self) -> str:
-        """Formats the table as HTML, without its other texts. The HTML class gives the number of
-        heading columns."""
+        """Formats the table as HTML, without ``about`` and the caption. The HTML class gives the
+        number of heading columns."""
         kind = f"left{self.left}"
         # pandas would write a line break as a backslash and a letter.
         lines = self.sparse.replace("\n", "\u2028", regex=True)
@@ -136,7 +136,8 @@ def cell(estimate: Estimate, after: str = "", below: str = "", split: bool = Fal
 
 
 def half(estimate: Estimate) -> str:
-    """Formats half of the interval, such as ``± 0.21``; both ends if a bound cuts one half."""
+    """Formats half of the interval, such as ``± 0.21``; both ends if a bound cuts the lower
+    half."""
     above = estimate.high - estimate.mean
     if above - (estimate.mean - estimate.low) > CUT:
         return interval(estimate)

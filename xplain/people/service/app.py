@@ -130,7 +130,7 @@ class More(Body):
 
 
 class Next(BaseModel):
-    """The next action, and the number of its answer.
+    """The next action. Its answer must have the same ``number``.
 
     ``explain``: give the messages, show the first ``step`` transitions, send their labels. ``ask``:
     ask the question, send its answer. ``wait``: all known transitions are explained. ``end``: the

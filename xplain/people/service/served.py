@@ -41,7 +41,7 @@ TRACES = 5
 
 @dataclass(frozen=True)
 class Served:
-    """A task.
+    """The task that a service explains and asks about.
 
     Attributes:
         explainer: explains to people of the learned types.
@@ -79,7 +79,8 @@ class Served:
 
     @cached_property
     def features(self) -> NDArray[np.float64]:
-        """[T, F] features, in the order of the types' columns."""
+        """[T, F] features of the transitions; the columns are ordered as
+        ``types.feature_names``."""
         known = self.hypotheses
         if known is None or known.features is None:
             return np.empty((0, len(self.types.feature_names)))
@@ -99,7 +100,8 @@ class Served:
         return Questionnaire(self.hypotheses, **self.asking)
 
     def row(self, transition: Transition) -> list[float]:
-        """Returns the features of a transition in any of its forms.
+        """Returns the features of a transition that is given as a number, as features, or as
+        columns by name.
 
         Raises:
             InputError: the transition does not exist.
@@ -128,8 +130,8 @@ class Served:
         return session
 
     def candidates(self, trace: Sequence[Sequence[float]]) -> tuple[Candidate, ...]:
-        """Lists the transitions that may be asked about while a trace is explained, nearest
-        first."""
+        """Lists the transitions that may be asked about while a trace is explained; transitions
+        near the trace come first."""
         known = self.hypotheses
         if known is None or not self.clips or not trace:
             return ()

@@ -34,14 +34,14 @@ class Unknown(Exception):
 
 
 class Conflict(Exception):
-    """Another answer already has this number, or no action had this number."""
+    """The request contradicts an earlier request, or another request must come next."""
 
 
 class Explanation:
     """The explanation of a trace to one person.
 
     Attributes:
-        decided: the open action; empty before the first decision.
+        decided: the latest action; empty before the first decision.
     """
 
     def __init__(self, task: Served, begun: Json) -> None:
@@ -54,7 +54,7 @@ class Explanation:
         """Receives labels, the answer to a question, or more of the trace.
 
         Raises:
-            InputError: the request is no answer to the open action.
+            InputError: the request is no answer to the latest action.
         """
         if key.startswith("trace"):
             self.session.extend([self.task.row(one) for one in came["transitions"]])
@@ -101,7 +101,7 @@ class Asking:
     """A questionnaire for one person.
 
     Attributes:
-        decided: the open action; empty before the first decision.
+        decided: the latest action; empty before the first decision.
     """
 
     def __init__(self, task: Served, begun: Json) -> None:
@@ -193,7 +193,7 @@ class Talks(Log[State]):
         Raises:
             Unknown: the talk does not exist.
             Conflict: this key was used for another request, or was never expected.
-            InputError: the request is no answer to the open action.
+            InputError: the request is no answer to the latest action.
         """
         try:
             with self.changes():

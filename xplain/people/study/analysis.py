@@ -57,11 +57,11 @@ class Analysis:
     Attributes:
         conditions: the compared conditions; differences are the first minus the second.
         stream: the analysed data: person, pilot or bot. Never mixed.
-        measures: one row for each measure, the three primary measures first (only these are
-            corrected): the figures of :func:`compare`, with the names of the conditions;
-            ``student_p_holm``; and the paper's figures ``paper_…``.
-        flow: numbers of participants who reached a stage, who came to an end, who were excluded
-            with the reason, and who are analysed; in all and by condition.
+        measures: one row for each measure, the three primary measures first: the figures of
+            :func:`compare`, with the names of the conditions; ``student_p_holm``, only for primary
+            measures; and the paper's figures ``paper_…``.
+        flow: how many participants reached each stage, ended in each way, were excluded for each
+            reason, and are analysed; in all and by condition.
         data: the participants who finished and are not excluded.
     """
 
@@ -186,7 +186,8 @@ def analyse(
 def _compare_measure(
     data: pd.DataFrame, measure: str, conditions: tuple[str, str], seed: int
 ) -> dict[str, float]:
-    """Compares the first condition with the second; figures have the conditions' names."""
+    """Compares the first condition with the second. The names of the figures contain the names of
+    the conditions."""
     data = data.dropna(subset=[measure])  # impossible times are left out
     a, b = (data[data["condition"] == condition] for condition in conditions)
     types_a, types_b = (group["type"].astype(str).tolist() for group in (a, b))
@@ -195,12 +196,13 @@ def _compare_measure(
 
 
 def _count_flow(own: pd.DataFrame, ends: Mapping[str, pd.Series[bool]]) -> pd.DataFrame:
-    """Counts participants, in all and in each condition, by stage reached, kind of end and reason
-    for exclusion; also counts analysed participants.
+    """Counts in all and in each condition how many participants reached each stage, ended in each
+    way, were excluded for each reason, and are analysed.
 
     Args:
         own: participants of a stream.
-        ends: {reason: rows of ``own`` with this reason}; absent rows are False.
+        ends: {name of a further count: True for the counted participants}; missing participants
+            count as False.
     """
     everybody = own["participant"].notna()
     reached = {
@@ -237,7 +239,8 @@ def compare(
 
     Args:
         a, b: the measure of each participant.
-        strata_a, strata_b: their user types; labels are permuted within a type.
+        strata_a, strata_b: the user type of each participant; groups are permuted only within a
+            type.
         seed: seed of the permutations.
         names: names of the groups.
 
@@ -303,10 +306,12 @@ def stratified_permutation(
     seed: int,
     permutations: int = PERMUTATIONS,
 ) -> float:
-    """Computes the two-sided p of the difference in means if labels are permuted within strata.
+    """Computes the two-sided p of the difference in means if group membership is permuted within
+    strata.
 
     Assignment in blocks justifies this test: within a type the condition was drawn at random. p =
-    (1 + number as extreme) / (1 + permutations), so it is never 0.
+    (1 + number of permutations with a difference at least as large) / (1 + permutations), so p is
+    never 0.
     """
     if not len(x) or not len(y):
         return float("nan")

@@ -78,11 +78,11 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
             self.user_type = next(t for t, told in enumerate(briefings) if self._told <= told)
 
     def at_training(self, page: Page) -> Fields:
-        """Answers that the step makes sense only with the message."""
+        """Labels the practice step: 1 only if the page gives the message (apart from mistakes)."""
         return self.practises(page, len(page.messages))
 
     def at_eligibility(self, page: Page) -> Fields:
-        """Answers as the briefing said."""
+        """Gives the answers of the briefing (apart from mistakes)."""
         questions = self.plan.roles[self.user_type].eligibility
         return [
             (f"q{i}", str((q.answer + self.chance(self.habits.mistake)) % len(q.options)))

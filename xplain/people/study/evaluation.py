@@ -62,10 +62,10 @@ class AskedQuestion:
 
 @dataclass(frozen=True)
 class StudyState(core.State):
-    """The state of a participant. The default values are the start.
+    """The state of a participant. The default values are the state before the first page.
 
     Attributes:
-        user_type, condition: the slot; None before consent.
+        user_type, condition: type and condition of the participant's place; None before consent.
         orders: {"eligibility" | "quiz": order of the questions}.
         attempts: number of eligibility tests.
         step: k of the evaluation.

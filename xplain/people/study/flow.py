@@ -73,7 +73,7 @@ class StudyBriefing(Briefing["Study", StudyState]):
         return {"told_to_all": known, "told_to_you": flow.role(state).briefing}
 
     def screens(self, flow: Study, state: StudyState) -> list[tuple[str, tuple[str, ...]]]:
-        """Shows only the facts after a failed attempt."""
+        """Returns all screens; after a failed attempt, only the screens with facts."""
         every = super().screens(flow, state)
         return every[1:-1] if state.attempts else every
 
@@ -94,7 +94,8 @@ class TrainingStage(Practice["Study", StudyState]):
     """The example: an additional action that makes no sense without its message."""
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
-        """Shows the message only in the second half."""
+        """Shows the step: in the first part without its message, in the second part with the
+        message."""
         slots = len(flow.plan.facts)
         return {"training": flow.plan.training, "part": state.part, "slots": slots}
 
@@ -103,7 +104,7 @@ class Eligibility(Stage["Study", StudyState]):
     """A test of the facts in the briefing."""
 
     def is_in(self, plan: StudyPlan) -> bool:
-        """True if participants get a briefing, which the test is about."""
+        """True if participants get a briefing, whose facts the test asks about."""
         return not plan.kinds
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
@@ -130,8 +131,8 @@ class Eligibility(Stage["Study", StudyState]):
 
 
 class Quiz(Stage["Study", StudyState]):
-    """The participant ticks the statements that are true of the robot; the briefing cannot be
-    opened here."""
+    """A quiz: the participant ticks the statements that are true of the robot. The briefing cannot
+    be opened here."""
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """Shows the statements in the participant's order."""
@@ -199,7 +200,8 @@ class Study(Explaining):
         return cls(plan, policies, instantiate(plan.belief))
 
     def view(self, state: StudyState) -> dict[str, Any]:
-        """Adds at a final end the sentences of the briefing that are not true."""
+        """Adds to the last page the untrue sentences of the briefing, unless the participant may
+        return."""
         view = super().view(state)
         if not state.over or state.stage == "timed_out" or state.user_type is None:
             return view
@@ -277,11 +279,12 @@ class Study(Explaining):
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """A cell for every type under every condition."""
+        """The names of the cells: every type under every condition."""
         return tuple(f"{self.plan.roles[t].name}, {condition}" for t, condition in self.plan.cells)
 
     def find_drawing(self, what: int | tuple[str, int]) -> tuple[Way | None, int, Sequence[str]]:
-        """Draws the map after a number of steps, or with one clip."""
+        """Returns the way, the number of steps and the items taken: of the trace after ``what``
+        steps, or of one clip."""
         plan = self.plan
         if isinstance(what, tuple):
             clip = plan.clips[what[1]]
@@ -294,7 +297,7 @@ class Study(Explaining):
         return super().titles | {"asking": self.words["asking"]}
 
     def about(self, state: StudyState, blinded: bool) -> dict[str, str]:
-        """Adds type and condition, unless these must stay hidden."""
+        """Adds the columns of type and condition, unless types and conditions must stay hidden."""
         role = "" if state.user_type is None else self.plan.roles[state.user_type].name
         hidden = {} if blinded else {"Type": role, "Condition": state.condition or ""}
         return super().about(state, blinded) | hidden
@@ -307,8 +310,8 @@ class Study(Explaining):
     # What to expect ------------------------------------------------------------------------------
 
     def announcement(self) -> str:
-        """Returns, if a condition asks, a line with the cost of each condition for people who never
-        err."""
+        """Returns a line with the cost of each condition for people who never err; "" if no
+        condition asks."""
         if ASKING not in self.plan.conditions:
             return ""
         met = self.faultless().items()

@@ -26,7 +26,7 @@ PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
 
 @dataclass(frozen=True)
 class Known:
-    """A true sentence that everybody is told and believes, and a false sentence."""
+    """A true sentence that everybody is told and believes, and a false sentence for the quiz."""
 
     right: str
     wrong: str
@@ -100,7 +100,7 @@ class StudyRules:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyPlan(StoredPlan):
-    """A study of N types, a trace of m transitions, n facts (and messages).
+    """The plan of a study with N types, a trace of m transitions, and n facts with a message each.
 
     Attributes:
         training: the practice.

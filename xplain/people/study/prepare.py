@@ -64,9 +64,9 @@ def roles_of(
     """Makes the briefing and the tests of each type.
 
     Args:
-        facts: [n] of the plan.
+        facts: [n] facts of the plan.
         types: N user types.
-        labels: [N, m, 2^n] their true labels of the trace.
+        labels: [N, m, 2^n] true labels of the trace for each type.
         wording: texts of the study. ``rewards`` has a phrase for the action of each parameter that
             is the reward of an action. About such a parameter the eligibility test asks the paper's
             question (is the reward ≥ 0?). About other parameters the test asks which of two
@@ -96,7 +96,7 @@ def natural_role(
     people need.
 
     Args:
-        facts, known: of the plan.
+        facts, known: the facts of the plan, and the facts that everybody is told.
         labels: [M, m, 2^n] true labels of the trace, for each kind of simulated people.
     """
     need = int(np.bitwise_or.reduce([find_needed(of_kind) for of_kind in labels]))
@@ -137,15 +137,15 @@ def _make_quiz(
 
     If fewer than two facts were needed, the type's other incorrect facts follow, then any facts.
     The other statements are about facts that everybody is told, or that the type believes
-    correctly. One statement of each two is true. The true sentences of ``known`` are
-    about limits and losses, unlike the messages. So the tone of a sentence does not reveal that it
-    is true or false.
+    correctly. In each pair, one statement is true. The true sentences of ``known`` are about limits
+    and losses, unlike the messages. So the tone of a sentence does not reveal that it is true or
+    false.
 
     Args:
-        facts, known: of the plan.
+        facts, known: the facts of the plan, and the facts that everybody is told.
         wrong: facts that the type believes incorrectly.
         need: bitmask of the facts that the type needed.
-        number: index of the type; it decides which statement of two is true.
+        number: index of the type; decides which statement of a pair is true.
     """
     order = list(dict.fromkeys([*indices(need), *wrong, *range(len(facts))]))
     about = [(facts[j].name, facts[j].message, facts[j].belief) for j in order]
@@ -300,7 +300,8 @@ def facts_of_types(
 
 
 def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: int) -> Transitions:
-    """Lists the transitions that may be asked about while a trace is explained, nearest first."""
+    """Lists at most ``clips`` transitions that may be asked about while a trace is explained.
+    Transitions near the trace come first."""
     Pool(clips=clips)
     order = nearest_first(material.features, material.features[trace])
     return order[alike_first(make_learned_table(material, types, order), clips)]
@@ -378,7 +379,7 @@ def make_draft(
     learned: LearnedTypes | None = None,
     asks: tuple[Transitions, LabelTable] | None = None,
 ) -> StudyPlan:
-    """Makes a plan from its parts.
+    """Makes the plan for a task and a trace.
 
     Args:
         material: the task.
@@ -390,7 +391,7 @@ def make_draft(
             transitions; or None.
 
     Raises:
-        XplainError: two parts contradict each other.
+        XplainError: two arguments contradict each other.
     """
     types, natural = material.types, config["briefing"] == "none"
     table_of_ones_own = config.get("transitions") is not None
@@ -439,8 +440,9 @@ def make_draft(
 def _choose_texts(
     wording: Mapping[str, Any], natural: bool, table: bool, asks: bool
 ) -> Mapping[str, Any]:
-    """Chooses the texts for studies with or without a briefing. The steps of a lab's own table are
-    whole sentences. The texts of a study with questions describe the questions."""
+    """Chooses the texts of a study: with or without a briefing, for a domain or a lab's own table
+    (where each step is a whole sentence), and with a description of the questions if the study has
+    any."""
     if table:
         words, example = wording["words"], wording["training"]
         said = {**example, "action": words["robot_does"].format(phrase=example["action"])}
@@ -466,8 +468,9 @@ def find_needed(labels: NDArray[np.uint8]) -> int:
         labels: [m, 2^n] the type's true labels.
 
     Returns:
-        A bitmask; ties by message order. The set of all messages always suffices, because the type
-        then has the robot's model, in which the trace is optimal.
+        A bitmask. Among the smallest sets, the first in the order of messages is chosen. The set of
+        all messages always suffices, because the type then has the robot's model, in which the
+        trace is optimal.
     """
     explaining = np.flatnonzero(labels.all(axis=0))
     return int(min(explaining, key=lambda mask: (int(mask).bit_count(), indices(int(mask)))))

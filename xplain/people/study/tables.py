@@ -28,8 +28,8 @@ SLEEP = 2.0
 
 
 def export(database: Path, folder: Path) -> str:
-    """Writes all tables of a database, or better of a snapshot, into a folder. Returns the SHA-256
-    of the events.
+    """Writes all tables of a database into a folder; while a server runs, of a snapshot. Returns
+    the SHA-256 of the events.
 
     Raises:
         InputError: the file is not a study's database.
