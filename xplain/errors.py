@@ -110,7 +110,7 @@ class Range:
         """Checks that a value is a number, or a whole number, in the range.
 
         Raises:
-            InputError: it is not.
+            InputError: the check fails.
         """
         fits = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
         if not fits or not math.isfinite(value) or not self._contains(value):  # type: ignore[arg-type]
@@ -195,7 +195,8 @@ def check(key: str, value: object, hint: Any) -> None:
 
 
 def one_of(key: str, value: T, allowed: Iterable[T], what: str = "") -> T:
-    """Checks that a value is allowed; ``what`` names the kind of the values in the error.
+    """Checks that a value is allowed, and returns it. ``what`` is a noun for such a value in the
+    error, as in "unknown predicate".
 
     Raises:
         InputError: the check fails.

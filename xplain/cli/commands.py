@@ -30,7 +30,7 @@ class Command(click.Command):
     text: str
 
     def get_help(self, ctx: click.Context) -> str:
-        """Returns the docstring of the function, the subcommands, and the file in conf/."""
+        """Returns the help: the text, a line for each subcommand, and the file in conf/."""
         from xplain.experiment.config import CONF
 
         parts = [self.text, "\n".join(lines_of(str(self.name)))]
@@ -50,8 +50,8 @@ def command(name: str, meaning: str, config: str = "", of: str = "", **settings:
         name: name on the command line.
         meaning: description in one line.
         config: name of the command's file in conf/, if any.
-        of: study or collect, for a function that both share. The function receives this word as its
-            first argument, and the word replaces NAME in the help.
+        of: ``study`` or ``collect``, if both have a command with this function. The function
+            receives this word as its first argument, and the word replaces NAME in the help.
         settings: settings of click's parser.
     """
 

@@ -83,7 +83,7 @@ def _run_experiment(words: list[str]) -> None:
     """Runs the experiment or a sweep with Hydra's command line.
 
     Raises:
-        XplainError: Hydra does not have a flag, or a flag is in a wrong place.
+        XplainError: Hydra does not know a flag, or a flag is in a wrong place.
         SystemExit: 1 if jobs of a sweep failed.
     """
     with leave_at_once():

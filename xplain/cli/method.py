@@ -206,8 +206,8 @@ def clean(delete: bool, outputs: Path) -> None:
         xplain clean [--outputs FOLDER]        lists them
         xplain clean --delete                  deletes them
 
-    Results below ``results/`` stay when a run's or sweep's folder is deleted, or a sweep's list is
-    lost. A deleted result is computed again when it is needed.
+    If you delete the folder of a run or a sweep, its results stay below ``results/``. A deleted
+    result is computed again when it is needed.
     """
     from xplain.runs.folder import delete_result, find_unlisted_results
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def flow(name: str) -> type[Flow[Any, Any]]:
-    """Imports the flow of a study or a collection."""
+    """Imports the class with the stages of a study or a collection."""
     return import_module(f"xplain.people.{name}").FLOW
 
 

@@ -52,8 +52,8 @@ class DemoSetup:
     chosen: str = ""
 
     def session(self, explainer: Explainer | None = None) -> Session:
-        """Makes a session that explains the trace to a new user, with this explainer or the
-        explainer of the setup."""
+        """Makes a session that explains the trace to a new user. The explainer is the setup's,
+        unless another one is given."""
         steps, asked = len(self.case.transitions), self.case.questions
         explainer = explainer or self.explainer
         if asked is None or explainer.ask is None:
@@ -63,7 +63,7 @@ class DemoSetup:
         return explainer.session(range(steps), clips=clips)
 
     def user_type(self, name: str | None) -> str:
-        """Checks the name of a true type; None chooses the suggested one.
+        """Returns the name of a true type after checking it; None becomes the suggested type.
 
         Raises:
             InputError: the type does not exist.

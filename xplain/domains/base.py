@@ -100,7 +100,7 @@ class Domain(Protocol):
 
     @property
     def scene(self) -> Scene | None:
-        """The map for people: size, walls, items; None if the domain has none."""
+        """The map for people: size, walls, items; None if the domain has no map."""
         ...
 
 

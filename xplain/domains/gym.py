@@ -35,7 +35,7 @@ CHANGES = ("when", "actions", "next", *EFFECTS)
 
 
 class Features:
-    """The features that a state's number encodes. If the number counts up, the last feature changes
+    """The features of a state, encoded in its number in row-major order: the last feature changes
     fastest.
 
     Args:
@@ -43,7 +43,7 @@ class Features:
         n_states: S.
 
     Raises:
-        InputError: the features do not give S states.
+        InputError: the numbers of values do not have the product S.
     """
 
     def __init__(self, given: Mapping[str, int | Sequence[str]], n_states: int) -> None:
@@ -67,8 +67,8 @@ class Features:
         return result
 
     def set_features(self, key: str, target: Any) -> NDArray[np.int64]:
-        """Returns [S] the number that each state gets if its features in ``target`` (``{feature:
-        value}``) are set."""
+        """Sets the features in ``target`` (``{feature: value}``) of every state. Returns [S] the
+        numbers of the new states."""
         codes = self.codes.copy()
         for feature, value in mapping(key, target, "{feature: value}").items():
             code = self._encode_value(key, feature, value)

@@ -62,7 +62,8 @@ class TaskModel:
         """Solves models of this class over the same states and actions.
 
         Raises:
-            DomainError: ties are ambiguous; ``names`` identifies the model.
+            DomainError: ties of a model are ambiguous. The error contains the model's name from
+                ``names``.
         """
         raise NotImplementedError
 
@@ -188,10 +189,11 @@ def _solve_batch(models: Sequence[MDP]) -> NDArray[np.float64]:
     """Solves all models together by modified policy iteration (Puterman & Shin 1978).
 
     A Bellman sweep is a γ-contraction in the max norm with fixed point V*. If a sweep changes no
-    value by more than δ, the swept values lie within δ γ / (1 − γ) of V*, and the action values
-    backed up from them within δ γ² / (1 − γ) of Q*. The loop ends when this last bound is small
-    enough. Between two such sweeps, cheaper sweeps (1 / A of the cost) move the values towards
-    those of the greedy policy. They change the speed, not the rule that ends the loop.
+    value by more than δ, the new values lie within δ γ / (1 − γ) of V*, and the action values
+    computed from the new values lie within δ γ² / (1 − γ) of Q*. The loop ends when this last bound
+    is small enough. Between two such sweeps, cheaper sweeps (1 / A of the cost) move the values
+    towards those of the greedy policy. The cheaper sweeps change the speed of the loop, not the
+    rule that ends it.
     """
     slots = max(model.successor.shape[2] for model in models)
 

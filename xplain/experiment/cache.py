@@ -78,7 +78,7 @@ def _try_read(path: Path) -> Prepared | None:
 
 @lru_cache(maxsize=1)
 def _read_entry(path: Path, written: int) -> Prepared:
-    """Reads an entry. A batch has jobs of one data set, so the last entry stays in memory."""
+    """Reads an entry. Keeps the last entry in memory, because the jobs of a batch share it."""
     with path.open("rb") as stored, np.load(stored, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     content = json.loads(str(arrays["content"]))
@@ -112,8 +112,7 @@ class EpisodeCache:
         """Reads the episodes of these traces and users, or computes and stores them.
 
         Args:
-            prepared: the knowledge of explainers and users, and nothing else; the key covers all of
-                it.
+            prepared: only what explainers and users know, because every part of it changes the key.
             parts: configuration keys without influence on the episodes.
             make: computes the episodes.
         """

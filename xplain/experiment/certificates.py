@@ -68,8 +68,9 @@ class Certify:
         limits if the value is simulated. A solver that knows the user's type has no policy value
         (docs/method.md, section 7).
 
-        If the belief update does not assume independent labels, the bounds still do. The policy
-        then decides by another belief, so its value is not reported, and ``fresh_labels`` is 0.
+        The bounds always assume independent labels. A policy whose belief update does not assume
+        independent labels decides by another belief. Then its value is not reported, and
+        ``fresh_labels`` is 0.
 
         Traces with the same problem are simulated once, so their sampling errors are equal. A trace
         whose certificate would need more memory than allowed has no certificate, and does not count

@@ -61,8 +61,8 @@ NO_PACKAGE = (
 
 
 def schema() -> DictConfig:
-    """Makes the types of the top-level keys: 1 and 1.0 are the same λ, and a text is an error at
-    once. Only conf/config.yaml has their values."""
+    """Makes the types of the top-level keys. With these types 1 and 1.0 are the same λ, and a text
+    instead of a number is an error at once. The keys' values are only in conf/config.yaml."""
     kinds = {
         IntegerNode: ("seed", "points", "traces", "max_steps"),
         FloatNode: ("lambda", "discount", "inexplicability_cost"),

@@ -31,7 +31,7 @@ from xplain.solvers.simple import SayAll
 
 @dataclass(frozen=True)
 class Experiment:
-    """The parts of a run.
+    """An experiment: everything that one run needs.
 
     Attributes:
         components: makes the components that decide data, types and traces. It is called only if
@@ -51,8 +51,8 @@ class Experiment:
 
     def prepare(self, cache: Path | None, key: str, progress: Progress) -> Prepared:
         """Runs the first half: observers label transitions, types and labelers are learned, traces
-        are drawn. The result is cached in the folder ``cache`` under this key; without a folder it
-        is always computed."""
+        are drawn. Caches the result in the folder ``cache`` by its ``key``. Without a folder,
+        always computes the result."""
         with progress.stage("data, user types and labelers"):
             if cache is None:
                 return prepare(self.components(), progress)

@@ -177,7 +177,7 @@ def evaluate(
         prepared: result of :func:`prepare`.
         costs: λ and the other costs.
         solvers: by the name in the records.
-        belief_update: the labels that change the belief.
+        belief_update: decides how labels change the belief.
         explainee: how the users listen, think and answer.
         seed: the policies' streams depend on the seed and the trace, not on the solver's name; the
             users' streams depend on the seed, the trace and the user's type.
@@ -265,7 +265,8 @@ def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepar
 
 
 def same_problems(one: Prepared, other: Prepared) -> bool:
-    """True if both have the same types, with equal probabilities and the same labels."""
+    """True if explainers plan the same problems for both arguments: the learned types, their
+    probabilities and their labels are equal, and ``one`` has no questions."""
 
     def tables(prepared: Prepared) -> list[bytes]:
         learned = [case.learned for case in prepared.cases]

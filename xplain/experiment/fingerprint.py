@@ -241,7 +241,7 @@ _IGNORED = re.compile(r"__pycache__$|\.").match
 
 
 def _read_sources(root: Path, kind: str = "*.py") -> list[tuple[str, bytes]]:
-    """Reads the Python files in a folder, or files of another kind, as (path in it, content)."""
+    """Reads the files in a folder whose names match ``kind``, as (path inside it, content)."""
     files = [
         path
         for path in sorted(root.rglob(kind))

@@ -35,7 +35,8 @@ KINDS: dict[str, type] = {"domain": Domain, "solver": Solver}
 
 
 def component(cfg: Config, group: str, **given: Any) -> Any:
-    """Makes the component that a configuration chooses in a group, with its keys and ``given``.
+    """Makes the component that a configuration chooses in a group. The arguments are the group's
+    keys and ``given``.
 
     Raises:
         XplainError, HydraException: the class is missing or incomplete, or refuses a value.

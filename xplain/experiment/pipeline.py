@@ -97,8 +97,9 @@ class Prepared:
         domain: name of the domain.
         messages: n names, with ``sentences`` for people.
         types: M names of the true types; ``distinct`` [M] is equal for types that behave alike.
-        learned_types: N names; ``matched_true_type`` [N] is the ``distinct`` number of most of
-            their observers (−1 unknown), ``type_shares`` [N] their shares of the observers.
+        learned_types: N names; ``matched_true_type`` [N] is the number in ``distinct`` that most
+            observers of each learned type have (−1 unknown); ``type_shares`` [N] is each learned
+            type's share of the observers.
         learning: figures of the learning stage, by name.
         curve: disagreements with k = 1 … types (empty if the method has none).
         rule: the rule that chose the number of types.

@@ -31,7 +31,7 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class Figure:
-    """A mean over episodes, with the ends of its 95 % interval; None if there is none."""
+    """A mean over episodes, and the ends of its 95 % interval, or None without an interval."""
 
     mean: float
     low: float | None
@@ -57,8 +57,8 @@ class TypeNames:
 
     Attributes:
         true: M names of the true types; ``behave_alike`` [M] is equal for types that behave alike.
-        found: N names of the learned types; ``matched_true_type`` [N] the ``behave_alike`` number
-            of most of their observers, −1 unknown.
+        found: N names of the learned types; ``matched_true_type`` [N] is the number in
+            ``behave_alike`` that most observers of each learned type have (−1 unknown).
     """
 
     true: tuple[str, ...]
@@ -294,8 +294,8 @@ def load_results(folder: Path) -> Results:
 
 
 def find_finished(address: Path) -> Results | None:
-    """Reads the results at an address, if they are complete and have the requested certificates;
-    otherwise returns None."""
+    """Reads the results in a folder that has a fingerprint as its name. Returns None if the results
+    are incomplete, have another fingerprint, or lack certificates because these failed."""
     try:
         results = load_results(address)
     except (OSError, ValueError):

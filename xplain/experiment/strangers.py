@@ -16,14 +16,15 @@ from xplain.randomness import stream
 
 
 def with_others(prepared: Prepared, components: Components, explainee: Explainee) -> Prepared:
-    """Returns the same learned types and traces, with users of the explainee's own types. There are
-    as many users as true types, if enough types differ from every true type and from each other.
+    """Returns the same learned types and traces, with users of other types (``Explainee.others``).
+    There are as many users as true types, if enough other types differ from every true type and
+    from each other.
 
     Fields that need observers of a true type are empty: the oracle's labels, and the matching
     learned type.
 
     Raises:
-        InputError: all types of the explainee behave like the true types.
+        InputError: all other types behave like the true types.
     """
     domain, seed = components.domain, components.seed
     observed = components.users.types(domain, stream(seed, "users"))

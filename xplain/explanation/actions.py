@@ -1,7 +1,7 @@
 """The state that a decision depends on, and the possible actions.
 
 The explainer sees the number of shown transitions, the given messages, and the asked questions. The
-user is hidden, and a belief describes them (mixed observability: Ong, Png, Hsu & Lee 2010).
+user is hidden, and is described by a belief (mixed observability: Ong, Png, Hsu & Lee 2010).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ class VisibleState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Explain:
-    """Show the first k + 1 transitions, and receive the user's labels of them."""
+    """The action *explain*: show the first k + 1 transitions, and receive the user's labels."""
 
 
 @dataclass(frozen=True, slots=True)
 class GiveMessages:
-    """Give messages, then *explain*.
+    """The action *give messages*: give them, then *explain*.
 
     Attributes:
         messages: bitmask of at least one message.
@@ -42,7 +42,7 @@ class GiveMessages:
 
 @dataclass(frozen=True, slots=True)
 class AskQuestion:
-    """Ask a question, then decide again.
+    """The action *ask a question*: ask it, then decide again.
 
     Attributes:
         question: index of the question.

@@ -41,8 +41,14 @@ NONE_OF_THESE = "none of these"
 
 
 class _People(NamedTuple):
-    """K hidden types: P(label is 1) and P(answer is 1) [rows, 2^n, K], prior [K], user type [K],
-    and True if the type was assumed [K]."""
+    """K hidden types.
+
+    Attributes:
+        p, answered: [rows, 2^n, K] P(label is 1) and P(answer is 1).
+        prior: [K].
+        whose: [K] index of the user type.
+        as_found: [K] True for a found type with the assumed habits.
+    """
 
     p: NDArray[np.float64]
     answered: NDArray[np.float64]
@@ -70,7 +76,8 @@ class Open(Independent):
     open: ClassVar[bool] = True
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
-        """Adds hidden types of people who were not assumed, and the assumed habits."""
+        """Adds hidden types of people with other beliefs or habits to a problem, and the assumed
+        habits of accepting and forgetting messages."""
         habits = self.habits(learned)
         if problem.n_messages > DENSE:
             return problem.with_habits(habits)
@@ -85,14 +92,14 @@ class Open(Independent):
 def with_anybody(
     problem: Problem, facts: Facts | None, erring: float, error: float, messages_land: bool
 ) -> Problem:
-    """Adds hidden types of people who were not assumed to a problem. One further user type
+    """Adds hidden types of people with other beliefs or habits to a problem. One further user type
     represents all people who have none of the found types.
 
     Args:
         problem: a problem of M user types, with at most DENSE messages.
         facts: the facts that people may believe incorrectly; None if unknown.
-        erring: share of people who err in both directions, if only they and people who never err
-            are counted.
+        erring: share of people who err in both directions, among these people and people who never
+            err.
         error: P(the opposite answer) of people who err in both directions.
         messages_land: True if the habits assume that messages always correct the fact. Then people
             who keep one incorrect belief are added.

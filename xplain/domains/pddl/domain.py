@@ -39,13 +39,14 @@ effect."""
 @checks("domain")
 class PDDL:
     """A task in PDDL: STRIPS with types, equality, negative preconditions, conditional effects and
-    action costs. Its states are all states that the robot can reach, and all states that believed
-    tasks reach from these. Its actions are the ground actions between the states.
+    action costs. Its states are all states that the robot can reach, and all states that actions
+    of believed tasks reach from these states. Its actions are the ground actions between the
+    states.
 
     The task is undiscounted: plans are compared by their costs; without a metric each action costs
-    1. A person who believes in another start imagines the states accordingly, until the robot
-    changes an atom that this belief is about. In a state without a plan, every action is
-    inexplicable.
+    1. A person with an incorrect belief about the start state keeps this belief in later states,
+    until the robot changes an atom that the belief is about. In a state without a plan, every
+    action is inexplicable.
 
     Args:
         file, problem: the robot's domain and problem; ``pkg://package/path`` is a file inside an
@@ -122,9 +123,9 @@ class PDDL:
     def _find_differences(
         self, file: str, problem: str, believed: Any
     ) -> tuple[Mapping[str, Items], Items]:
-        """Finds the differences between the robot's task and people's belief, by name. Returns them
-        with the believed items. The robot's task gets the predicates and functions that only the
-        belief has."""
+        """Finds the differences between the robot's task and people's belief. Returns the
+        differences by name, and the items of the believed task. Adds to the robot's task the
+        predicates and functions that only the belief has."""
         if believed is None:
             return {}, {}
         both = {"file": believed} if isinstance(believed, str) else believed

@@ -74,8 +74,8 @@ class Words:
         return self._fill(name, words) or " ".join(plainly)
 
     def literal(self, text: str, action: str = "") -> str:
-        """Describes a literal as :meth:`atom` does, with "not" before a negated literal. In an
-        effect, the last literal comes first; the conditions follow."""
+        """Describes a literal as :meth:`atom` does, with "not" before a negated literal. The
+        conditions of a conditional effect are described after the effect, in parentheses."""
         words = []
         for negation, atom in re.findall(r"(\(not )?\(([^?()][^()]*)\)", text):
             name, *arguments = atom.split()

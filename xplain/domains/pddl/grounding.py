@@ -3,8 +3,8 @@ task of a person who believes some of the facts incorrectly.
 
 All beliefs are merged into one task, which Fast Downward's translator grounds once. In this task
 the atom (fact@3) means that a person believes fact 3 incorrectly, and all changes of this fact
-depend on the atom. No action changes such atoms. A belief determines which of these atoms hold. It
-has the ground actions whose conditions on these atoms hold.
+depend on the atom. No action changes such atoms. A belief determines which of these atoms hold, and
+a ground action exists in the belief if the action's conditions on these atoms hold.
 """
 
 from __future__ import annotations
@@ -118,8 +118,9 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
 class Grounding:
     """A task and its facts, grounded once. Actions that no belief reaches are left out.
 
-    A set of literals is an integer with one bit for each: first the atoms that actions can change,
-    then the atoms that differ between beliefs, then the negation of each, in the same order.
+    A set of literals is an integer with one bit for each literal: first the atoms that actions can
+    change, then the atoms that differ between beliefs, then the negations of all these atoms, in
+    the same order.
 
     Args:
         task: the robot's task.
@@ -204,7 +205,8 @@ class Grounding:
                 yield action, self._make_mask(made.precondition), done
 
     def _resolve(self, asked: int, effects: Effects) -> Iterator[tuple[int, Effects]]:
-        """Yields the literals and the effects of each belief about the effects of an action."""
+        """Finds the forms of a ground action whose effects depend on beliefs. Yields, for each
+        form, the literals that a belief with this form contains, and the effects."""
         about = 0
         for condition, *_ in effects:
             about |= condition & self.beliefs
@@ -225,8 +227,7 @@ class Grounding:
         return atoms & among | (~atoms & among) << self._every.bit_length()
 
     def believe(self, wrong: Wrong) -> int:
-        """Returns the literals that are true in this belief, of all literals that differ between
-        beliefs."""
+        """Returns all literals that differ between beliefs and are true in this belief."""
         atoms = self.start
         for differing, held in (self.starts[j] for j in wrong):
             atoms = atoms & ~differing | held
@@ -262,7 +263,7 @@ class BelievedTask:
         atoms: atoms that can change.
         states: S sets of atoms. First come the states that the robot reaches, beginning with the
             initial one. Then come these states as people who believe in another start imagine them.
-            Last come all other states that actions under any beliefs reach from these.
+            Last come all other states that actions of any belief reach from these states.
         table: [S, atoms] True if an atom holds in a state.
         actions: A ground actions, (name, object, …), that occur between these states.
 

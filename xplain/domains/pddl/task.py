@@ -33,10 +33,10 @@ class Item(NamedTuple):
     """One statement of a task.
 
     Attributes:
-        kind: one of seven kinds, each with its own value. The value of an ``action`` is the
-            signature of its parameters. ``precondition`` and ``effect`` (of an action), ``initial``
-            and ``goal`` have the translator's object as value. The ``cost`` of an action is a
-            number, or the text of a function. A ``function`` has a number.
+        kind: one of seven kinds, which determines the item's value: for ``action`` the signature of
+            its parameters; for ``precondition`` and ``effect`` (of an action), ``initial`` and
+            ``goal`` the translator's object; for ``cost`` (of an action) a number, or the text of a
+            function; for ``function`` a number.
         owner: the action's name; "" for items of the problem.
         text: the condition, the effect or the function in the form of :func:`write`; "" for
             ``action`` and ``cost``.
@@ -78,14 +78,14 @@ def apply_changes(items: Items, *changes: Items) -> dict[Item, Any]:
 
 
 def texts(items: Items, kind: str, owner: str = "") -> Iterator[str]:
-    """Yields the texts of all items of a kind that the task has."""
+    """Yields the texts of all items of a kind, of one action or (without ``owner``) the problem."""
     for item, value in items.items():
         if item[:2] == (kind, owner) and value is not None:
             yield item.text
 
 
 def sign(typed: Any) -> Signature:
-    """Returns the signature of the translator's typed objects."""
+    """Returns the signature, (name, type) of each of the translator's typed objects."""
     return tuple((x.name, x.type_name) for x in typed)
 
 
@@ -186,7 +186,7 @@ class Source:
     @contextmanager
     def translate_errors(self, known: str = "", problem: Source | None = None) -> Iterator[None]:
         """Converts errors of the translator into errors about this text, or about ``problem`` if
-        the error is in the problem file. ``known`` is added to their text.
+        the error is in the problem file. Appends ``known`` to the errors' texts.
 
         Raises:
             XplainError: the translator is not installed.
@@ -279,7 +279,7 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
 
 
 def split_conjunction(condition: Any) -> list[Any]:
-    """Returns the parts of a condition that must all hold, sorted."""
+    """Returns the conjuncts of a condition, sorted."""
     whole = condition.simplified()
     parts = whole.parts if isinstance(whole, lifted.Conjunction | lifted.Truth) else [whole]
     return sorted(parts, key=write)

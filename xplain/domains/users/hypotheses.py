@@ -278,8 +278,8 @@ class Hypotheses:
         return int(self.labels.shape[1])
 
     def row(self, held: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Returns the rows of :attr:`labels` of candidates. ``held`` has the bitmasks of the
-        candidates, in any shape."""
+        """Returns the index of each candidate's row in :attr:`labels`. ``held`` contains the
+        candidates' bitmasks, in any shape."""
         every = len(self.facts) > self.facts[-1]  # then a set's bitmask is its row
         return held if every else np.searchsorted(self.facts, held)
 
@@ -306,7 +306,8 @@ class Hypotheses:
     @cached_property
     def sizes(self) -> NDArray[np.bool_]:
         """[1 + V] True for the assumed values, and for variants with values on the same side of the
-        robot's values. Such variants are recognised by their larger prior."""
+        robot's values as the assumed ones. Variants on the other side have a prior below half of
+        the largest variant's prior."""
         weight = self.variant_prior[1:]
         return np.append(True, weight >= weight.max(initial=0) / 2)
 
@@ -343,8 +344,8 @@ class Hypotheses:
 
     @cached_property
     def pairs(self) -> list[tuple[int, NDArray[np.int64], NDArray[np.int64]]]:
-        """For each fact: its index, the rows of the candidates that contain the fact, and the rows
-        of the same candidates without the fact."""
+        """A triple for each fact: its index, the rows of the candidates that contain the fact, and
+        the rows of the same candidates without the fact."""
         found = []
         for j in range(self.n_messages):
             more = np.flatnonzero(self.facts >> j & 1)
@@ -353,8 +354,8 @@ class Hypotheses:
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        r"""[C] for each candidate, the facts that some question reveals at the assumed values. Two
-        candidates behave alike if and only if these facts are the same for both.
+        r"""[C] bitmask of each candidate's facts that some question reveals, at the assumed values.
+        Two candidates behave alike if and only if their bitmasks here are equal.
 
         If two candidates behave alike, their intersection behaves like them, too (consider messages
         about all other facts). So each class of candidates that behave alike has one smallest

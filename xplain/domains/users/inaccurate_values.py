@@ -129,9 +129,10 @@ class FactLabels:
         Args:
             facts: the sets.
             scales: one variant for each scale: all numeric inaccurate values are multiplied by the
-                scale. In further variants, all values or (for at most EACH facts) a single value
-                are on the other side of the robot's value, because people may also believe that a
-                dangerous fire is a bonus.
+                scale. In a further variant, all values are on the other side of the robot's value,
+                because people may also believe that a dangerous fire is a bonus. If there are at
+                most EACH facts, each fact also has a variant in which only its value is on the
+                other side.
         """
         assumed = {one.name: one.inaccurate for one in self.domain.parameters}
         opposite = other_values(self.domain, lambda right, wrong: 2 * right - wrong)

@@ -185,8 +185,8 @@ class Setting:
 
     @cached_property
     def distinct(self) -> NDArray[np.int64]:
-        """[N] number of each type's behaviour. Two types have the same number if their labels are
-        the same for every reachable (transition, message set)."""
+        """[N] a number for each type, equal for types that behave alike: their labels are the same
+        for every reachable (transition, message set)."""
         labels = self.labels_by_type(self.reachable)
         first: dict[tuple[tuple[int, ...], bytes], int] = {}
         found = []

@@ -58,7 +58,7 @@ def user_type(domain: Domain, name: str, facts: Sequence[str] | Mapping[str, Any
 
 @dataclass(frozen=True)
 class Explicit:
-    """Types given in YAML.
+    """A source of types that are given in YAML.
 
     Attributes:
         groups: ``{name: [parameter, ...]}``, or ``{name: {parameter: value}}`` for a type with
@@ -79,8 +79,8 @@ class Explicit:
 
 @dataclass(frozen=True)
 class Completions:
-    """A partly known list of types, completed: the paper's figure with three of the five rescue
-    types is lost (docs/choices.md).
+    """A source that completes a partly known list of types: the paper's figure with three of the
+    five rescue types is lost (docs/choices.md).
 
     A completion gives each free name one bonus and one obstacle, so that all types are distinct and
     all facts are used. For ``rescue`` there are 27 completions; the order of the free names does
@@ -157,8 +157,8 @@ def first_distinct(
 @checks("users")
 @dataclass(frozen=True)
 class RandomCover:
-    """Random types: each type is a non-empty subset of the parameters, and each parameter is in
-    some type (paper, four rooms).
+    """A source of random types: each type is a non-empty subset of the parameters, and each
+    parameter is in some type (paper, four rooms).
 
     Attributes:
         count: number of types.
@@ -192,8 +192,8 @@ class RandomCover:
 @checks("users")
 @dataclass(frozen=True)
 class FewFacts:
-    """Random types for domains with many facts. People of each type believe a few facts
-    incorrectly.
+    """A source of random types for domains with many facts. People of each type believe a few
+    facts incorrectly.
 
     Attributes:
         count: number of types.
