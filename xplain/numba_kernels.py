@@ -1,9 +1,9 @@
-"""Tools for compiled kernels, made with numba's public API: decorators, bits of masks, random
-words.
+"""Tools for compiled kernels, made with numba's public API: decorators, functions on bitmasks, and
+random numbers.
 
 numba caches machine code beside the source, or below ``NUMBA_CACHE_DIR``, and uses it until the
-kernel's own file changes. A kernel's parts may be in other files, so the name of the cache entry
-contains a digest of these files.
+kernel's own file changes. A kernel may call functions in other files, so the name of the cache
+entry contains a digest of these files.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numba.extending import intrinsic
 log = logging.getLogger(__name__)
 
 part = numba.njit(inline="always")
-"""Decorates a part of kernels: it is compiled into each kernel that calls it."""
+"""Decorates a function that kernels call: it is compiled into each of these kernels."""
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -44,7 +44,8 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 class _Compilation(event.Listener):  # type: ignore[misc]
-    """Reports the name of an xplain kernel while it is compiled, and "" at the end."""
+    """A listener that reports the name of an xplain kernel when its compilation starts, and "" when
+    a compilation ends."""
 
     say: Callable[[str], None] | None = None
     logged = False
@@ -81,8 +82,8 @@ def tell_when_compiling(say: Callable[[str], None] | None = None) -> None:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def borrow(typing: Any, value: Any) -> Any:
-    """Returns the same arrays, in tuples of any depth, without counting references to them: numba
-    would count at every call and for every row. The kernel's caller keeps the arrays alive."""
+    """Returns the same arrays, in tuples of any depth, without reference counts: numba would update
+    the counts at every call and for every row. The kernel's caller keeps the arrays alive."""
 
     def drop_counts(context: Any, builder: Any, kind: Any, own: Any) -> Any:
         if isinstance(kind, types.Array):

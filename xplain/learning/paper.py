@@ -160,7 +160,7 @@ def smallest(inexplicable: NDArray[np.int64], messages: Sequence[int]) -> int:
 
 
 class Partitioner(Protocol):
-    """Clusters points into a given number of groups, for :class:`Elbow`."""
+    """A clustering method of :class:`Elbow`, which divides points into a given number of groups."""
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
         """Returns [O] the groups of the vectors [O, n]: at most k groups, with equal vectors in one

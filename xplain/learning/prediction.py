@@ -34,7 +34,8 @@ def predict(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[n
     1. Answers after messages are predicted from answers before the messages
        (:mod:`xplain.learning.landing`), if the dataset has such answers.
     2. Answers without messages are predicted by the clustering, if it predicts answers. If the
-       labelers predict what people think, the mean of both predictions is used.
+       labelers predict what people think, the prediction is the mean of the clustering's
+       prediction and of the labelers' prediction (method 3).
     3. All other answers are predicted by the types' labelers. Their weights for an observer come
        from the shares of the types and the observer's own labels; without labels, from the shares
        alone.
@@ -113,9 +114,9 @@ class Tenth(NamedTuple):
 
 
 def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Tenth, ...]:
-    """Compares the predictions P(label = 1) ``one`` [P] with the labels [P]. The labels are sorted
-    by their predictions and cut into ten parts of equal size, or into fewer parts if there are few
-    labels."""
+    """Compares predictions with labels [P]; ``one`` [P] has the predicted P(label = 1). The labels
+    are sorted by their predictions and divided into ten groups of equal size, or into one group for
+    each label if there are fewer than ten labels."""
     from scipy.stats import binomtest
 
     found = []
@@ -162,9 +163,9 @@ def predict_held_out(
 ) -> HeldOut:
     """Predicts labels that the finder of types did not receive.
 
-    A share of the distinct (transition, message set) is held out (``trainer.holdout``). If the data
-    have no messages, a share of the labels is held out instead, because the questions are then
-    independent items. At least one label is held out, and at least one is kept.
+    A share (``trainer.holdout``) of the distinct pairs (transition, message set) is held out. If
+    the data have no messages, this share of the labels is held out instead, because the questions
+    are then independent items. At least one label is held out, and at least one is kept.
     """
     if dataset.message_set.any():
         test = split(dataset, trainer.holdout, derive_seed(seed, "held out"))

@@ -215,8 +215,8 @@ class LearnedTypes:
         return self.about_everything.table(np.asarray(transitions, dtype=np.float64))
 
     def save(self, path: str | Path) -> None:
-        """Writes an ``.npz`` file: the arrays ``names``, ``messages``, ``feature_names``, all other
-        arrays by number, and ``types``, a text in JSON with everything else.
+        """Writes an ``.npz`` file: the arrays ``names``, ``messages``, ``feature_names``; all other
+        arrays as ``array_0``, ``array_1``, …; and ``types``, a text in JSON with everything else.
 
         Raises:
             InputError: skops cannot write a classifier.

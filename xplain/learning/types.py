@@ -48,8 +48,8 @@ class Clustering:
 
     @classmethod
     def by_facts(cls, facts: NDArray[np.int64], rule: str, **about: Any) -> Clustering:
-        """Makes one type of all observers who believe the same facts [O] incorrectly (a Dirichlet
-        process); ``about`` holds the other attributes."""
+        """Makes the clustering of a Dirichlet process: observers who believe the same facts [O]
+        incorrectly form one type. ``about`` holds the other attributes."""
         _, first = np.unique(facts, return_index=True)
         return cls(facts, "dirichlet", rule, needs=facts[np.sort(first)], **about)
 
@@ -112,8 +112,8 @@ class KnownTypes:
 
     Attributes:
         names: N names.
-        matched_true_type: [N] ``distinct`` number of the true type that each type represents; −1 if
-            unknown.
+        matched_true_type: [N] the true type that each type represents, by its number in the
+            setting's ``distinct``; −1 if unknown.
         shares: [N] shares of the observers.
         figures: measures of the learning stage, by name.
         curve: disagreements for k = 1 …; empty if there are none.

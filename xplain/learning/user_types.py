@@ -167,7 +167,7 @@ class UserTypes:
 
     @property
     def by_observers(self) -> dict[tuple[int, ...], Labeler]:
-        """Each cluster's labeler, by its observers."""
+        """The labeler of each cluster; the key is the cluster's observers."""
         clusters = range(self.clustering.n_types)
         return {tuple(self.clustering.members(t).tolist()): self.labelers[t] for t in clusters}
 
@@ -192,9 +192,8 @@ def label_table(
 
 @dataclass(frozen=True)
 class AskedOnce:
-    """Makes label tables like :func:`label_table`, but calls each labeler only once for each
-    transition, even if several traces contain the transition. These calls may take longer than all
-    later steps.
+    """A cache of label tables. Each labeler is called only once for each transition, even if
+    several traces contain the transition: these calls may take longer than all later steps.
 
     Attributes:
         tables: [2^n] P(label = 1) by labeler and transition, only for transitions of the traces.
@@ -345,8 +344,8 @@ def oracle_labelers(perfect: UserTypes | None, observed: Observed) -> tuple[Labe
 
 
 def _match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]:
-    """Finds [N] the true type that most observers of each learned type have, as its ``distinct``
-    number; −1 if the true types are unknown."""
+    """Finds [N] the true type that most observers of each learned type have, by its number in the
+    setting's ``distinct``; −1 if the true types are unknown."""
     matched = np.full(len(types.labelers), -1)
     alike = observed.behaviour
     if alike is not None:
@@ -365,7 +364,8 @@ def _measure_types(
 ) -> dict[str, float]:
     """Measures how good the found types and their labelers are. Returns the measures by name.
 
-    ``labeler_accuracy`` is the paper's accuracy, on held-out (transition, message set).
+    ``labeler_accuracy`` is the paper's accuracy, on held-out pairs (transition, message
+    set).
     ``fresh_accuracy`` is the accuracy on new questions
     (:func:`~xplain.learning.labelers.fresh_accuracy`). Both are means over types.
     """

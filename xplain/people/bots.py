@@ -200,7 +200,7 @@ def walk(
 
 
 class Refusal(Exception):
-    """The server did not accept an answer: status, and the stage of the page."""
+    """The server did not accept an answer. Arguments: the HTTP status, and the page's stage."""
 
 
 def visit(
@@ -359,7 +359,7 @@ def crowd(
         count: number of bots.
         at_once: maximum number of bots at the same time.
         pace: seconds to wait for each simulated second of thinking; 0 = no waiting.
-        person_of: returns the person with a number.
+        person_of: makes the simulated person from the bot's number, 0 … count − 1.
     """
     url = researcher.browser.url
 

@@ -32,7 +32,8 @@ MOST_BATCHES = 20
 
 
 def require_login(visit: Visiting) -> Visit:
-    """Checks that a request is of a logged-in researcher, with a valid form token. Returns it.
+    """Checks that a logged-in researcher sent the request, with a valid form token. Returns the
+    request's visit.
 
     Raises:
         HTTPException: the request is not valid.

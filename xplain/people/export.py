@@ -62,8 +62,8 @@ def codebook(package: str) -> list[dict[str, str]]:
 
 
 def order_columns(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.DataFrame:
-    """Makes a table of rows with the columns of its codebook, in the codebook's order. Columns that
-    a common entry represents (:data:`OTHERS`) come last, in the order of the first row.
+    """Makes the table ``name`` from its rows, and orders its columns as in the codebook. Columns
+    that share one entry of the codebook (:data:`OTHERS`) come last, in the order of the first row.
 
     Raises:
         ValueError: the columns of a row differ from the columns of the codebook. An export would

@@ -87,7 +87,7 @@ class Conflict(Refused):
 
 
 class Full(Refused):
-    """No place is free now."""
+    """The study is full now: as many people take part as the plan allows."""
 
 
 STREAMS = ("person", "pilot", "bot")
@@ -125,7 +125,7 @@ class Participant(Generic[S]):
         text: the state as JSON.
         about: data from the arrival: ``stream`` and ``entry``.
         identity: identifiers, which no export contains: the keyed hashes ``key`` and ``session``,
-            the completion ``code``, and ``kept``, outside ids in clear.
+            the completion ``code``, and ``kept``, the platform's ids without a hash.
         entered: time of arrival by the server's wall clock.
         latest: the last event.
         shown: number of the last page that was rendered.
@@ -233,8 +233,9 @@ class Stage(Generic[F, S]):
 
 @dataclass(frozen=True)
 class Flow(ABC, Generic[P, S]):
-    """Stages in order, with a plan. A flow also gives a server the participants' places, the
-    drawings, and the texts of the researcher's page. All follow from the plan and the states.
+    """Stages in order, with a plan. A flow also assigns each participant (to a type and condition,
+    or to a role), and makes the drawings and the texts of the researcher's page. Everything follows
+    from the plan and the states.
 
     Attributes:
         PLAN: class of its plans.
@@ -262,14 +263,15 @@ class Flow(ABC, Generic[P, S]):
 
     @abstractmethod
     def admit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """Returns values for the consent event that do not follow from the state, such as a place.
+        """Returns values for the consent event that do not follow from the state, such as a type
+        and a condition.
 
         Args:
             person: the participant who consents.
             people: all participants, in order of arrival.
 
         Raises:
-            Full: no place is free now.
+            Full: the study is full now.
         """
 
     def readmit(self, person: Participant[S], people: People) -> dict[str, Any]:
@@ -298,8 +300,8 @@ class Flow(ABC, Generic[P, S]):
     @abstractmethod
     def find_drawing(self, what: Any) -> tuple[Way | None, int, Sequence[str]]:
         """Converts a template's (hashable) argument to the arguments of
-        :func:`xplain.people.map_svg.picture`: the way, the number of steps, and the names of items
-        that are no longer on the map."""
+        :func:`xplain.people.map_svg.picture`: the robot's way, the number of steps to draw, and
+        the names of items that are no longer on the map."""
 
     @property
     def titles(self) -> dict[str, str]:
@@ -557,7 +559,7 @@ def choice(value: object, count: int, otherwise: str) -> int:
 
 
 def choices(values: object, counts: Sequence[int], otherwise: str) -> tuple[int, ...]:
-    """Checks one choice for each place, from 0 to its count − 1.
+    """Checks a list of choices: choice i is an integer 0 … counts[i] − 1.
 
     Raises:
         Refused: an invalid choice, as in :func:`choice`, or another number of choices.

@@ -243,7 +243,7 @@ class Log(Generic[S]):
         self._load_events()
 
     def erase(self, who: str, keep_key: bool = True) -> None:
-        """Erases one participant's answers and outside ids.
+        """Erases one participant's answers and platform ids.
 
         The erasure is an event too. The random id and the number of events stay. The keyed hash of
         the invitation or platform id stays too, so that the link creates no new participant.

@@ -389,7 +389,7 @@ def make_plan_fields(
         config: configuration of the plan.
         wording: texts of the configuration.
         task: the material.
-        does: a sentence about the robot, with a place for the ``phrase``.
+        does: a sentence about the robot that contains ``{phrase}``, its action.
 
     Raises:
         InputError: a text is missing, or describes something that does not exist.

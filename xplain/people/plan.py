@@ -1,4 +1,4 @@
-"""Parts of all plans, and their stored form.
+"""The classes that all plans use, and the stored form of plans.
 
 A plan is a value. The first start stores the plan in the database, and every later start reads it
 there. So neither a restart nor a change of code or configuration changes a running study.
@@ -208,7 +208,7 @@ def make_typed(kind: type[T], key: str, given: Mapping[str, Any]) -> T:
 
 
 def lab_questions(*given: Sequence[Mapping[str, Any]]) -> list[tuple[LabQuestion, ...]]:
-    """Makes the lab's own questions of several pages.
+    """Makes the lab's own questions from their configuration: one tuple for each page.
 
     Raises:
         InputError: a question is invalid, or two questions have one name (an answer would be lost).
@@ -229,7 +229,7 @@ class Texts:
     """The texts of the pages, from the configuration; paragraphs are tuples.
 
     Attributes:
-        title, contact, consent, introduction, task: texts for these parts.
+        title, contact, consent, introduction, task: the text of the page or section of this name.
         debriefing: shown at every end.
         words: all other texts, by key.
     """

@@ -88,7 +88,8 @@ class Keys:
 
     @property
     def mark(self) -> str:
-        """The mark of this server's cookies and of its replies to answers."""
+        """A short code that identifies this server in the names of its cookies and in its replies
+        to answers."""
         return self._make_signer("mark").derive_key().hex()[:12]
 
     @property
@@ -144,7 +145,7 @@ class Server:
         signed_by: with "signed": a file with the platform's public key (PEM, or its JSON Web Key
             Set), or with a secret of the lab of 32 bytes or more.
         signed_name: the link's parameter with the signed token (a JSON Web Token).
-        keep_ids: True stores a platform's ids in clear, False only as keyed hashes.
+        keep_ids: True stores a platform's ids themselves, False only their keyed hashes.
         completion_url: address for finished participants, "" for none. ``{code}`` in it is replaced
             by the completion code, ``{id}`` by the person's id.
         completion_code: one code for all participants who finish (platforms need that); "" makes a

@@ -91,7 +91,7 @@ class Store(Log[Any]):
         return self.hash_texts("reference", who)[:16]
 
     def hash_texts(self, *parts: str) -> str:
-        """Computes a keyed hash of texts that are only compared (invitations, outside ids). Nobody
+        """Computes a keyed hash of texts that are only compared (invitations, platform ids). Nobody
         can make or reverse the hash without the server's secret."""
         message = "\x1f".join(parts).encode(errors="replace")
         return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
@@ -150,7 +150,7 @@ class Store(Log[Any]):
 
         Args:
             ids: ids of the person, the study and the session, by name; the last two are optional.
-            keep: True stores them in clear.
+            keep: True stores the ids themselves, not only their keyed hash.
 
         Raises:
             Unknown: this person consented earlier, in another session.

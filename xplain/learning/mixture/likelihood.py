@@ -137,10 +137,10 @@ class Answers(NamedTuple):
 
 @dataclass(frozen=True)
 class KnownTransitions:
-    """The hypotheses by rows of features. Transitions with equal features form one row with their
-    mean label.
+    """Label table of the hypotheses with one column for each distinct row of features. Transitions
+    with equal features share a column, which has their mean label.
 
-    A message whose fact is in no hypothesis may still correct something. So there are also
+    A message whose fact is in no hypothesis may still correct a belief. So there are also
     candidates with such a fact, alone or with other facts. The effect of such a fact is unknown:
     any label may be 0 instead of 1, and the answers show which labels are 0.
 
@@ -170,18 +170,19 @@ class KnownTransitions:
         return cls(hypotheses, distinct, share, unwritten)
 
     def grow(self, answers: Answers) -> KnownTransitions:
-        """Adds the candidates that the answers of one type make likely, and their neighbours."""
+        """Adds the neighbours (one further fact) of each candidate that the answers of one type
+        make likely, until every neighbour of a likely candidate is a candidate."""
         found = grow(self.hypotheses, lambda known: self._compute_posterior(known, answers))
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
     def with_sets(self, facts: NDArray[np.int64]) -> KnownTransitions:
-        """Adds these sets and their subsets as candidates."""
+        """Adds these fact sets and their subsets as candidates."""
         found = self.hypotheses.with_sets(facts)
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
     def find_supported(self, answers: Answers) -> NDArray[np.int64]:
         """Returns the essential facts of the candidates that are probable given the answers of one
-        type, ascending. If all sets are candidates, returns the essential facts of all."""
+        type, ascending. If all fact sets are candidates, returns those of every candidate."""
         if self.hypotheses.complete:
             return np.unique(self.essential)
         posterior = self._compute_posterior(self.hypotheses, answers)
@@ -219,14 +220,14 @@ class KnownTransitions:
     def exactly(
         self, held: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Computes [P, 1 + V, D] P(f = 1) of single transitions [P], even if some have the same
-        features, for people who believe the facts ``held`` [P] incorrectly."""
+        """Computes [P, 1 + V, D] P(f = 1) of the transitions [P], each from its own label instead
+        of the mean label of its features, for people who believe ``held`` [P] incorrectly."""
         labels = self.hypotheses.tables[:, self.hypotheses.row(held), transitions]
         return self._add_deviations((labels * _compute_certainty(held, self.unwritten)).T)
 
     @cached_property
     def _by_cell(self) -> NDArray[np.float64]:
-        """[C · U, 1 + V] :attr:`share` by the key of a cell."""
+        """[C · U, 1 + V] the values of :attr:`share`; the row is the key of a cell."""
         return np.ascontiguousarray(self.share.reshape(len(self.share), -1).T)
 
     def truth(self, key: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -235,7 +236,8 @@ class KnownTransitions:
 
     def _add_deviations(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
         """Computes [*, 1 + V, D] P(f = 1), by variant and δ, if the hypotheses predict ``share``
-        [*, 1 + V]. If variants with different sizes of the same values disagree, δ is larger."""
+        [*, 1 + V]. δ is larger where the assumed values and variants on the same side of the
+        robot's values (``sizes``) disagree."""
         of_sizes = share[..., self.hypotheses.sizes]
         disputed = of_sizes.min(axis=-1) != of_sizes.max(axis=-1)
         more = np.minimum(DISPUTED * DEVIATION, DEVIATION[-1])
@@ -274,10 +276,10 @@ class KnownTransitions:
 
 
 def _add_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
-    """Adds unwritten facts: facts with a message that no candidate believes incorrectly.
+    """Adds candidates with unwritten facts: facts with a message that no candidate contains.
 
-    For each candidate and each unwritten fact, a further candidate has this fact in addition, and
-    the same labels. Returns the hypotheses and the unwritten facts.
+    Each new candidate is an old candidate with one unwritten fact added, and has the same labels.
+    Returns the hypotheses and the unwritten facts.
     """
     written = int(np.bitwise_or.reduce(hypotheses.facts))
     open_facts = [1 << j for j in range(hypotheses.n_messages) if not written >> j & 1]

@@ -113,10 +113,10 @@ class Partition(NamedTuple):
 
     Attributes:
         facts: [O] facts that each observer's type believes incorrectly.
-        answers: error model; its questions are the rows of features of the hypotheses.
-        expected: [O, U] P(answer 1) of each observer without messages, by the mixture over all
-            people, for every row of features. The hypotheses have more weight in this mixture than
-            in the types. None if some observers received messages.
+        answers: error model of the answers; each row of features is one question.
+        expected: [O, U] P(answer 1) of each observer without messages, for each row of features,
+            predicted by the mixture over all people. (The mixture gives the hypotheses more weight
+            than the types do.) None if some observers received messages.
     """
 
     facts: NDArray[np.int64]
@@ -217,15 +217,17 @@ class _Search:
         return state
 
     def _log_members(self, members: Sequence[int], facts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Computes [R] log P(answers of the members | all have fact set R), for some fact sets."""
+        """Computes [R] log P(answers of the members | all members have the fact set) for each of
+        the fact sets ``facts`` [R]."""
         rows = np.concatenate([self.rows[o] for o in members])
         return self._log_sum(rows, facts, self.given)[:, 0]
 
     def _log_sum(
         self, rows: NDArray[np.int64], facts: NDArray[np.int64], given: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Computes [R, E] log P(some answers | all have fact set R, level), from log P(answer | f)
-        ``given`` [P, 2, E]."""
+        """Computes [R, E] log P(the answers ``rows`` | all their observers have the fact set,
+        error level) for each of the fact sets ``facts`` [R], from log P(answer | f) ``given``
+        [P, 2, E]."""
         value = Cells.of(self.known, self.every.take(rows), facts).log_likelihood(given[rows])
         return np.asarray(logsumexp(value + self.known.log_prior[:, :, None], axis=(1, 2)))
 

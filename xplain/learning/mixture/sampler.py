@@ -351,12 +351,12 @@ def _try_relabel(
 def _propose_move(
     facts: NDArray[np.int64], n: int, urn: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], int, float, float] | None:
-    """Proposes a merge (all observers of a type take the fact set of another type) or a split (a
-    random part of a type takes an unused fact set).
+    """Proposes a merge (all observers of a type take the fact set of another type) or a split (some
+    random observers of a type take an unused fact set).
 
     Returns the observers, their new fact set, the log ratio of the priors (after / before), and the
-    log ratio of the proposal probabilities (back / forth). None if there is no such type or no such
-    part.
+    log ratio of the proposal probabilities (back / forth). Returns None if the drawn move is
+    impossible: there is no second type, one observer cannot be split, or the fact set is in use.
     """
     used = np.unique(facts)
     a = rng.integers(0, len(used))
@@ -367,14 +367,14 @@ def _propose_move(
             return None
         new = int(used[(a + rng.integers(1, len(used))) % len(used)])
         others = int((facts == new).sum())
-        back = math.log(len(used)) - n * math.log(2) - _log_ways(size + others, size)
+        back = math.log(len(used)) - n * math.log(2) - _compute_log_subsets(size + others, size)
         return members, new, _log_merged(size, others, urn), back
     new = int(rng.integers(0, 1 << n))
     if size == 1 or (facts == new).any():
         return None
     part = int(rng.integers(1, size))
     rng.shuffle(members)
-    back = _log_ways(size, part) + n * math.log(2) - math.log(len(used) + 1)
+    back = _compute_log_subsets(size, part) + n * math.log(2) - math.log(len(used) + 1)
     return members[:part], new, -_log_merged(part, size - part, urn), back
 
 
@@ -384,9 +384,9 @@ def _log_merged(size: int, others: int, urn: float) -> float:
     return lgamma(size + others + urn) + lgamma(urn) - lgamma(size + urn) - lgamma(others + urn)
 
 
-def _log_ways(whole: int, part: int) -> float:
-    """Computes −log P(a part is chosen) for parts of ``whole`` observers; all sizes 1 … whole − 1
-    are equally likely."""
+def _compute_log_subsets(whole: int, part: int) -> float:
+    """Computes −log P(a given subset of ``part`` observers is drawn from ``whole`` observers), if
+    all sizes 1 … whole − 1 are equally likely, and all subsets of a size."""
     choose = lgamma(whole + 1) - lgamma(part + 1) - lgamma(whole - part + 1)
     return math.log(whole - 1) + choose
 

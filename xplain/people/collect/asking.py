@@ -1,9 +1,9 @@
 """The state of a participant, the choice of the next clip, and the results of the answers so far.
 
-:class:`xplain.questions.questionnaire.Questionnaire` chooses the questions, or one list has the
-questions for all people. An obvious step is among the questions, and some of the first questions
-are repeated. At the end, people may get messages that stay valid on later pages. Labels on these
-pages show if people accept and remember the messages.
+:class:`xplain.questions.questionnaire.Questionnaire` chooses the questions, or all people get the
+questions of one list. An obvious step is among the questions, and some of the first questions are
+repeated. At the end, people may get messages that stay valid on later pages. Labels on these pages
+show if people accept and remember the messages.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SHARED = 1e-3
 
 @dataclass(frozen=True)
 class AskedClip:
-    """A few transitions under one message set; after the answer with their labels.
+    """A page that shows a few transitions under one message set, and the labels that it received.
 
     Attributes:
         purpose: QUESTION, REPEAT, ATTENTION (no transitions, one label), or a purpose in HEEDED.
@@ -168,8 +168,8 @@ def mean_posterior(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def prior(plan: CollectPlan, others: Mapping[str, float]) -> NDArray[np.float64]:
-    """Returns [C] prior over fact sets; part of it comes from other people's answers, if there are
-    any."""
+    """Returns [C] prior over fact sets: the hypotheses' prior, mixed with the shares of fact sets
+    among earlier participants, if there are any (weight ``design.from_others``)."""
     known = plan.hypotheses
     if not others or not plan.design.from_others:
         return known.prior
@@ -181,8 +181,8 @@ def prior(plan: CollectPlan, others: Mapping[str, float]) -> NDArray[np.float64]
 
 
 def belief(asking: Questionnaire) -> dict[str, float]:
-    """Returns the posterior {facts of a class, or "none": probability}, without values below
-    KEPT."""
+    """Returns the posterior {fact set, or "none": probability}, without fact sets below KEPT. One
+    fact set represents all candidates that no question separates."""
     known = asking.hypotheses
     facts, first = np.unique(known.classes, return_index=True)
     weight = asking.classes
@@ -248,14 +248,14 @@ def _vary_question(
 
 
 def _list_unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int]]:
-    """Lists questions that the person could not answer. Such an answer is no evidence, so without
-    this list they would remain the best questions."""
+    """Lists questions with an answer CANNOT_TELL. This answer is no evidence, so a question with it
+    would otherwise remain the best question."""
     return {(one.transitions, one.told) for one in before if CANNOT_TELL in one.labels}
 
 
 def _choose_lasting(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:
     """Chooses a message that stays valid, with a step that most likely makes sense only with this
-    message. For a later purpose, chooses such a step again."""
+    message. For the purposes LATER and AGAIN, repeats the step of the earlier clip TOLD."""
     before = [clip for clip in state.answered if clip.purpose == TOLD]
     if task.purpose != TOLD:
         first = before[task.again]

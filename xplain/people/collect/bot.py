@@ -96,7 +96,8 @@ class Observer(bots.Bot[CollectPlan, Habits]):
 
     def labels(self, transitions: Sequence[int], right: int) -> tuple[Fields, float]:
         """Labels a clip's transitions as a person who believes the facts ``right`` (a bitmask)
-        correctly. Also returns the time in seconds. No transitions mean the obvious step."""
+        correctly. Without transitions, labels the obvious step. Also returns the time in
+        seconds."""
         known = self.plan.hypotheses
         row = int(known.row(np.array(self.held & ~right)))
         true = [int(known.labels[row, t]) for t in transitions] or [0]

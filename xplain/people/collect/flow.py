@@ -176,8 +176,9 @@ class Collection(Flow[CollectPlan, CollectState]):
         return cls(plan)
 
     def admit(self, person: Participant[CollectState], people: People) -> dict[str, Any]:
-        """Returns the participant's number, the role in the briefing, and the posteriors of
-        earlier participants. These finished in the same stream, and their numbers are stored."""
+        """Returns the participant's number, the role in the briefing, the mean posterior of earlier
+        participants, and their numbers. Earlier participants are those of the same stream whose
+        labels are used."""
         own = [one for one in people if one.stream == person.stream]
         kept = {
             one.number: one.state.belief
@@ -197,7 +198,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         return consent | {"role": int(rng.choice(fewest))}
 
     def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Stores the number, the briefing's role, and the posteriors of earlier participants."""
+        """Stores the number, the briefing's role, and earlier participants' mean posterior."""
         return {key: payload[key] for key in ("number", "role", "others")}
 
     def forget(self) -> None:

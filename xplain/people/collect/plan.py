@@ -30,11 +30,11 @@ class Example:
 @checks("rules")
 @dataclass(frozen=True, kw_only=True)
 class CollectRules:
-    """Numbers of the protocol.
+    """Settings of the protocol.
 
     Attributes:
         people: planned number of people, shown on the researcher's page; more people may take part.
-        points: labels of each person, without those for consistency and attention.
+        points: number of labels of each person, without labels for consistency and attention.
         timeout_minutes: minutes without activity after which a participant is paused.
         repeats: number of questions that are asked a second time, for consistency.
         attention: True if an obvious step is among the questions.

@@ -195,12 +195,12 @@ def count_agreement(plan: CollectPlan, people: Sequence[CollectState]) -> dict[s
 
 
 def predict_new_types(types: int, people: int, more: int) -> tuple[float, float]:
-    """Predicts the new types in more people, after ``types`` were found in ``people`` (Ewens'
-    sampling formula).
+    """Predicts the new types in more people, after ``types`` types were found in ``people`` people
+    (Ewens' sampling formula).
 
-    The concentration α is the value with this expected number of types: Σ α / (α + i) over i <
-    people. The minimum of α expects about half a type besides the first type. Without a minimum, a
-    single type would give every new type the probability 0.
+    The concentration α is the value at which the expected number of types, Σ α / (α + i) over i <
+    people, is ``types``. α has a minimum, at which about 1.5 types are expected: without it, a
+    single found type would give α = 0, and new types would have probability 0.
 
     Returns:
         The probability that the next person has a new type, and the expected number of new types in

@@ -71,8 +71,8 @@ PROBLEMS: dict[Any, Callable[[Request, Exception], JSONResponse]] = {
 
 
 class OnlyJson:
-    """Reads every body of at most LARGEST bytes as JSON, even if it is sent as text (as beacons
-    do)."""
+    """ASGI middleware that reads every body as JSON, even if it is sent as text (as beacons do). It
+    refuses bodies of more than LARGEST bytes."""
 
     def __init__(self, app: Any) -> None:
         self.app = app
