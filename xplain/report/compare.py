@@ -244,8 +244,8 @@ def table(summary: Summary) -> Table:
 
 
 def _list_combinations(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
-    """Makes a row for each combination, with its measures. Competing combinations are marked, the
-    best first."""
+    """Makes a row for each combination, with its measures. If the combinations compete, they have
+    marks, and the best combination comes first."""
     questions = ["questions"] if summary.episodes["questions"].any() else []
     measures = [summary.measure.name, "cost", *_list_references(summary)]
     shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *questions])
@@ -313,8 +313,8 @@ def value_title(key: str, value: Value) -> str:
 
 
 def label(values: Mapping[str, Value]) -> str:
-    """Returns a readable form of values with their keys: ``λ = 0.5``, but ``QMDP`` and ``Four
-    rooms``. A job without any of the keys is called the default."""
+    """Formats values with their keys, such as ``λ = 0.5``; solvers and domains only by name, such
+    as ``QMDP``. A job without any of the keys is called the default."""
     found = [
         value_title(key, value)
         if key in ("domain", "solver")
@@ -326,7 +326,8 @@ def label(values: Mapping[str, Value]) -> str:
 
 
 def _list_common(summary: Summary) -> str:
-    """Lists the values that all compared runs share, if a reader needs them."""
+    """Lists the domain, solver and λ that all compared runs share, and the numbers of traces and
+    seeds."""
     keys = [key for key in ("domain", "solver", "lambda") if key not in summary.shown]
     parts = [label({key: own[0]}) for key in keys if len(own := summary.values(key)) == 1]
     traces = int(summary.episodes.groupby("seed")["trace"].nunique().max())

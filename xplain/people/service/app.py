@@ -256,6 +256,6 @@ def create_app(talks: Talks, origins: Sequence[str] = (), key: str = "") -> Fast
 
 
 def csv_of(rows: Sequence[dict[str, Any]]) -> PlainTextResponse:
-    """Formats a table of labels in the format of ``discover``."""
+    """Formats rows of labels as a CSV table that ``xplain discover`` can read."""
     table = pd.DataFrame(rows, columns=None if rows else ["observer", "messages", "label"])
     return PlainTextResponse(table.to_csv(index=False), media_type="text/csv; charset=utf-8")

@@ -117,7 +117,8 @@ class Served:
         return list(transition)
 
     def session(self, trace: Sequence[Sequence[float]], expected_steps: int) -> Session:
-        """Begins to explain a trace to a new person. People with the same trace share its plan."""
+        """Begins to explain a trace to a new person. All people with the same trace share one
+        plan."""
         return self._sessions(tuple(map(tuple, trace)), expected_steps).restart()
 
     @cached_property

@@ -40,7 +40,7 @@ class AskedQuestion:
     """A question to the participant.
 
     Attributes:
-        step: k of the next step.
+        step: k of the step after the question.
         question: index of the question.
         told: number of messages given before the question.
         worth: the policy's value of the question minus the value of its best other action; None if

@@ -217,8 +217,8 @@ class Study(Explaining):
     # Places --------------------------------------------------------------------------------------
 
     def cell(self, stream_name: str, position: int) -> tuple[int, str]:
-        """Returns type and condition of a place: each block contains every cell once, in a seeded
-        order."""
+        """Returns type and condition of a place. Each block of places contains every cell once, in
+        a seeded order."""
         block, place = divmod(position, len(self.plan.cells))
         rng = stream(self.plan.seed, "slots", stream_name, block)
         return self.plan.cells[int(rng.permutation(len(self.plan.cells))[place])]

@@ -58,7 +58,7 @@ class StudyRole:
         name: name of the user type.
         wrong: positions of the facts that this type believes incorrectly.
         briefing: one sentence for each fact, as this type believes it; none without a briefing.
-        eligibility: one question for each fact, with this type's answer; or none.
+        eligibility: one question for each fact, with this type's answer; none without a briefing.
         quiz: the statements of the last test, true statements first.
     """
 

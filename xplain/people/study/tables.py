@@ -260,7 +260,7 @@ def interaction(events: Sequence[Event]) -> Row:
     the browser's events (no scripts).
 
     Args:
-        events: the participant's events, in order; none if nothing is known.
+        events: the participant's events, in order; may be empty.
     """
     took = clock = away = None
     evaluated = [e for e in events if e.kind == "shown" and e.payload["stage"] in EVALUATING]
