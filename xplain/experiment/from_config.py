@@ -193,7 +193,7 @@ def check(configurations: Iterable[Mapping[str, Any]]) -> None:
     for each type, so that values are checked before any work.
 
     Raises:
-        XplainError, HydraException: a component refuses a value, or a task has no way to its goal.
+        XplainError, HydraException: a component refuses a value, or a task has no path to its goal.
     """
     seen: set[str] = set()
     for config in configurations:

@@ -60,7 +60,7 @@ class Components:
 
 @dataclass(frozen=True)
 class Case:
-    """One trace, with the labels that every agent and every user gives it.
+    """One trace, with its labels by every labeler and by every true type.
 
     Attributes:
         transitions: [m, 3].
@@ -204,7 +204,7 @@ def build_case(
     beliefs: CaseQuestions | None = None,
     most: int = 0,
 ) -> Case:
-    """Collects the labels that all agents and users give a trace [m, 3], and at most ``most``
+    """Collects the labels of a trace [m, 3] by all labelers and true types, and at most ``most``
     questions: clips, beliefs, or both."""
     domain = setting.domain
     features = transition_features(domain, transitions)

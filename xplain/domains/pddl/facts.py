@@ -242,7 +242,7 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
     """Finds the items in which two tasks differ. Returns the believed version of each difference,
     by a unique name such as pick_up_needs_handempty.
 
-    All items with a predicate that only one task has are one difference. If only one task has a
+    If only one task has a predicate, all items with it are one difference. If only one task has a
     value of a function, and only this task has an initial atom with the same arguments, then the
     value and the atom are one difference.
 

@@ -74,7 +74,7 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
             every.setdefault(item, value)
 
     def guard(item: Item) -> Any:
-        """Returns the condition under which a person believes in an item."""
+        """Returns the condition under which a person's task has an item."""
         own = [(flag, fact[item]) for flag, fact in zip(flags, facts, strict=True) if item in fact]
         if item in robots:
             return lifted.Conjunction([flag.negate() for flag, value in own if value is None])
