@@ -4,8 +4,6 @@ Hydra looks for plugins in ``hydra_plugins``: every Hydra program of the environ
 file, so it imports nothing of xplain before a sweep begins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

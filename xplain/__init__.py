@@ -5,8 +5,6 @@ Everything else may change. docs/explainer.md describes explanations in a progra
 describes experiments, and docs/your-own-domain.md describes new components.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 __version__ = "0.1.0"

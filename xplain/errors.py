@@ -1,8 +1,6 @@
 """Errors that a user can correct, and the checks that raise them. The text of an error is one line
 with the key, the value, and the allowed values."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

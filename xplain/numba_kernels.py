@@ -6,8 +6,6 @@ kernel's own file changes. A kernel may call functions in other files, so the na
 entry contains a digest of these files.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from hashlib import sha256

@@ -4,8 +4,6 @@ Each component draws from its own stream. So another solver leaves data and trac
 results do not depend on the number of processes.
 """
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

@@ -3,8 +3,6 @@
 Reading creates only objects that a type hint names; nothing is ever unpickled.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import types

@@ -1,7 +1,5 @@
 """A command: a function with click's options, its help, and its position in the command line."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from functools import partial, wraps

@@ -3,8 +3,6 @@
 Slow imports happen only after the command is known.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -1,7 +1,5 @@
 """The command ``plan``, for a saved problem."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Writes a session as one HTML page, which shows each step and loads no other file."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from importlib.resources import files

@@ -1,7 +1,5 @@
 """The demo's session, from the configuration to its last step."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

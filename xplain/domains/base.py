@@ -1,8 +1,6 @@
 """The interface of a domain: a robot's task with parameters that people may believe incorrectly
 (docs/method.md, section 1)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable

@@ -5,8 +5,6 @@ penalty cells, the discount, the cost of a step, and the penalty. docs/choices.m
 values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

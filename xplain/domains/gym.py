@@ -5,8 +5,6 @@ to become tasks. The robot's values are those of the environment. Each parameter
 believe incorrectly is a list of changes of the environment's rewards or transitions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -5,8 +5,6 @@ reward once. Rubble, puddles and fences cost it nothing, but people may believe 
 docs/choices.md explains what the paper does not specify.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -8,8 +8,6 @@ The key of an entry covers its configuration and all code that made it
 computed again. Entries are arrays and JSON; nothing is unpickled.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zipfile

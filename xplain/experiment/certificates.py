@@ -1,8 +1,6 @@
 """Certificates of a run's explanation problems: bounds of the optimal value, the value of the
 policy, and the value of knowing the type (all under the learned model)."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from contextlib import suppress

@@ -1,8 +1,6 @@
 """Configuration that all commands share: the folder of the YAML files, the types of the top-level
 keys, and one-line errors."""
 
-from __future__ import annotations
-
 import difflib
 import os
 import re

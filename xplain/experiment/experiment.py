@@ -3,8 +3,6 @@
 Components ── Prepared ── Records ── certificates
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Case ── Problem ── Policy ── Episode ── Record
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal

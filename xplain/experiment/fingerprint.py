@@ -7,8 +7,6 @@ configuration names. Stored results and cached stages with an equal fingerprint 
 fingerprint must change in every doubtful case.
 """
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import importlib.util

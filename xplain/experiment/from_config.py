@@ -1,7 +1,5 @@
 """Makes the values of an experiment from a composed configuration."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace

@@ -7,8 +7,6 @@ second half, Problem ── Policy ── Episode, is in :mod:`xplain.experiment
 is one function, which commands and the study also call.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Annotated
 

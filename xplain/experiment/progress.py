@@ -1,7 +1,5 @@
 """The progress of long work; its display is in :mod:`xplain.report.stages`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, TypeVar

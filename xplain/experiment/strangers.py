@@ -1,7 +1,5 @@
 """Users of types that no observer has (``Explainee.others``)."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 

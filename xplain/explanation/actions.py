@@ -4,8 +4,6 @@ The explainer sees the number of shown transitions, the given messages, and the 
 user is hidden, and is described by a belief (mixed observability: Ong, Png, Hsu & Lee 2010).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -14,8 +14,6 @@ only the nearest to the trace may be asked. After its answer the next nearest ma
 users may err. A question is left out if all hidden types answer it alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Annotated, Literal

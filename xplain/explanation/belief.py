@@ -9,8 +9,6 @@ each row without the fact to the row with the fact, and forgetting moves a share
 A *belief update* chooses which of the user's labels count as evidence.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
 

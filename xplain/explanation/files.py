@@ -10,8 +10,6 @@
   above any cost, and no optimal policy gives it.
 """
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Iterator

@@ -7,8 +7,6 @@ unknown, so they belong to the hidden state, like the user type, and have values
 Costs depend on what a user thinks; beliefs depend on what the user answers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -8,8 +8,6 @@ prior is Dirichlet around the documented shares, and each person's habit is hidd
 objective is concave, so it ends at the mode).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol

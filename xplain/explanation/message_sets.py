@@ -3,8 +3,6 @@
 Bit j of a mask is message j (in the order of the domain's parameters).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

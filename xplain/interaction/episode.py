@@ -3,8 +3,6 @@
 docs/method.md, sections 5 and 7.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -5,8 +5,6 @@
 See docs/explainer.md.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Computes the paper's figures, and further ones, from episodes (docs/method.md, section 7)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import zip_longest
 

@@ -1,7 +1,5 @@
 """Means with intervals over episodes. Episodes are not independent, because users share traces."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

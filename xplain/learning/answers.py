@@ -15,8 +15,6 @@ questions are shrunk to one common mean. If slips seem more frequent than guesse
 questions, then f probably differs from its prior.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import prod
 from typing import NamedTuple

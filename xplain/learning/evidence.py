@@ -5,8 +5,6 @@ Answers are in the order in which each observer gave them, and are split into qu
 is predicted from the earlier quarters of observers of the same type.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -12,8 +12,6 @@ difference between the earlier answer and its expectation, times a weight, is ad
 of a later answer.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

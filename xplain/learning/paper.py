@@ -13,8 +13,6 @@ fewest messages. Ties follow the order of the messages: {0, 5} comes before {1, 
 the first message.
 """
 
-from __future__ import annotations
-
 import logging
 import warnings
 from collections.abc import Iterable, Sequence

@@ -1,8 +1,6 @@
 """Predictions of answers: P(answer 1) of observers to questions, and how well types and labelers
 predict held-out answers."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 Types and conditions of participants stay hidden by default.
 """
 
-from __future__ import annotations
-
 import secrets
 import shutil
 import tempfile

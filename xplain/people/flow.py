@@ -10,8 +10,6 @@ From every stage a participant may come to an end: declined, withdrawn, timed_ou
 flow. After timed_out the participant may return to the earlier stage.
 """
 
-from __future__ import annotations
-
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

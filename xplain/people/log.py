@@ -5,8 +5,6 @@ everything else is computed from events. One process has the file open for writi
 events are on the disk (WAL, ``synchronous=FULL``), and a repeated event is stored once.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import secrets

@@ -1,7 +1,5 @@
 """The map and the robot's way as inline SVG. The drawings are in ``templates/map.svg``."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The settings of a server of pages, its signatures, and its limits on requests."""
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import time

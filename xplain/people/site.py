@@ -1,7 +1,5 @@
 """Shared by all pages: the flow with its store, a request, and its responses."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The server logic of a study or a collection: how participants enter and continue."""
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import math

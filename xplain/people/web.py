@@ -1,7 +1,5 @@
 """The web application: checks on every request, and the pages of participants."""
 
-from __future__ import annotations
-
 import base64
 import logging
 import re

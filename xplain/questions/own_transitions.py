@@ -1,7 +1,5 @@
 """A user's own table of transitions, for robots without a grid."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path

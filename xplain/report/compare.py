@@ -5,8 +5,6 @@ A sweep's keys are its dimensions. Seeds are replicates, never a dimension. A ke
 only if the sweep's file says so (``pool``).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import Counter

@@ -5,8 +5,6 @@ result's address has ``results.json``. If it failed, ``failure.json`` in its own
 ``jobs/`` has the reason. Both files are written atomically.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from contextlib import suppress

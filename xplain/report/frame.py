@@ -8,8 +8,6 @@ Nothing here depends on the duration of a job, on the order in which jobs ended,
 the same jobs give the same bytes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The report of a sweep: tables, plots, and one HTML page with all of them."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The paper's published values (Table 1, which cuts them to two decimals), and readable names."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping
 from functools import cache

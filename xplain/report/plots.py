@@ -4,8 +4,6 @@ Axes are labelled; colours, markers and line styles differ for colour-blind peop
 Figures are made without pyplot, which keeps every figure until the figure is closed.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path

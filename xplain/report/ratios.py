@@ -1,8 +1,6 @@
 """Computes for each kind of people the cost of an explainer divided by the cost of the best other
 explainer in the sweep."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Prints the results of a run, and the table of a sweep, on the terminal."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from statistics import fmean

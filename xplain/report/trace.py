@@ -1,8 +1,6 @@
 """The picture of one explanation, drawn from a run's files alone: the map with the path, the labels
 at each step, the belief, and the robot's messages."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -3,8 +3,6 @@
 Slow imports happen only after the configuration is checked.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import time

@@ -1,7 +1,5 @@
 """The outputs folder, with its runs, sweeps and results."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

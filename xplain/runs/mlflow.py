@@ -6,8 +6,6 @@ be sent later, and results that are sent twice exist once. This module imports M
 second.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -1,7 +1,5 @@
 """The commands ``observe`` and ``questions``, from their configurations to their files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Ends a command's sweep and its workers cleanly on a signal."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -4,8 +4,6 @@ MLflow.
 The launcher is one of Hydra's on the command line, and joblib in Python.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

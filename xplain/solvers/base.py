@@ -6,8 +6,6 @@ action. So a decision can be replayed, evaluated exactly, and shown to a person 
 Policies with a random search draw from a stream that depends on the seed and these two arguments.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Mapping

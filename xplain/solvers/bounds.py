@@ -1,7 +1,5 @@
 """Bounds of the optimal value, for certificates and for the command ``plan``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

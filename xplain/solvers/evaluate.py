@@ -6,8 +6,6 @@ messages H was always reached by k times *explain* and one action for each messa
 does not depend on the path. Messages discount only if they always correct the fact.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

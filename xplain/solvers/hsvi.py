@@ -12,8 +12,6 @@ the search has opened, the policy takes the action with the best lower bound. At
 (after unlikely answers, or with users unlike the model) it runs a short search from there.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -19,8 +19,6 @@ is convex in the belief, so an upper bound at one belief gives upper bounds at t
 sawtooth; Hauskrecht 2000).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

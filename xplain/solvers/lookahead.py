@@ -5,8 +5,6 @@ possible answer the belief is updated, and QMDP gives the best value *after* it.
 to gain information from answers, which QMDP never does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

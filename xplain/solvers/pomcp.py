@@ -27,8 +27,6 @@ labels. So a search with enough simulations is a step of policy improvement over
 worse than QMDP.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache

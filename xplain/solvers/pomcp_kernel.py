@@ -10,8 +10,6 @@ code Σ_i [l_i = 0] · w_i, where w is a 64-bit hash of the label's column. Two 
 get the same code with probability 2^-64.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

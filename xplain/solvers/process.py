@@ -39,8 +39,6 @@ table for each message. The most expensive message comes first, so that the chea
 best set is given first. If messages may be missed, the next state depends on the accepted messages.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field
 from math import comb

@@ -1,8 +1,6 @@
 """The model that both compiled searches read: the process of one problem as arrays, with the
 kernels that they share."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

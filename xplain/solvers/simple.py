@@ -11,8 +11,6 @@
   independent of κ; then it is QMDP.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -14,8 +14,6 @@ Only the questions with the most informative answers (mutual information) are ev
 by :func:`telling_questions`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ your own, override the fixture::
 Run them with pytest. Each test checks a property that other parts of xplain need.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 _WHERE = {

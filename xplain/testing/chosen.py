@@ -1,7 +1,5 @@
 """Components from configurations, as on the command line."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from pathlib import Path
 from typing import Any

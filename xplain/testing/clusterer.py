@@ -1,7 +1,5 @@
 """Tests of type finders and of partitions (see :mod:`xplain.learning.user_types`)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

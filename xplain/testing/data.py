@@ -1,7 +1,5 @@
 """Small data sets whose labels follow a known rule."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

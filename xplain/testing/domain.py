@@ -1,7 +1,5 @@
 """Tests of domains (see :mod:`xplain.domains.base`)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

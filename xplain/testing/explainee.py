@@ -1,7 +1,5 @@
 """Tests of explainees (see :mod:`xplain.interaction.explainees`)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tests of labelers (see :mod:`xplain.learning.labelers`)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

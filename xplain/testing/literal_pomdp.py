@@ -10,8 +10,6 @@ not use the reduction to (k, H, belief). Optimal values come from the definition
 action and every observation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import compress, product

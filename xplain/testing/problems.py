@@ -1,7 +1,5 @@
 """Random explanation problems, small enough for brute force."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tests of query designs (see :mod:`xplain.learning.data.queries`)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

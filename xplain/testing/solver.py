@@ -1,7 +1,5 @@
 """Tests of solvers (see :mod:`xplain.solvers.base`)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, get_args

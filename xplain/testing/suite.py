@@ -1,7 +1,5 @@
 """The base class of all test suites."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Tests of sources of user types (see :mod:`xplain.domains.users.types`)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

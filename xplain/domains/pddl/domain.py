@@ -1,7 +1,5 @@
 """A planning task in PDDL as a domain: ``domain=pddl``."""
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Iterator, Mapping, Sequence

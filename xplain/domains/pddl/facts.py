@@ -4,8 +4,6 @@ their names, and their descriptions in words.
 A change is a mapping in YAML, such as ``{action: pick-up, drop_precondition: (handempty)}``.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace

@@ -7,8 +7,6 @@ depend on the atom. No action changes such atoms. A belief determines which of t
 a ground action exists in the belief if the action's conditions on these atoms hold.
 """
 
-from __future__ import annotations
-
 import logging
 from array import array
 from collections import Counter, defaultdict

@@ -3,8 +3,6 @@
 Each source has one method, ``types(domain, rng)``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product

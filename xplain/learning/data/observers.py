@@ -1,8 +1,6 @@
 """Observers, simulated or real people. User types are learned from their labels (docs/method.md,
 section 2)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

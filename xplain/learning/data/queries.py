@@ -1,8 +1,6 @@
 """Queries: the transitions that observers label, with message sets. Most transitions come from the
 robot's traces (docs/method.md, section 2)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol

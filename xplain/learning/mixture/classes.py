@@ -9,8 +9,6 @@ process assigns observers to classes; its variables are drawn in blocks (Ishwara
 are averaged over all draws, because a single draw is more certain than the answers allow.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, gammaln, softmax

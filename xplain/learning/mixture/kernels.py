@@ -10,8 +10,6 @@ row is taken out of an array, numba counts the references to the row, and this t
 inner loops.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -11,8 +11,6 @@ The second step assigns observers to types by a Chinese restaurant process, as i
 merging types finds the most likely partition (both methods are compared in benchmarks/README.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import reduce
 from itertools import combinations

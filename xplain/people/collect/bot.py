@@ -4,8 +4,6 @@ sometimes make errors, lose attention, or leave.
 The same observer can use HTTP or a real browser.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,8 +1,6 @@
 """The plan of a collection: everything that participants may see. It is fixed before the first
 participant enters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

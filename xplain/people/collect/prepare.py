@@ -1,7 +1,5 @@
 """Makes the plan of a collection from a configuration."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

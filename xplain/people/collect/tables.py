@@ -5,8 +5,6 @@ the questions. ``observers.csv`` describes the people who gave the labels, and `
 pages of these people. People, pilots and bots never share a table of labels.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

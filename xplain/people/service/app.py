@@ -4,8 +4,6 @@ Errors are problem+json (RFC 9457) with ``key``, ``value`` and ``allowed``. GET 
 repeated request gets the same reply.
 """
 
-from __future__ import annotations
-
 import json
 import secrets
 import sqlite3

@@ -3,8 +3,6 @@
 configuration ── served ── explanations and questionnaires (talks.py)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache

@@ -6,8 +6,6 @@ about this request. So a talk can be restored from its events alone, after a cra
     request ── Talks.begin / receive ── event on the disk ── reply
 """
 
-from __future__ import annotations
-
 import json
 import secrets
 from collections import OrderedDict

@@ -4,8 +4,6 @@ A :class:`StudyBot` has the plan's table of true labels, but uses only what the 
 participant can use HTTP or a real browser.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated

@@ -5,8 +5,6 @@ The explanation is the :class:`~xplain.interaction.dialogue.Dialogue` of the off
 restored for each page.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar

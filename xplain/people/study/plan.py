@@ -5,8 +5,6 @@ A plan is a value: texts, trace, label probabilities, the participants' types, a
 each condition.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

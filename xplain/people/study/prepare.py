@@ -1,7 +1,5 @@
 """Makes the plan of a study from a configuration."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """The tables of a study (``study export``), and the messages and labels from which people's habits
 are learned (``study habits``)."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
