@@ -292,7 +292,7 @@ class Flow(ABC, Generic[P, S]):
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """The parts of the plan that a researcher can preview."""
+        """Names of the cells (each a type with a condition) that a researcher can preview."""
         return ("a participant",)
 
     @abstractmethod

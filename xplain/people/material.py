@@ -101,7 +101,8 @@ class Material:
 
     @classmethod
     def of_domain(cls, domain: Domain, users: TypeSource, seed: int) -> Material:
-        """Makes the material of the transitions of a domain that differ in their features."""
+        """Makes the material of a domain's transitions, without transitions that questions cannot
+        distinguish by their features (``Hypotheses.drop_indistinguishable``)."""
         whole = hypotheses_of(domain, None)
         known = whole.drop_indistinguishable()
         assert known.states is not None, "hypotheses of a domain know states"

@@ -116,8 +116,8 @@ class Prior(NamedTuple):
         size: [Z] int64 number of facts in each subset.
         members: [Z] int64 the same facts as a bitmask.
         log_subset: [Z] log prior of each subset.
-        log_block: [depth + 1] log P(the block of facts that S_τ is drawn from | S_τ), by the size
-            of S_τ.
+        log_block: [depth + 1] log P(a drawn block of facts | S_τ), by the size of S_τ. The next
+            S_τ is a subset of the block.
         predictive: [2, E, 2 · REACH + 1, 2] log P(next label | whether M ∩ S is empty, ε, ones −
             zeros).
         marginal: [2, E, 2 · REACH + 1] log marginal likelihood of a cell, relative to f = 1.
@@ -172,7 +172,7 @@ class ChainState(NamedTuple):
         messages_given: [P] int64 the messages about S_τ that were given before each answer, packed
             into the lowest bits.
         counts: [T, 2^depth, 2] int64 labels 0 and 1 by cell (τ, M ∩ S_τ).
-        order: [n] int64 the messages; the block that was last tried for an observer comes first.
+        order: [n] int64 the messages; those last tried for an observer come first.
     """
 
     facts: NDArray[np.int64]

@@ -46,7 +46,8 @@ QUESTIONNAIRES = 512
 
 
 class TaskStage(Briefing["Collection", CollectState]):
-    """The robot's task, without the facts that people are asked about, and an assigned briefing."""
+    """Screens with the robot's task, which omit the facts that people are asked about, and with the
+    briefing, if one is assigned."""
 
     def facts(self, flow: Collection, state: CollectState) -> Mapping[str, Sequence[str]]:
         """Returns the facts of the briefing, if there is a briefing."""
@@ -230,7 +231,7 @@ class Collection(Flow[CollectPlan, CollectState]):
 
     @cached_property
     def found(self) -> dict[tuple[str, ...], Any]:
-        """Cache: the types found in the labels of some people, by their ids."""
+        """Cache: the types found in the labels of some people; the key is these people's ids."""
         return {}
 
     @cached_property

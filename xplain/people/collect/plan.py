@@ -76,17 +76,17 @@ class CollectPlan(StoredPlan):
 
     Attributes:
         example: the practice.
-        rules: numbers of the protocol.
+        rules: settings of the protocol.
         roles: roles of simulated people.
         assigned: True if each participant gets the briefing of a role.
         hypotheses: sets of facts that people may believe incorrectly, with phrases.
         whole: hypotheses for all transitions, from which types are learned. Nobody is asked about
-            transitions that have the same features as another transition. None if people are asked
-            about all transitions.
+            transitions that have the same features as another transition, but another label. None
+            if people are asked about all transitions.
         subject: subject of the phrases; "" if phrases are whole sentences.
         questions: the list of questions for all people, as (transition, message set); empty if each
             question depends on earlier answers.
-        design: the design of adaptive questions, which also evaluates the answers to a list.
+        design: settings of adaptive questions; beliefs about people use them for a list, too.
         shown: [T] the transitions.
         attention: the obvious step that does not make sense.
     """

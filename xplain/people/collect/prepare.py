@@ -61,10 +61,10 @@ def material_of(cfg: DictConfig) -> Material:
 def assemble(
     material: Material, design: Adaptive | Battery, rules: CollectRules, config: Mapping[str, Any]
 ) -> CollectPlan:
-    """Makes a plan from its parts.
+    """Makes a plan from the material, the design of the questions, the rules and the texts.
 
     Raises:
-        XplainError: two parts contradict each other.
+        XplainError: two of these values contradict each other.
     """
     known, wording = material.hypotheses, config["wording"]
     assert known is not None, "questions need hypotheses"

@@ -1,8 +1,8 @@
 """Tables from a snapshot of the database: ``collect export``.
 
-``labels.csv`` is the input of ``xplain discover``, together with ``hypotheses.npz``, which decided
-the questions. ``observers.csv`` describes the people who gave the labels, and ``clips.csv`` the
-pages of these people. People, pilots and bots never share a table of labels.
+``labels.csv`` is the input of ``xplain discover``, together with ``hypotheses.npz``, from which the
+questions were chosen. ``observers.csv`` describes the people who gave the labels, and ``clips.csv``
+the pages of these people. People, pilots and bots never share a table of labels.
 """
 
 import json
@@ -337,10 +337,10 @@ FACT_SETS = 64
 
 @dataclass(frozen=True)
 class Asked:
-    """The pages of one person.
+    """The answered pages of one person, and the fact sets that the person may have.
 
     Attributes:
-        known: labels of people by the facts that they believe incorrectly.
+        known: the hypotheses, with the labels of people who have a fact set.
         held: [N] fact sets that the person may have, as bitmasks.
         prior: [N] probabilities of the fact sets before any answer.
         clips: all pages except the obvious step, in order, with their labels.
