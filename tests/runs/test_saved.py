@@ -85,9 +85,11 @@ def unchanged(folder: Path) -> Iterator[None]:
     ("place", "words"),
     [
         (".", ("dry_run=true",)),
+        (".", ("lambda=-1",)),
         ("mine", ("dry_run=true",)),
         ("mine", ("lambda=-1",)),
         ("mine", ("lambda=abc",)),
+        ("mine", ("lambda=1,2",)),
         ("mine", ("solver=nonsense",)),
         ("mine", ("domain.map=S",)),
         ("mine", ("observers=file", "observers.path=absent.csv")),
@@ -113,9 +115,10 @@ def test_a_run_does_not_touch_the_results_of_another(tmp_path: Path) -> None:
     code, output = run(tmp_path, *given)
     assert code == 0, output
     with unchanged(tmp_path):
-        code, output = run(tmp_path, *given, "lambda=2")
-        assert code == 2, output
-        assert "hydra.run.dir='mine': another folder" in output
+        for words in (("lambda=2",), ("lambda=-1",), ("dry_run=true",), ("solver=nonsense",)):
+            code, output = run(tmp_path, *given, *words)
+            assert code == (0 if "dry_run=true" in words else 2), output
+            assert words != ("lambda=2",) or "hydra.run.dir='mine': another folder" in output
 
 
 def test_a_picture_that_cannot_be_drawn_costs_no_results(tmp_path: Path) -> None:
