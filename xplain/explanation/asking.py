@@ -94,8 +94,8 @@ class Questions:
     by default.
 
     Attributes:
-        table: P(label is 1), and P(answer is 1) if users err, of the Q questions; each question has
-            the place of a transition.
+        table: P(label is 1), and P(answer is 1) if users err, of the Q questions, which are indexed
+            like transitions.
         limits: cost, number and time.
         shows: [Q, m] True if a question is a clip of this transition of the trace.
         texts: Q texts, or none. The text of a clip is its step. The text of a belief has the two
@@ -144,8 +144,9 @@ def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
     indices, ascending.
 
     Two questions are alike if every type's more likely answer to both is equal, under every message
-    set. The nearest questions that differ before any message are selected first, then the nearest
-    questions that differ only after messages. Second, third, … questions that are alike follow.
+    set. The nearest question of each group of alike questions is selected first: first the
+    questions that differ before any message, then the questions that differ only after messages.
+    Then the second question of each group is selected, then the third, and so on.
     Questions that all types answer alike under every message set are left out.
     """
     yes = table.p >= 0.5
@@ -164,9 +165,9 @@ def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
 def nearest_first(
     features: NDArray[np.float64], of_trace: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """Returns [Q] the order of transitions with features [Q, F], by their distance to a trace
-    [m, F]. The distance is the number of features that differ from the nearest transition of the
-    trace, then the sum of the differences."""
+    """Sorts transitions with features [Q, F] by their distance to a trace [m, F]. Returns [Q] their
+    indices. The distance is the smallest number of features that differ from a transition of the
+    trace; the smallest sum of scaled differences breaks ties."""
     if not len(features):
         return np.empty(0, np.int64)
     scale = np.ptp(np.concatenate([features, of_trace]), axis=0)

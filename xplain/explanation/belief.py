@@ -89,7 +89,8 @@ class BeliefUpdate(Protocol):
 
 @dataclass(frozen=True)
 class Assuming:
-    """Assumptions of a belief about users; the defaults are the paper's.
+    """Base class of belief updates that assume rates of errors, acceptance and forgetting; the
+    defaults are the paper's.
 
     Attributes:
         error: probability that an answer is flipped.
@@ -109,7 +110,8 @@ class Assuming:
             check_assumed(key, getattr(self, key))
 
     def habits(self, learned: Habits | None = None) -> Habits:
-        """Combines the assumed rates; ``learned`` gives the rates that are set to ``learned``."""
+        """Combines the assumed rates. A rate whose setting is ``"learned"`` comes from the habits
+        ``learned``."""
         return habits_of(self.error, self.accept, self.forget, learned)
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
@@ -214,9 +216,9 @@ def after_message(
     message: int,
     accept: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Updates a belief [rows · N] by a message that was given once. ``relevant`` [N, r] has the
-    message of each bit of a row, and ``accept`` [N] the probability α that each type accepts the
-    message."""
+    """Updates a belief [rows · N] by a message that was given once. Bit j of a row's
+    index is message ``relevant[t, j]`` of type t (``relevant`` [N, r]). ``accept`` [N] is the
+    probability α that each type accepts the message."""
     after, landing = belief.copy(), np.where(relevant == message, accept[:, None], 0.0)
     for bit in np.flatnonzero(landing.any(axis=0)).tolist():
         pairs = after.reshape(-1, 2, 1 << bit, len(accept))

@@ -164,9 +164,10 @@ def _check_lines(expected: int) -> None:
 
 
 def _list_answers(problem: Problem, step: int, shown: int) -> list[list[float]]:
-    """Computes P(answer | type) of the distinguishable answers to *explain* at (k, H). If
-    transitions have equal columns, their number of labels 1 is the answer. Transitions that all
-    types label alike are left out."""
+    """Computes P(answer | type) of the distinguishable answers to *explain* at (k, H).
+    Transitions with the same probability for each type cannot be distinguished, so an answer has
+    only the number of labels 1 among these transitions. Transitions that all types label alike are
+    left out."""
     labels = problem.table.answer_probabilities(step + 1, shown)
     columns: dict[tuple[float, ...], int] = {}
     for i in range(step + 1):

@@ -75,8 +75,8 @@ class Habits:
         return bool((self.accept == 1).all()) and not self.forget.any()
 
     def shares(self, key: str) -> dict[float, float]:
-        """Returns the probability of each rate of a kind (``error``, ``accept``, ``forget``), by
-        ascending rate."""
+        """Returns the possible rates of ``key`` (``error``, ``accept`` or ``forget``), ascending,
+        with their probabilities."""
         rates = getattr(self, key)
         return {rate: float(self.prior[rates == rate].sum()) for rate in np.unique(rates).tolist()}
 
@@ -135,7 +135,8 @@ def habits_of(
 
 
 def check_assumed(key: str, assumed: Assumed) -> None:
-    """Raises InputError for anything except ``learned`` and rates in their range."""
+    """Raises InputError if a setting is not ``learned``, a rate in its range, or a mapping from
+    such rates to shares."""
     if assumed == "learned":
         return
     try:

@@ -92,7 +92,7 @@ class LabelTable:
             answers: P(answer is 1) in the same shape, if it differs from P(label is 1).
 
         Raises:
-            InputError: invalid or repeated indices, or a table of another width.
+            InputError: invalid or repeated indices, or a table whose last axis is not 2^r.
         """
         p, indices = _check_array("p_relevant", tables), np.asarray(relevant)
         if (
@@ -118,7 +118,8 @@ class LabelTable:
         """Makes a table from the arrays of :meth:`by_type`.
 
         Raises:
-            InputError: other widths, values that are no probabilities, or a repeated message.
+            InputError: a last axis that is not 2^r, values that are no probabilities, or a
+                repeated message.
         """
         width = relevant.shape[1]
         if width > MAX_RELEVANT:
@@ -213,8 +214,8 @@ class LabelTable:
         return np.ascontiguousarray(own.T)
 
     def select_messages(self, rows: Rows) -> LabelTable:
-        """Converts the table to these messages of each type, ascending. Its entries assume that no
-        other message is given.
+        """Makes a table over the messages ``rows`` of each type, ascending. Its entries assume that
+        no other message is given.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages of a type.
@@ -273,9 +274,9 @@ class LabelTable:
         )
 
     def mix_types(self, weights: NDArray[np.float64]) -> LabelTable:
-        """Replaces all types by one type. Each of its labels has the probability for a type that is
-        drawn again by ``weights`` [N]. Its answers equal its labels, because answers of a single
-        type give no information.
+        """Replaces all types by one type. Its P(label is 1) is the mean over all types, weighted by
+        ``weights`` [N]. Its answers equal its labels, because answers of a single type give no
+        information.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
@@ -316,7 +317,8 @@ def _pad_rows(rows: Rows, width: int) -> NDArray[np.int64]:
 
 
 def _locate_subsets(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.int64]:
-    """Computes [2^width] the indices of the subsets of ``row`` in a table over ``old``."""
+    """Computes [2^width] the index of each subset of the messages ``row`` in a table over the
+    messages ``old``; messages that are not in ``old`` have no effect."""
     sets = np.arange(1 << width)
     where = np.zeros_like(sets)
     for i, j in enumerate(row):

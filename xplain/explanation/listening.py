@@ -1,5 +1,5 @@
-"""Learns how people listen and answer, from explanations, or from other messages with questions
-before and after them.
+"""Learns how people listen and answer. The data are explanations, or answers to questions before
+and after other messages.
 
 An exact filter over (type, habits, knowledge) computes the posterior of a person's habits from an
 explanation: a person whose labels do not change after a message missed it; a person whose labels
@@ -65,7 +65,7 @@ def learn_habits(people: Sequence[Listener], grid: Habits | None = None) -> Habi
 
     Args:
         people: people with known answers.
-        grid: possible habits with their documented shares; None takes those of
+        grid: possible habits with their documented shares; None: all combinations of the rates in
             ``xplain.explanation.habits.UNKNOWN``. A person whose rate is between two rates of the
             grid counts partly for both; a person whose rate is beyond the last rate counts for the
             last.

@@ -48,10 +48,11 @@ def subsets(messages: Iterable[int]) -> NDArray[np.int64]:
 
 
 def expand(mask: int, kept: Sequence[int]) -> int:
-    """Converts a mask over the kept messages to a mask over all messages."""
+    """Converts a mask whose bit i is message ``kept[i]`` to a mask over all messages."""
     return sum(1 << j for i, j in enumerate(kept) if mask >> i & 1)
 
 
 def compress(mask: int, kept: Sequence[int]) -> int:
-    """Converts a mask over all messages to a mask over the kept messages."""
+    """Converts a mask over all messages to a mask whose bit i is message ``kept[i]``; other
+    messages are left out."""
     return sum(1 << i for i, j in enumerate(kept) if mask >> j & 1)

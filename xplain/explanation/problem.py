@@ -279,8 +279,8 @@ class Problem:
         )
 
     def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:
-        """Returns the problem of the same trace and costs for one type. Each of its labels has the
-        probability for a user drawn from the types by ``weights`` [N]; labels are independent.
+        """Returns the problem of the same trace and costs for one type. Its P(label is 1) is the
+        mean over all types, weighted by ``weights`` [N]; labels are independent.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.

@@ -23,25 +23,26 @@ from xplain.solvers.base import Policy
 
 
 class Asked(NamedTuple):
-    """A question with this number was asked."""
+    """The event that the question with this number was asked."""
 
     question: int
 
 
 class Answered(NamedTuple):
-    """The user answered the open question with 0 or 1."""
+    """The event that the user answered the question asked last with 0 or 1."""
 
     answer: int
 
 
 class Given(NamedTuple):
-    """The messages of a step were given (a bitmask; 0 is none)."""
+    """The event that the messages of a step were given (a bitmask; 0 is none)."""
 
     messages: int
 
 
 class Labelled(NamedTuple):
-    """*Explain* showed one more transition, and the user labelled all transitions shown so far."""
+    """The event that *explain* showed one more transition, and the user labelled all transitions
+    shown so far."""
 
     labels: tuple[int, ...]
 
@@ -182,7 +183,7 @@ class Dialogue:
         return state.visible._replace(asked=state.visible.asked | bitmask(heard.tolist()))
 
     def decide(self, asking: bool = True) -> Action:
-        """Returns the policy's action; without ``asking``, the action is not a question."""
+        """Returns the policy's action. If ``asking`` is False, the action is not a question."""
         visible = self.visible
         if not asking:
             visible = visible._replace(asked=(1 << len(self.problem.questions)) - 1)

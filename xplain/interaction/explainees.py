@@ -58,7 +58,8 @@ class Person(Protocol):
         """Answers a question with 0 or 1, given the messages ``given`` so far.
 
         Args:
-            row: index among the person's labels, after those of the trace.
+            row: index of the question's label among the person's labels, which begin with the
+                labels of the trace.
             given: bitmask of the messages.
 
         Raises:
@@ -206,7 +207,8 @@ class SimulatedUser(Person):
         return Reaction(thoughts, answers)
 
     def answer(self, row: int, given: int) -> int:
-        """Answers a question with 0 or 1; its labels are in row ``row`` of the table."""
+        """Answers a question with 0 or 1. Row ``row`` of the table has the labels of the
+        question."""
         thought = self.labels(row + 1, self.kind.find_known(self, given))[row:]
         return int(self.kind.say(self, thought, np.array([row]), given, "asked", row)[0])
 
@@ -340,7 +342,8 @@ class LearnsUntold(Explainee):
         return given | sum(1 << j for j in found)
 
     def end_step(self, user: SimulatedUser, known: int, thoughts: NDArray[np.uint8]) -> None:
-        """Stores this step for each message that would have changed a label for the first time."""
+        """Stores the current step for each message that would have changed a label now, and at no
+        earlier step."""
         for j in indices(sum(1 << j for j in user.table.rows[0]) & ~known):
             if (user.labels(user.step, known | 1 << j) != thoughts).any():
                 user.memory.setdefault(j, user.step)

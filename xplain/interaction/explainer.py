@@ -125,7 +125,8 @@ class GivenTypes:
         """Selects the rows of these transitions in a table, or calls a function for the rows.
 
         Raises:
-            InputError: other numbers of types, messages or transitions.
+            InputError: the numbers of types, messages or transitions do not match, or an index is
+                outside the table.
         """
         rows = given(transitions) if callable(given) else given
         table = rows if isinstance(rows, LabelTable) else LabelTable.dense(rows)
@@ -160,10 +161,10 @@ class Explainer:
         discount: γ_E, for planning.
         discount_per: see :class:`~xplain.explanation.problem.Problem`.
         belief_update: decides which labels are evidence, and how users err. The default None
-            depends on the types. If their facts are known and at most DENSE, it means
-            :class:`~xplain.explanation.anybody.Open` (people may have no type). Otherwise, if the
-            types include the observers' error rates, it means ``Persistent("learned")`` (people
-            repeat themselves and err as observers did). Otherwise it means the paper's
+            depends on the types. If ``types.wrong`` is known and there are at most DENSE messages,
+            it means :class:`~xplain.explanation.anybody.Open` (people may have no type). Otherwise,
+            if the types include the observers' error rates, it means ``Persistent("learned")``
+            (people repeat themselves and err as observers did). Otherwise it means the paper's
             :class:`~xplain.explanation.belief.Independent`. ``Open`` and ``Persistent`` use the
             observers' error rates, and the learned rate of acceptance if observers missed messages.
         seed: seed of randomised solvers.
@@ -225,7 +226,7 @@ class Explainer:
         """Begins to explain a trace to a new person.
 
         Args:
-            trace: the transitions known so far, in the form of ``types`` (learned types: rows of
+            trace: the transitions known so far, as ``types`` accepts them (learned types: rows of
                 features). If the robot has a whole plan, give all of it.
             expected_steps: expected length of the whole trace. The solver assumes that the
                 remaining transitions are explicable to everybody; at each of these steps the user

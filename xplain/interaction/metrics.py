@@ -30,8 +30,8 @@ another plan can have a lower cost by chance."""
 
 
 def possible(measure: str) -> Range:
-    """Returns the range of a measure of an episode. A cost below the clairvoyant's cost is an
-    exception: it can occur because plans are discounted and costs are not."""
+    """Returns the range of a measure of an episode, at which intervals are cut. A difference from
+    the clairvoyant's cost can still be negative, because plans are discounted and costs are not."""
     return RANGES.get(measure, (0.0, np.inf))
 
 

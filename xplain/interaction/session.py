@@ -48,7 +48,7 @@ class Candidate:
     """A possible question.
 
     Attributes:
-        transition: in the form of ``types``; the answer is its label.
+        transition: a transition that ``types`` accepts; the answer is its label.
         text: readable text. For a belief, the two sentences on two lines, in the order of display.
         right: for a belief, index of the true line; −1 for a step.
     """
@@ -104,7 +104,7 @@ class Why:
 
 
 def plain(transition: Any) -> Any:
-    """Converts numpy values, for comparisons and JSON."""
+    """Converts numpy values to Python values, for comparisons and JSON."""
     wrapped = isinstance(transition, (np.ndarray, np.generic))
     return transition.tolist() if wrapped else transition
 
@@ -276,7 +276,8 @@ class Session:
         """Takes the user's labels of the first ``shown`` transitions, 1 = explicable.
 
         Raises:
-            InputError: another number of labels, labels other than 0 and 1, or no step is open.
+            InputError: another number of labels, labels other than 0 and 1, or the messages of this
+                step were not decided before.
         """
         if self._talk.state.new is None:
             raise InputError("labels", labels, "messages() comes first")
@@ -317,7 +318,7 @@ class Session:
         )
 
     def take_up(self, events: Sequence[tuple[str, Any]]) -> None:
-        """Repeats all events, as :meth:`to_json` writes them.
+        """Repeats all events from a text that :meth:`to_json` wrote.
 
         Raises:
             InputError: see :meth:`ask`, :meth:`answer`, :meth:`tell` and :meth:`observe`; or an
@@ -359,7 +360,7 @@ class Session:
             raise InputError("trace", first, f"transitions that JSON allows ({error})") from None
 
     def _decide(self, asking: bool) -> None:
-        """Adds the policy's next action; without ``asking``, the action is not a question."""
+        """Adds the policy's next action. If ``asking`` is False, the action is not a question."""
         match self._talk.decide(asking):
             case AskQuestion(question):
                 self._talk.hear(Asked(question))

@@ -14,7 +14,7 @@ ANY: Range = (-np.inf, np.inf)
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean with the ends of its interval (NaN if a single cluster leaves it unknown)."""
+    """A mean with the ends of its interval (NaN if there is only one cluster)."""
 
     mean: float
     low: float
@@ -40,7 +40,7 @@ def clustered_ratio(above: ArrayLike, below: ArrayLike, clusters: ArrayLike) -> 
     large samples, the variance of the ratio. The interval is cut at 0.
 
     Args:
-        above, below: [E]; the mean of ``below`` is above 0.
+        above, below: [E] values a of the numerator and b of the denominator; mean(b) > 0.
         clusters: see :func:`clustered_mean`.
     """
     above, below = np.asarray(above, dtype=float), np.asarray(below, dtype=float)

@@ -81,7 +81,7 @@ class AnswerModel:
         self, question: NDArray[np.int64], person: NDArray[np.int64], label: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """Computes [P, 2] log P(y | f) of P answers for f = 0 and 1. Index −1 is an unknown
-        question or person, with the mean of all."""
+        question or person, who has the average rates."""
         each = self.likelihood(question, label)
         return np.asarray(np.log((each * self.person[person][:, None, :]).sum(axis=2)))
 
@@ -113,8 +113,8 @@ def predict_answers(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> ND
 def truth(
     one: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Computes P(f = 1) from P(y = 1) ``one``, if P(y = 1) is ``low`` for f = 0 and ``high`` for f
-    = 1. So an accuracy measured on answers becomes an accuracy about f."""
+    """Computes P(f = 1) from ``one``, P(y = 1). ``low`` is P(y = 1 | f = 0), and ``high`` is
+    P(y = 1 | f = 1). This converts an accuracy measured on answers to an accuracy about f."""
     return np.asarray(((one - low) / (high - low)).clip(0.0, 1.0))
 
 
@@ -207,9 +207,9 @@ def _estimate_slips(
     weight: NDArray[np.float64],
     answers: CellAnswers,
 ) -> NDArray[np.float64]:
-    """Estimates [2, T + 1] slips and guesses, from P(f, error rate) ``weight`` [P, 2, E] of each
-    answer. A person's earlier answers show which part of the errors is that person's own error
-    rate."""
+    """Estimates [2, T + 1] slips and guesses from ``weight`` [P, 2, E], the posterior P(f, error
+    rate) of each answer. Errors that the person's error rate explains do not count as slips or
+    guesses."""
     question, counts = answers.question, np.zeros((2, 2, len(slip) - 1))
     for f, before in ((1, slip), (0, guess)):
         unlike = (answers.label != f)[:, None]

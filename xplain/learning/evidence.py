@@ -69,8 +69,8 @@ class Evidence:
 
     @property
     def against(self) -> float:
-        """Log evidence against the hypotheses, for labels alone or for a fair coin (for the better
-        of the two)."""
+        """Log evidence against the hypotheses, compared with labels alone or with a fair coin,
+        whichever predicts better."""
         own, others = self.nats
         return (own - min(others, COIN)) * len(self.of_type)
 
@@ -154,7 +154,7 @@ def predict_in_order(
 
 
 def number_parts(observer: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns [P] the part of each answer within its observer's answers, 0 to PARTS − 1."""
+    """Returns [P] the quarter of its observer's answers that each answer is in, 0 to PARTS − 1."""
     order, count = np.argsort(observer, kind="stable"), np.bincount(observer)
     rank = np.empty(len(observer), dtype=np.int64)
     rank[order] = np.arange(len(observer)) - (np.cumsum(count) - count)[observer[order]]

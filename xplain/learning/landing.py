@@ -101,9 +101,10 @@ def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landin
             unknown.
 
     Returns:
-        None if fewer than PEOPLE observers received lasting messages between their answers, or if
-        there are too many hidden states. Also None without a table if observers received different
-        messages, because types may then explain more than abilities.
+        None if fewer than PEOPLE observers received lasting messages between their answers, if
+        other observers received messages in another form, or if there are too many hidden states.
+        Also None if ``table`` is None and observers received different messages, because their
+        answers may then differ by type instead of ability.
     """
     given = [
         np.unique(dataset.message_set[dataset.observer == o]) for o in range(len(dataset.observers))
@@ -228,10 +229,10 @@ def _predict_answers(
     return np.asarray(f * (1 - slips[:, None]) + (1 - f) * guess)
 
 
-def _shrink_rates(times: NDArray[np.float64], of: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Computes [Q] the rates ``times`` / ``of``, shrunk towards their overall mean."""
-    mean = (times.sum() + 1) / (of.sum() + 20)
-    return np.asarray(((times + WEIGHT * mean) / (of + WEIGHT)).clip(0.001, 0.6))
+def _shrink_rates(count: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Computes [Q] the rates ``count`` / ``total``, shrunk towards their overall mean."""
+    mean = (count.sum() + 1) / (total.sum() + 20)
+    return np.asarray(((count + WEIGHT * mean) / (total + WEIGHT)).clip(0.001, 0.6))
 
 
 def _compute_interval(

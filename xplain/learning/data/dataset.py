@@ -64,7 +64,8 @@ class Dataset:
 
 
 def number_rows(rows: ArrayLike) -> dict[bytes, int]:
-    """Maps each row of distinct rows [U, F] to its index. 0 and −0 are equal."""
+    """Returns the index of each of the distinct rows [U, F], by the bytes of the row. 0 and −0 are
+    equal."""
     return {row.tobytes(): u for u, row in enumerate(np.asarray(rows, np.float64) + 0.0)}
 
 
@@ -77,8 +78,8 @@ def places(rows: ArrayLike, known: ArrayLike | Mapping[bytes, int]) -> NDArray[n
 
 
 def query_index(dataset: Dataset) -> NDArray[np.int64]:
-    """Numbers [P] each label's query (transition, message set), 0 … distinct queries − 1, in the
-    order of (transition, message set)."""
+    """Returns [P] the number of each label's query (transition, message set). Distinct queries have
+    the numbers 0, 1, … in the order of (transition, message set)."""
     told = np.unique(dataset.message_set, return_inverse=True)[1]
     key = dataset.transition * (told.max(initial=0) + 1) + told
     return np.unique(key, return_inverse=True)[1].astype(np.int64)

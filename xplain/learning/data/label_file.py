@@ -82,14 +82,14 @@ class Column(NamedTuple):
 
     @classmethod
     def of(cls, key: str, name: str, cells: Any) -> Column:
-        """Numbers the texts of some cells."""
+        """Makes a column from its cells."""
         import pandas as pd
 
         code, words = pd.factorize(pd.Series(cells, dtype=object).str.strip(), sort=True)
         return cls(key, name, np.asarray(words, dtype=object), code.astype(np.int64))
 
     def different_with(self, *others: Column) -> int:
-        """Counts the distinct rows of this column and others."""
+        """Counts the distinct rows of a table that has this column and the columns ``others``."""
         code = self.code
         for other in others:
             code = np.unique(code * len(other.words) + other.code, return_inverse=True)[1]
@@ -177,8 +177,8 @@ def _read_float(word: str) -> float:
 def features_of(
     columns: Iterable[Column], like: Sequence[str] = ()
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Returns the features [P, F] of some columns, and their names; ``like`` decides between number
-    and text."""
+    """Returns the features [P, F] of some columns, and their names. The names in ``like`` decide
+    which columns are read as numbers, and which as text."""
     made = [(column, *column.features(like)) for column in columns]
     found = np.hstack([values[column.code] for column, values, _ in made]).astype(np.float64)
     return found, tuple(name for *_, own in made for name in own)
@@ -243,7 +243,8 @@ def read_table(
         ignore: columns to leave out, if ``features`` is None.
         under_way: accept a table that is too small to learn types from, because more labels will
             follow.
-        like: names of the required features, in order; they also decide between number and text.
+        like: names of the required features, in order; they also decide which columns are read as
+            numbers, and which as text.
         key: the user's key, for errors.
 
     Raises:
@@ -291,7 +292,7 @@ def read_questions(path: str | Path, like: Dataset) -> tuple[pd.DataFrame, Datas
 
     Args:
         path: path of the table.
-        like: the labels for the predictions; only its features and messages may occur.
+        like: the labels that the predictions are made from; other features or messages are refused.
 
     Returns:
         The unchanged table, and a dataset of its rows in order; all its labels are 0 and have no
@@ -439,8 +440,8 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
 
 
 def option(key: str, name: str, *values: str) -> str:
-    """Writes the command-line option that sets the key ``name`` to a list of texts. The option is
-    about the table whose path has the key ``key``."""
+    """Writes the command-line option that sets ``name`` (such as ``ignore``) to a list of texts,
+    for the table whose path is set by the key ``key``."""
     return shlex.quote(f"{PREFIXES.get(key, '')}{name}=[{','.join(map(_quote, values))}]")
 
 
@@ -560,8 +561,8 @@ def message_sets(
         messages: the allowed names, in order; None: all names in the column, sorted.
 
     Raises:
-        InputError: a name is unknown, or looks like several names, like no message, or like another
-            name; or there are too many names.
+        InputError: a name is unknown, looks like several names, means "no message", or differs from
+            another name only by case; or there are too many names.
     """
     absent = MISSING - {*(messages or ())}
     given = [[" ".join(x.split()) for x in cell.split(";") if x.strip()] for cell in column.words]
@@ -579,8 +580,8 @@ def message_sets(
 
 
 def _refuse_unclear_names(key: str, names: Sequence[str]) -> None:
-    """Raises InputError for a name that looks like several names, like no message, or like another
-    name."""
+    """Raises InputError for a name that looks like several names, means "no message", or differs
+    from another name only by case."""
     one = "if it is one message, give it another name"
     if key in PREFIXES:
         one = f"if it is one message: {option(key, 'messages', *names)}"

@@ -29,7 +29,7 @@ class Observed:
         dataset: the labels.
         truth: [O] index of each observer's true type; None if unknown.
         setting: the domain, the true types and their models; None if there is only a table.
-        likely: further fact sets (bitmasks) that the questions found likely.
+        likely: fact sets (bitmasks) that the answers made likely and that no hypothesis contained.
     """
 
     dataset: Dataset
@@ -57,8 +57,8 @@ class Observed:
 
     @cached_property
     def hypotheses(self) -> Hypotheses | None:
-        """The hypotheses of the domain and the fact sets that the questions found likely; None if
-        there is only a table."""
+        """The hypotheses of the domain, extended by the fact sets ``likely``; None if there is only
+        a table."""
         if self.setting is None:
             return None
         own = hypotheses_of(self.setting.domain, None)
@@ -66,8 +66,9 @@ class Observed:
 
     @property
     def behaviour(self) -> NDArray[np.int64] | None:
-        """[O] the ``distinct`` number of each observer's type; None if true types are unknown.
-        Types with the same labels count as one type, for clustering and for scores."""
+        """[O] the number of each observer's true type; None if true types are unknown. Types with
+        the same labels have the same number, because clustering and scores count them as one
+        type."""
         if self.truth is None or self.setting is None:
             return self.truth
         return self.setting.distinct[self.truth]

@@ -129,11 +129,11 @@ def resample_transitions(answers, prior, state, temperature, rng):  # type: igno
 
 @njit(nogil=True)
 def _count_answers(t, answers, held, block, number, wrong, times):  # type: ignore[no-untyped-def]
-    """Counts the answers about transition t once for all subsets.
+    """Counts the answers about transition t by M. The counts serve all subsets of ``block``.
 
-    ``wrong`` receives the distinct M, restricted to the facts of ``block``; ``times`` receives the
-    number of labels 0 and 1 of each. Returns the number of distinct M. ``number`` is −1 before and
-    after.
+    Two M are the same if they agree on the facts of ``block``. ``wrong`` receives the distinct M;
+    ``times`` receives the numbers of labels 0 and 1 of each distinct M. Returns the number of
+    distinct M. Each entry of ``number`` is −1 before the call and after it.
     """
     rows, distinct = answers.rows, 0
     for i in range(answers.transition_start[t], answers.transition_start[t + 1]):
@@ -153,7 +153,7 @@ def _count_answers(t, answers, held, block, number, wrong, times):  # type: igno
 
 @njit(nogil=True)
 def _pack_block(block, mask, n):  # type: ignore[no-untyped-def]
-    """Packs the bits of ``mask`` at the positions of the bits of ``block``."""
+    """Packs the bits of ``mask`` at the positions of the bits of ``block`` into the lowest bits."""
     packed, size = 0, 0
     for j in range(n):
         if block >> j & 1:

@@ -68,8 +68,8 @@ class HypothesisLabeler(MeasuredLabeler):
     """The posterior over the fact sets of people of one type, and the labels that follow from it.
 
     It predicts what people find explicable, f, not what they answer: errors in answers are left
-    out. ``alone`` predicts transitions that the hypotheses do not contain. If transitions are given
-    by their states, transitions with equal features are distinguished.
+    out. The labeler :attr:`alone` predicts transitions that the hypotheses do not contain. If
+    transitions are given by their states, transitions with equal features are distinguished.
 
     Attributes:
         known: the hypotheses.
@@ -77,7 +77,8 @@ class HypothesisLabeler(MeasuredLabeler):
         trust: weight of the hypotheses; ``alone`` has the remaining weight. The weight is 1 if
             people agree with the hypotheses (:attr:`doubt`).
         facts: [R] likely fact sets.
-        weight: [R, 1 + V, D] posterior of fact set, variant and deviation.
+        weight: [R, 1 + V, D] posterior of fact set, variant of the hypotheses (0 is no variant) and
+            deviation δ.
         cells: cells of the answers, for each fact set.
         learned: [N] P(f = 1) of each cell, times the weight of its fact set.
         level: [E] posterior of the error levels.
@@ -102,7 +103,7 @@ class HypothesisLabeler(MeasuredLabeler):
         given: NDArray[np.float64] | None = None,
         trust: float = 1.0,
     ) -> HypothesisLabeler:
-        """Computes the posterior over fact sets, variants and deviations.
+        """Computes the posterior over fact sets, variants of the hypotheses and deviations δ.
 
         Args:
             known, fit_alone: see the class.
@@ -160,7 +161,7 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @cached_property
     def _share(self) -> NDArray[np.float64]:
-        """[n] P(a person of the type believes the fact incorrectly), without limits."""
+        """[n] P(a person of the type believes the fact incorrectly); it can be 0 or 1."""
         share: NDArray[np.float64] = self.weight.sum(axis=(1, 2)) @ bits_of(
             self.facts, self.n_messages
         )
@@ -283,8 +284,9 @@ class KnownAnswers:
 
     Attributes:
         known: the hypotheses.
-        dataset: only these answers.
-        place: [T] index of each transition of the dataset in the hypotheses; −1 if missing.
+        dataset: the dataset, reduced to these answers.
+        place: [T] index among the transitions of ``known`` of each transition of the dataset; −1 if
+            missing.
     """
 
     known: KnownTransitions
@@ -372,7 +374,7 @@ class EverythingWrong(Labeler):
     """A labeler of a person who believes every fact incorrectly, by the hypotheses alone.
 
     Attributes:
-        known: hypotheses of all sets of at most DENSE facts.
+        known: hypotheses that contain every set of the facts; there are at most DENSE facts.
     """
 
     known: KnownTransitions
@@ -430,15 +432,16 @@ class HypothesisTrainer(LabelerTrainer):
     types: NDArray[np.int64] | None = None
 
     def adapt_to(self, observed: Observed) -> LabelerTrainer:
-        """Returns a trainer with the hypotheses of the observers' domain, and the fact sets that
-        their questions made likely. A trainer that already has hypotheses is returned unchanged."""
+        """Returns a trainer with the hypotheses of the observers' domain, extended by the fact sets
+        that their answers made likely. A trainer that already has hypotheses is returned
+        unchanged."""
         if self.hypotheses is not None or self.path is not None:
             return self
         return replace(self, hypotheses=observed.hypotheses)
 
     @cached_property
     def known(self) -> KnownTransitions:
-        """The hypotheses by rows of features.
+        """The hypotheses, indexed by the features of a transition.
 
         Raises:
             InputError: no hypotheses, or hypotheses without features.
