@@ -82,9 +82,9 @@ def draw_trace(
     sentences: Mapping[str, str],
     types: Sequence[str] = (),
 ) -> Figure:
-    """Draws the map and the path on the left. On the right are one row for each transition, one
-    column for each step, the belief below, and the robot's messages. Without a map, the effects of
-    each transition are below it.
+    """Draws the map with the path on the left, and the labels on the right, with a row for each
+    transition and a column for each step. The belief is below the labels, and the robot's messages
+    are at the bottom. Without a map, a row also names the effects of its transition.
 
     Args:
         scene: the map, or None.

@@ -115,8 +115,8 @@ class Sweep:
 
     @property
     def answer(self) -> str:
-        """A sentence with the lowest cost, its distance to the others, and whether it is decided;
-        "" if nothing competes."""
+        """Sentences that say which solver or setting costs least, by how much, and if the 95 %
+        interval of the difference excludes 0; "" if there is nothing to compare."""
         return answer(self.summary)
 
     @property
@@ -349,7 +349,7 @@ def _require_single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
 
 
 def _split(keys: Mapping[str, Any], known: Sequence[str]) -> tuple[list[str], dict[str, list[Any]]]:
-    """Splits keywords into overrides, which name choices, and lists of Python values by key."""
+    """Splits keywords into overrides for chosen components, and ``{key: Python values}``."""
     words, given = list[str](), dict[str, list[Any]]()
     for name, own in keys.items():
         key = _find_key(name, known)
@@ -377,8 +377,8 @@ def _find_key(name: str, known: Sequence[str]) -> str:
 
 
 def _make_plain(key: str, value: Any) -> Any:
-    """Converts a value to the form of a configuration. For an object, this is its class and the
-    arguments of its constructor.
+    """Converts a value to plain data for a configuration. An object becomes the path of its class
+    with the arguments of its constructor.
 
     Raises:
         InputError: the class of an object cannot be found by its name.

@@ -85,7 +85,7 @@ def _check_job(made: Any) -> None:
 
 
 class SweepEnd(Callback):
-    """Finishes a sweep of any sweeper and launcher: report, MLflow, exit code."""
+    """Hydra's callback after a sweep of any sweeper and launcher: report, MLflow, exit code."""
 
     def __init__(self) -> None:
         self._began = time.time()

@@ -2,8 +2,8 @@
 children.
 
 Everything is read from folders on disk when a run or sweep ends. So results that MLflow missed can
-be sent later, and results that are sent twice exist once. This module imports MLflow, which takes a
-second.
+be sent later, and a result that is sent twice has only one run. This module imports MLflow, which
+takes a second.
 """
 
 import json
@@ -178,7 +178,7 @@ class _Store:
         """Sends a result unless its run exists. Returns the id of the run.
 
         Args:
-            folder, results: of the finished run.
+            folder, results: the finished run's folder and results.
             label: label of the job in a sweep; "" for a single run.
             swept: keys of the sweep with this run's values.
             known_by: tags that distinguish the run from other runs of the same result.
@@ -249,12 +249,12 @@ class _Store:
 
         Args:
             folder: artifacts of the run.
-            name, status: of the run.
+            name, status: the run's name and status.
             times: start and end of the run, in milliseconds since 1970.
             known_by: tags that distinguish the run from all other runs.
             tags: further tags.
             among: candidate runs.
-            metrics, params: of the run.
+            metrics, params: the run's metrics and parameters.
         """
         kept = None
         for run in among:
@@ -279,7 +279,8 @@ class _Store:
 
 
 def figures(results: Results) -> dict[str, float]:
-    """Returns figures with one number each, by MLflow's names."""
+    """Returns ``{name in MLflow: number}``: means, ends of intervals, figures of the learned types,
+    and seconds."""
     known = {FIGURES[key]: own for key, own in results.metrics.items() if key in FIGURES}
     compared = [name for name in known if name in MEASURES.values()]
     every = {
@@ -293,8 +294,8 @@ def figures(results: Results) -> dict[str, float]:
 
 
 def parameters(results: Results, swept: Mapping[str, str]) -> dict[str, str]:
-    """Returns the swept values, the choices by group (``solver = pomcp``), and the experiment's own
-    numbers and texts. The artifact ``results.json`` has all keys."""
+    """Returns the swept values, the choices by group (``solver = pomcp``), and the keys at the top
+    level of the configuration. The artifact ``results.json`` has all keys."""
     own = {key: value for key, value in results.config.items() if not isinstance(value, Mapping)}
     every = {**{key: swept[key] for key in swept if "." in key}, **results.choices, **own}
     return {key: str(value)[:500] for key, value in every.items()}

@@ -121,8 +121,8 @@ class Plan:
 
     def batches(self) -> list[list[Job]]:
         """Groups the jobs to run, a batch for each call of a worker. Jobs of one data set are in
-        the same batch, because all wait until the first job has made the data. The first batches
-        of all data sets come before their second batches."""
+        the same batch, because these jobs wait until the first of them has made the data. The
+        first batches of all data sets come before their second batches."""
         by_data: dict[str, list[Job]] = {}
         for job in self.todo.values():
             by_data.setdefault(job.source, []).append(job)
@@ -258,8 +258,8 @@ def _format_value(value: Any) -> str:
 
 class _Composer:
     """Composes the configurations of jobs with few calls of Hydra, because a call takes 0.2 s.
-    Overrides that only set a value (``lambda=1.5``) change an existing configuration with the same
-    choices of groups. Hydra handles everything else, including errors.
+    If two jobs choose the same components, the values of the second job (``lambda=1.5``) are set in
+    the configuration of the first. Hydra handles everything else, including errors.
 
     Args:
         load: Hydra's composition.

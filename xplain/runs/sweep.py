@@ -45,7 +45,7 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
 
     Args:
         plan: the sweep. With ``dry_run=true`` its jobs are only printed.
-        launch: runs the batches in these files.
+        launch: receives the files of the batches, and runs the batches.
 
     Raises:
         KeyboardInterrupt: the sweep was interrupted; MLflow has the ended jobs.

@@ -61,7 +61,7 @@ class Policy(Protocol):
 
 @runtime_checkable
 class Solver(Protocol):
-    """Plans for a problem. It is configured by its constructor and has no state of a run."""
+    """Plans for a problem. All its options are set by its constructor and never change."""
 
     @property
     def knows(self) -> Knowledge:

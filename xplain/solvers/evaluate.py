@@ -2,8 +2,8 @@
 
 The exact evaluation lists, step by step, every belief that the policy can reach; equal beliefs are
 merged. It calls the policy once at each belief and sums the costs. A belief before step k with
-messages H was always reached by k times *explain* and one action for each message, so its discount
-does not depend on the path. Messages discount only if they always correct the fact.
+messages H was always reached by k *explain* actions and one action for each message, so its
+discount does not depend on the path. Messages discount only if they always correct the fact.
 """
 
 import numpy as np
@@ -47,7 +47,7 @@ def evaluate(
     """Computes the value of a policy, exactly if it reaches at most ``beliefs`` beliefs.
 
     Args:
-        problem: the model, which draws every label again.
+        problem: the model; all labels of a prefix are drawn independently at every *explain*.
         policy: a function of the visible state and the belief.
         beliefs: maximum number of beliefs in the exact evaluation.
         episodes: number of simulated episodes otherwise.
@@ -65,9 +65,8 @@ def _evaluate_exactly(
     """Computes the value exactly over the reachable beliefs, layer by layer. Returns None if there
     are, or will be, more than ``limit`` beliefs.
 
-    A layer is rarely smaller than the layer before. So the limit must have room for a layer of this
-    size for each remaining step. A policy with a search is slow, so it is called only if the result
-    will be used.
+    A layer is rarely smaller than the layer before. So the evaluation ends early if layers of this
+    size at all remaining steps would exceed the limit. This saves useless calls of slow policies.
     """
     steps, worst = process.n_steps, _bound_cost(process)
     budget = precision / (2 * steps * max(worst, 1))

@@ -43,9 +43,9 @@ from xplain.solvers.voi import with_questions
 
 @dataclass(frozen=True)
 class Greedy:
-    """Adds the message with the largest expected value, each at most once in a step, until
-    *explain* is the best action. Messages without effect on any type with positive belief are left
-    out.
+    """A policy that adds the message with the largest expected value, and then the next, until
+    *explain* is the best action. A message is given at most once in a step. Messages without effect
+    on any type with positive belief are left out.
 
     Attributes:
         process: the model.
@@ -113,8 +113,10 @@ def greedy_policy(problem: Problem, what: str, memory_gib: float) -> Greedy:
 @checks("solver")
 @dataclass(frozen=True)
 class QMDP:
-    """Args:
-    memory_gib: maximum memory of the tables of known types.
+    """Plans with QMDP.
+
+    Args:
+        memory_gib: maximum memory of the tables of known types.
     """
 
     memory_gib: Positive = 8.0
@@ -171,10 +173,10 @@ class Conformant:
 def one_labeler(
     problem: Problem, shares: NDArray[np.float64], what: str, memory_gib: float
 ) -> FixedBelief:
-    """Makes QMDP's policy for one type that replaces all types. Each of its labels has the
-    probability for a user who is drawn again by ``shares`` [N]. If more than DENSE messages matter,
-    a table over all message sets is too large. QMDP then uses ``shares`` as its permanent belief,
-    and plans later steps for each type alone."""
+    """Makes QMDP's policy for one type that replaces all types. The probability of each label is
+    the mean over the types, weighted by ``shares`` [N]. If more than DENSE messages matter, a table
+    over all message sets is too large. QMDP then uses ``shares`` as its permanent belief, and plans
+    later steps for each type alone."""
     if problem.messages_land and len(problem.messages_with_effect) > DENSE:
         return FixedBelief(greedy_policy(problem, what, memory_gib), lambda _: shares)
     one = problem.mixture(shares)
@@ -214,11 +216,11 @@ class FixedBelief:
     belief_of: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """Chooses the policy's action at the other belief."""
+        """Chooses the policy's action at ``belief_of(belief)``."""
         return self.policy.decide(visible, self.belief_of(belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Returns the policy's values at the other belief."""
+        """Returns the policy's values at ``belief_of(belief)``."""
         return self.policy.values(visible, self.belief_of(belief))
 
 

@@ -7,9 +7,10 @@ at other beliefs (sawtooth), and from the best action. Lower bounds come from pl
 answers, from alpha vectors of other beliefs, and from the best action. Beliefs after unlikely
 answers keep wide bounds, and the least likely answers are treated as one.
 
-The bounds are bounds of the optimal expected *discounted* return under the model. At a belief that
-the search has opened, the policy takes the action with the best lower bound. At other beliefs
-(after unlikely answers, or with users unlike the model) it runs a short search from there.
+The bounds are bounds of the optimal expected *discounted* return under the model. To *open* a
+belief is to list the actions that may be optimal there. At an opened belief the policy takes the
+action with the best lower bound. At other beliefs (after unlikely answers, or with users unlike the
+model) the policy runs a short search from there.
 """
 
 import logging
@@ -96,14 +97,16 @@ class Effort:
 @checks("solver")
 @dataclass(frozen=True)
 class Certified:
-    """Args:
-    gap: the gap between upper and lower bound at which the search stops.
-    nodes: the largest number of beliefs to open before the first step.
-    seconds: the largest time before the first step; results then depend on the machine. None is no
-        limit.
-    decision_nodes: the largest number of beliefs to open for a decision at a belief that the search
-        has not opened.
-    memory_gib: the memory limit. Larger tables are refused, and the search stops at this limit.
+    """Plans with HSVI.
+
+    Args:
+        gap: the gap between upper and lower bound at which the search stops.
+        nodes: the largest number of beliefs to open before the first step.
+        seconds: the largest time before the first step; results then depend on the machine. None is
+            no limit.
+        decision_nodes: the largest number of beliefs to open for a decision at a belief that the
+            search has not opened.
+        memory_gib: the memory limit. Larger tables are refused, and the search stops at this limit.
     """
 
     gap: Gap = 1e-3
@@ -201,7 +204,7 @@ class CertifiedPolicy:
 
     @cached_property
     def _opened(self) -> dict[tuple[int, int], NDArray[np.int64]]:
-        """The opened nodes of each place."""
+        """The nodes that the search has opened, by (k, v)."""
         nodes = self.found.store.nodes[: self.found.store.used[NODES]]
         opened: dict[tuple[int, int], list[int]] = {}
         for node in np.flatnonzero(nodes["first_action"] >= 0).tolist():
@@ -231,7 +234,7 @@ def search(
 
 
 class _Search:
-    """A search that is running. It uses the tables of an earlier result."""
+    """A running search, with the model and the tables of an earlier result."""
 
     def __init__(
         self,
@@ -250,7 +253,8 @@ class _Search:
         self.asked = max(float(effort.gap), self.gap / COARSER)
 
     def _make_root(self, visible: VisibleState, belief: NDArray[np.float64]) -> None:
-        """Makes the first node, with the bounds of known states and of plans."""
+        """Makes the root. Its upper bound is the value of known states, its lower bound the value
+        of the best plan."""
         step, given = visible.step, compress(before_step(self.process, visible.given), self.kept)
         cells = given * self.tables.width + np.arange(len(belief))
         plans = self.tables.plans[:, step, cells]
@@ -395,7 +399,8 @@ GROWS = {
 
 
 def _enlarge(store: Store) -> Store:
-    """Returns the store with twice the size of all arrays that are half full."""
+    """Doubles the arrays that are at least half full, or all arrays if none is. Returns the new
+    store."""
     arrays: dict[str, Any] = store._asdict()
     short = {k for k, names in GROWS.items() if 2 * store.used[k] >= len(arrays[names[0]])}
     for kind in short or set(GROWS):

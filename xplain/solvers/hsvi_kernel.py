@@ -164,11 +164,12 @@ class Scratch(NamedTuple):
 
     Attributes:
         like: [answers, S] likelihoods of the answers listed so far.
-        more: [answers, S] the same with one more kind of label.
+        more: [answers, S] the next ``like``, which includes the labels with the next column.
         belief, after, tail: [S] beliefs, and the likelihood of the answers that are left out.
         asked: [words] bits of questions, as in the store.
-        ways: [m + 1, S] likelihoods of each number of 1s.
-        under: [2^n, S] as in the store, for all sets.
+        ways: [m + 1, S] likelihoods of each number of 1s in a fixed order, for labels with equal
+            columns.
+        under: [2^n, S] lower bounds as in the store, for all sets of messages.
         news: [Q] the information of each question's answer.
         cells: [S] the cells at which tables of questions are read.
         path, taken, gaps: [levels] the nodes of a trial, the actions taken, and the nodes' gaps
@@ -192,9 +193,9 @@ class Scratch(NamedTuple):
 
 @kernel
 def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
-    """Backs up nodes, after their bounds are improved by the published bounds of their places. Then
-    runs trials from the root until the root's gap is at most ``gap``, ``opened`` nodes are opened,
-    or ``work`` more work was done.
+    """Improves the bounds of nodes by the published bounds of their places, and backs up the nodes.
+    Then runs trials from the root until the root's gap is at most ``gap``, ``opened`` nodes are
+    opened, or the trials of this call have taken ``work`` units of work.
 
     Args:
         tables, store, scratch: the data, the results so far, and scratch memory.
@@ -313,8 +314,9 @@ def _back_up_trial(tables, store, scratch, last, least):  # type: ignore[no-unty
 
 @part
 def _choose_action(tables, store, scratch, index, allowed, tail_gap):  # type: ignore[no-untyped-def]
-    """Opens a node, and expands its best action until the best action is already expanded. Returns
-    this action; CLOSED if the node's gap is small enough, NO_ROOM if the store is full."""
+    """Opens a node, and expands the action with the best upper bound. If this makes another action
+    the best, expands that action, too. Returns the best action; CLOSED if the node's gap is small
+    enough or the best action ends the explanation, NO_ROOM if the store is full."""
     node, chosen = store.nodes[index], np.int64(CLOSED)
     if node.first_action < 0 and not _open_node(tables, store, scratch, index):
         chosen = np.int64(NO_ROOM)
@@ -715,7 +717,7 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
 @part
 def _count_equal_labels(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
     """Counts the labels of a step that have the same column as label i. Returns 0 if i is not the
-    first of these labels, or if all possible states answer label i alike."""
+    first of these labels, or if all possible states have the same P(answer 1) for label i."""
     size, news, one = 0, False, -1
     for s in range(len(belief)):
         if belief[s] > 0.0:

@@ -42,11 +42,13 @@ discounts."""
 @checks("solver")
 @dataclass(frozen=True)
 class Lookahead:
-    """Args:
-    candidates: number of sets of messages evaluated at a decision.
-    answers: maximum number of distinguishable answers for each set; a set with more answers keeps
-        its QMDP score.
-    memory_gib: maximum memory of the tables of known types and of all sets of messages.
+    """Plans with one step of expectimax over QMDP.
+
+    Args:
+        candidates: number of sets of messages evaluated at a decision.
+        answers: maximum number of distinguishable answers for each set; a set with more answers
+            keeps its QMDP score.
+        memory_gib: maximum memory of the tables of known types and of all sets of messages.
     """
 
     candidates: Count = 16
@@ -88,8 +90,8 @@ class Expectimax:
         return best_action(self.values(visible, belief))
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
-        """Returns the values of the evaluated sets, in descending order of QMDP's score. A set
-        whose score is below a found value cannot be better."""
+        """Returns the values of the evaluated sets, in descending order of QMDP's score. The
+        evaluation ends at a score below the best value, because no value exceeds its score."""
         process, step = self.process, visible.step
         said = before_step(process, visible.given)
         messages = self.messages & matters(process, belief) & ~said

@@ -95,15 +95,18 @@ CODED = 1 << 24
 @checks("solver")
 @dataclass(frozen=True)
 class POMCP:
-    """Args:
-    simulations: the number of simulations of one search, which tries each action at least once. A
-        decision of j messages takes j + 1 searches.
-    depth: the depth d ≥ 1 at which simulations end; None for the end of the trace.
-    depth_unit: what counts as depth: ``actions`` (messages and *explain*) or ``steps`` (*explain*).
-    exploration: the constant c of UCB1, in units of the largest single cost (a 0 label or a
-        message).
-    backup: the value of a node: ``mean`` (the paper) or ``max``.
-    memory_gib: the limit for tables and the tree.
+    """Plans with POMCP.
+
+    Args:
+        simulations: the number of simulations of one search, which tries each action at least once.
+            A decision of j messages takes j + 1 searches.
+        depth: the depth d ≥ 1 at which simulations end; None for the end of the trace.
+        depth_unit: what counts as depth: ``actions`` (messages and *explain*) or ``steps``
+            (*explain*).
+        exploration: the constant c of UCB1, in units of the largest single cost (a label 0 or a
+            message).
+        backup: the value of a node: ``mean`` (the paper) or ``max``.
+        memory_gib: the limit for tables and the tree.
     """
 
     simulations: Count = 6_000
@@ -271,8 +274,8 @@ def _count_slots(process: Process) -> int:
 
 
 def make_tree(process: Process, simulations: int, seed: int) -> Tree:
-    """Allocates a tree for that many simulations; the caller adds the root. The operating system
-    provides the memory only when a simulation uses it."""
+    """Allocates a tree for this number of simulations; the caller adds the root. The operating
+    system provides the memory only when a simulation uses it."""
     n, steps, states = process.n_messages, process.n_steps, process.n_states
     slots, questions = _count_slots(process), len(process.questions.answered)
     size, actions, entries = simulations + 1, n + 1 + slots, _count_entries(simulations)

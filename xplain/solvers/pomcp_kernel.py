@@ -4,7 +4,7 @@ numba compiles this source once for each kind of problem. ``missed`` is None if 
 correct the fact, and True if messages may be missed or forgotten, and so change the hidden state.
 For None numba removes the branches of the other kind, so the paper's search does no work for them.
 
-A label is *informative* if hidden states answer it differently. Only informative labels are drawn.
+A label is *informative* if its P(answer 1) depends on the hidden state. Only these labels are drawn.
 Labels with the same column P(answer 1 | s) are exchangeable, so an observation is identified by its
 code Σ_i [l_i = 0] · w_i, where w is a 64-bit hash of the label's column. Two different observations
 get the same code with probability 2^-64.
@@ -104,11 +104,12 @@ class Tree(NamedTuple):
         table: [a power of two > 2 R + 2] ENTRY, the hash table of child nodes; node 0 marks a free
             entry. Only the first ``used[MASK] + 1`` entries are in use; their number doubles as
             the tree grows.
-        seen: [a power of two] hashes of the observations in ``likelihoods``; 0 marks a free place.
+        seen: [a power of two] hashes of the observations in ``likelihoods``; 0 marks a free slot.
         likelihoods: [.., S] P(observation | state).
-        coded: [a power of two] the message set whose labels are coded at this place; −1 for none.
-        labels: [.., m] LABEL. ``informative`` counts the informative ones among the first k + 1
-            labels; ``weight`` has the w of the informative labels, in order.
+        coded: [a power of two] the message set of each slot of ``labels`` and ``columns``; −1 for
+            none.
+        labels: [.., m] LABEL. ``informative`` is the number of informative labels among the first
+            k + 1; ``weight`` has the w of the informative labels, in order.
         columns: [.., m, S] COLUMN. ``p`` has P(answer 1) of the informative labels, in order;
             ``probability`` and ``code`` are those of the likeliest answers to the first k + 1
             labels.
@@ -447,8 +448,8 @@ def _find_cells(stride, tree, said):  # type: ignore[no-untyped-def]
 
 @part
 def _find_wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
-    """Returns the bitmask of the messages that some state needs next, or SETTLED, at the cells in
-    ``tree.cells``."""
+    """Returns the bitmask of the messages that are better than *explain* in some state; SETTLED if
+    no state needs a message from this step to the end. ``tree.cells`` has the states' cells."""
     mask, settled = np.int64(0), True
     for s in range(len(tree.cells)):
         own = model.wanted[step, tree.cells[s]]
@@ -571,11 +572,11 @@ def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped
     """Draws the informative labels of a user in state s after *explain* at (k, v); returns their
     code.
 
-    A random number u decides how many labels in a row are the likelier answer. Usually all are, and
+    A random number u decides which label is the first unlikely answer. Usually there is none, and
     the code is read from a table. Otherwise ``tree.zero`` is filled, and a new u is drawn after
     each unlikely answer.
     """
-    at = _find_place(model, tree, missed, said)
+    at = _find_coded_slot(model, tree, missed, said)
     code, count = uint64(0), tree.labels[at, step].informative
     if count > 0:
         u = next_uniform(tree.counter)
@@ -600,7 +601,7 @@ def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped
 def _update_belief(model, tree, missed, step, said, state, code, belief):  # type: ignore[no-untyped-def]
     """Updates a belief [S] by the labels that were just drawn for a user in this state. The
     likelihoods of an observation are stored for its next occurrence."""
-    at = _find_place(model, tree, missed, said)
+    at = _find_coded_slot(model, tree, missed, said)
     count = tree.labels[at, step].informative
     if count > 0:
         shown = said if missed is None else 0
@@ -626,9 +627,9 @@ def _update_belief(model, tree, missed, step, said, state, code, belief):  # typ
 
 
 @part
-def _find_place(model, tree, missed, said):  # type: ignore[no-untyped-def]
-    """Returns the place where the labels at v are coded. Message sets with the same hash share a
-    place; the set that is needed now replaces the earlier set."""
+def _find_coded_slot(model, tree, missed, said):  # type: ignore[no-untyped-def]
+    """Returns the slot with the codes of the labels at v. Message sets with the same hash share a
+    slot; the set that is needed now replaces the earlier set."""
     shown = said if missed is None else np.int64(0)
     slot = shown
     if slot >= len(tree.coded):
@@ -642,7 +643,7 @@ def _find_place(model, tree, missed, said):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
-    """Writes the codes of the labels at v to this place."""
+    """Writes the codes of the labels at v to this slot."""
     steps, states = len(model.answered), len(model.relevant)
     labels, columns, found = tree.labels[slot], tree.columns[slot], 0
     cells = np.arange(states)

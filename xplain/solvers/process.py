@@ -12,7 +12,7 @@ Tables are flat, [..., cells]. A table is read at x(v, s) = base[s] + Σ_{j ∈ 
 If messages may be missed, a cell is s itself and every stride is 0.
 
     give j      pays price[j], discounts by γ' = ``message_discount``; b' = ``give(process, b, j)``:
-                a part accept[s] of b[s] moves to s + jump[j, s] (jump is 0 where nothing changes)
+                the share accept[s] of b[s] moves to s + jump[j, s] (jump is 0 if nothing changes)
     explain     pays explain_cost[k, x(v, s)], discounts by γ = ``discount``; the evidence is
                 Π_i P(y_i) with P(y_i = 1) = answered[i, x(v, s)] for i ≤ k; then
                 b' = ``forget(process, b)``: a known fact is forgotten with probability forget[t]
@@ -20,9 +20,9 @@ If messages may be missed, a cell is s itself and every stride is 0.
                 questions.answered[q, x_q(v, s)], x_q by ``questions.cells``
 
 A message is given at most once in a step; if messages always correct the fact, at most once in the
-whole explanation. A message discounts only in the second case (γ' = γ, the paper): if a message
-could be repeated, each repetition would reduce later costs by delaying them. A message is not an
-action if it is relevant to no s with positive belief.
+whole explanation. Messages discount (γ' = γ, the paper) only if they always correct the fact: each
+repetition of a message would reduce later costs by delaying them. A message is not an action if it
+is relevant to no s with positive belief.
 
 *Explain* leads to k + 1 with the same v if messages always correct the fact, otherwise with v = 0
 (:func:`before_step`).
@@ -444,12 +444,12 @@ def hear_answer(
 
 
 class KnownValues(NamedTuple):
-    """The values V and Q of known states; two layouts of the arrays have this interface.
+    """The values V and Q of known states. If messages may be missed, V has more cells than Q.
 
     Attributes:
         value: [m + 1, cells] V, with indices ``value_cells``.
         explain: [m, cells] Q of *explain*, with indices ``explain_cells``.
-        value_cells, explain_cells: the indices of the two layouts.
+        value_cells, explain_cells: the indices of ``value`` and ``explain``.
     """
 
     value: FloatArray

@@ -109,9 +109,9 @@ def rank_questions(answered, likelier, cells, belief, news):  # type: ignore[no-
     is written to ``news`` [Q]; it is −1 for questions that cannot be asked now.
 
     Two questions are alike if label 1 is likelier in the same states. Only the first of several
-    alike questions can be asked now. Its result is the largest information of these questions,
-    because the other questions can be asked later. A question that all states answer alike is never
-    asked.
+    alike questions can be asked now. Its result is the largest information of the alike questions,
+    because the others can be asked later. A question with the same P(answer 1) in all states is
+    never asked.
 
     Args:
         answered, likelier: [Q, cells] P(answer 1); True if label 1 is likelier.

@@ -165,8 +165,10 @@ class OpenLoop:
 @checks("solver")
 @dataclass(frozen=True)
 class AskFirst:
-    """Args:
-    memory_gib: maximum memory of QMDP's tables.
+    """Plans with questions first, then with QMDP.
+
+    Args:
+        memory_gib: maximum memory of QMDP's tables.
     """
 
     memory_gib: Positive = 8.0
@@ -180,8 +182,8 @@ class AskFirst:
 
 @dataclass(frozen=True)
 class AsksFirst:
-    """Asks the most informative question before the first step, as long as some question is
-    informative.
+    """A policy that asks the most informative question before the first step, as long as some
+    question is informative. Afterwards another policy decides on messages.
 
     Attributes:
         policy: decides on messages.

@@ -61,8 +61,8 @@ class TypeFinderConformance(Conformance):
         assert np.array_equal(blind, seen), "the clustering depends on the truth"
 
     def test_finds_plain_types(self, component: Any) -> None:
-        """It separates three types that need different messages. Each type has three observers, and
-        all observers answer the same questions."""
+        """The finder separates three types that need different messages. Each type has three
+        observers, and all observers answer the same questions."""
         if not self.finds_types:
             return
         data, truth = self._make_data()

@@ -14,10 +14,10 @@ def rule_data(
     per_type: int = 3,
     points: int = 120,
 ) -> tuple[Dataset, NDArray[np.int64]]:
-    """Makes the labels of observers of several types. Returns them with the type of each observer.
+    """Makes the labels of observers of several types. Returns the labels, and each observer's type.
 
-    A transition is a place 0 … 9. A type that needs message i mod 4 finds place i inexplicable
-    until this message is given. All observers answer the same questions.
+    Transitions are numbered 0 … 9. A type that needs message i mod 4 finds transition i
+    inexplicable until this message is given. All observers answer the same questions.
 
     Args:
         rng: draws the questions.

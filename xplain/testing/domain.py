@@ -19,7 +19,7 @@ class DomainConformance(Conformance):
     """
 
     def test_is_a_domain(self, component: Any) -> None:
-        """It has all attributes of :class:`xplain.domains.base.Domain`."""
+        """The domain has all attributes of :class:`xplain.domains.base.Domain`."""
         assert isinstance(component, Domain), "lacks an attribute of xplain.domains.base.Domain"
 
     def test_parameters_are_named_and_told_in_words(self, component: Any) -> None:

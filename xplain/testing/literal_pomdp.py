@@ -73,8 +73,8 @@ class LiteralPOMDP:
 
     def _list_questions(self, state: LiteralState) -> list[int]:
         """Returns the questions that may be asked: among equal questions, only the first that was
-        not asked. If users' knowledge is hidden, questions are equal if they are equal for any
-        knowledge."""
+        not asked. Questions are equal if label 1 is likelier for the same types; if users'
+        knowledge is hidden, for the same types and knowledge."""
         questions, table = self.problem.questions, self.problem.questions.table
         labels, answers, given = table.p, table.answered, 0
         if self.problem.messages_land:
@@ -155,8 +155,8 @@ class LiteralPOMDP:
 
     def discount(self, action: int) -> float:
         """Returns the discount factor of an action: γ_E for *explain*, 1 for a question. For a
-        message it is γ_E if every action discounts, and 1 if only steps discount or if messages may
-        be repeated."""
+        message, the factor is γ_E if every action discounts; it is 1 if only *explain* discounts,
+        or if messages may be repeated."""
         if action == EXPLAIN:
             return self.problem.discount
         return 1.0 if action < EXPLAIN else self.problem.message_discount

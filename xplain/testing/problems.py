@@ -13,8 +13,8 @@ from xplain.explanation.problem import Problem
 def random_problem(
     rng: np.random.Generator, max_types: int = 3, max_steps: int = 3, max_messages: int = 2
 ) -> Problem:
-    """Draws a problem. Its features have revealed mistakes of solvers: unequal costs (some 0), any
-    discount in (0, 1], certain and uncertain labels, prior entries of 0, repeated transitions,
+    """Draws a problem with properties that have revealed errors in solvers: unequal costs (some 0),
+    any discount in (0, 1], certain and uncertain labels, prior entries of 0, repeated transitions,
     messages without effect. If several types are allowed, users in some problems slip and guess,
     and have one of two error rates."""
     types = int(rng.integers(1, max_types + 1))

@@ -18,8 +18,9 @@ SIZES = np.array([23, 1, 12, 40])
 
 
 class QueriesConformance(Conformance):
-    """Tests whether a design, ``ask(setting, sizes, answer, seed)``, suits data and learning. The
-    observers in these tests answer at random, because a design must accept any answers."""
+    """Tests a query design, ``ask(setting, sizes, answer, seed)``. Data sets and learning need
+    these properties. The observers in these tests answer at random, because a design must accept
+    any answers."""
 
     @pytest.fixture(scope="class")
     def domain(self) -> Domain:
@@ -71,7 +72,7 @@ class QueriesConformance(Conformance):
             assert _are_equal(once, again), "two rounds with one seed and the same answers differ"
 
     def test_does_not_look_at_the_true_types(self, component: Any, domain: Domain) -> None:
-        """If other types give the same answers, it asks the same questions."""
+        """If other types give the same answers, the design asks the same questions."""
         last = len(domain.parameters) - 1
         one, other = (_ask_observers(component, _make_setting(domain, j))[0] for j in (0, last))
         assert _are_equal(one, other), "the questions depend on the true types"

@@ -36,12 +36,12 @@ class SolverConformance(Conformance):
     weighs_costs = True
 
     def test_is_a_solver(self, component: Any) -> None:
-        """It plans, and declares the knowledge about the user that it needs."""
+        """A solver plans, and declares the knowledge about the user that it needs."""
         assert isinstance(component, Solver), "a solver has `knows` and `plan`"
         assert component.knows in get_args(Knowledge), f"knows: one of {get_args(Knowledge)}"
 
     def test_gives_messages_that_exist_and_are_new(self, component: Any) -> None:
-        """It gives a bitmask of new messages at any step, history and belief."""
+        """The policy gives a bitmask of new messages at any step, history and belief."""
         for problem, questions in self._draw_situations(component):
             policy = component.plan(problem, 0)
             for visible, belief in questions:
@@ -79,7 +79,7 @@ class SolverConformance(Conformance):
                     assert np.isfinite(value), f"the value of {new:b} is {value}"
 
     def test_leaves_problem_and_belief_as_they_were(self, component: Any) -> None:
-        """Its arguments belong to the caller and must not change."""
+        """The problem and the belief belong to the caller and must not change."""
         for problem, questions in self._draw_situations(component):
             before = problem.p_explicable.copy()
             policy = component.plan(problem, 0)

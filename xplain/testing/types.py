@@ -14,8 +14,8 @@ RESCUE = Chosen("domain", "rescue")
 
 
 class TypeSourceConformance(Conformance):
-    """Tests whether a source, ``types(domain, rng)``, gives types that suit observers and
-    labels."""
+    """Tests a source of user types, ``types(domain, rng)``. Observers and labels need these
+    properties."""
 
     @pytest.fixture
     def domain(self) -> Domain:
@@ -45,7 +45,7 @@ class TypeSourceConformance(Conformance):
             )
 
     def test_their_labels_can_be_computed(self, component: Any, domain: Domain) -> None:
-        """Every model that they need is solved, with unambiguous ties."""
+        """Every model that the types need is solved, with unambiguous ties."""
         for seed in range(3):
             setting = Setting.build(domain, _draw_types(component, domain, seed))
             assert len(setting.distinct) == len(setting.types)
