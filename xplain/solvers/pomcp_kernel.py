@@ -4,7 +4,7 @@ numba compiles this source once for each kind of problem. ``missed`` is None if 
 correct the fact, and True if messages may be missed or forgotten, and so change the hidden state.
 For None numba removes the branches of the other kind, so the paper's search does no work for them.
 
-A label is *informative* if its P(answer 1) depends on the hidden state. Only these labels are drawn.
+A label is *informative* if P(answer 1) depends on the hidden state. Only these labels are drawn.
 Labels with the same column P(answer 1 | s) are exchangeable, so an observation is identified by its
 code Σ_i [l_i = 0] · w_i, where w is a 64-bit hash of the label's column. Two different observations
 get the same code with probability 2^-64.
