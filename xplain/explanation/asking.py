@@ -144,10 +144,11 @@ def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
     indices, ascending.
 
     Two questions are alike if every type's more likely answer to both is equal, under every message
-    set. The nearest question of each group of alike questions is selected first: first the
-    questions that differ before any message, then the questions that differ only after messages.
-    Then the second question of each group is selected, then the third, and so on.
-    Questions that all types answer alike under every message set are left out.
+    set. The nearest question of each group of alike questions is selected first. The selection
+    begins with questions that differ from nearer questions before any message, and continues with
+    questions that differ only after messages. Then the second question of each group is selected,
+    then the third, and so on. Questions that all types answer alike under every message set are
+    left out.
     """
     yes = table.p >= 0.5
     same = (table.answered == table.answered[:, :, :1]).all(axis=(1, 2))

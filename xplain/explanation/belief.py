@@ -29,7 +29,7 @@ OPEN = 0.1
 
 
 class Facts(NamedTuple):
-    """Sets of facts that people may believe incorrectly.
+    """Tables and estimates for people who believe other facts incorrectly than the found types.
 
     Attributes:
         everything: P(label is 1) of a trace's transitions for a type that believes every fact
@@ -129,10 +129,11 @@ class Independent(Assuming):
 
 @dataclass(frozen=True)
 class Persistent(Assuming):
-    """Only new labels are evidence. A repeated label of (transition, message set), or of a copy of
-    the transition, is not evidence: without new information people repeat themselves. Message sets
-    only grow, so only the newest transition's label is new unless a message was given. After a
-    message people err independently of their earlier labels."""
+    """The update for people who repeat themselves: only new labels are evidence. A repeated label
+    of (transition, message set), or of a copy of the transition, is not evidence: without new
+    information people repeat themselves. Message sets only grow, so only the newest transition's
+    label is new unless a message was given. After a message people err independently of their
+    earlier labels."""
 
     fresh_labels: ClassVar[bool] = False
 

@@ -39,7 +39,8 @@ class Reaction(NamedTuple):
 
 
 class Person(Protocol):
-    """A person in one explanation. Subclasses inherit what they do not define."""
+    """A person in one explanation. Subclasses define :meth:`react`; the other methods have
+    defaults."""
 
     @property
     def knows(self) -> int | None:
@@ -71,7 +72,7 @@ class Person(Protocol):
 
 
 class Explainee:
-    """A kind of user. Subclasses inherit what they do not define.
+    """A kind of user. All methods have defaults, which subclasses may replace.
 
     Attributes:
         as_observed: True if these users have the observers' types, False if they have the types of
@@ -433,8 +434,8 @@ class Unseen(_Others):
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """Returns types with random sets of facts, of at most one fact more than an observed type
-        has."""
+        """Returns types with random sets of facts. A set has at most one fact more than the largest
+        set of an observed type."""
         names = [parameter.name for parameter in domain.parameters]
         most = min(max(len(one.inaccurate) for one in observed) + 1, len(names))
         found: dict[tuple[str, ...], UserType] = {}

@@ -318,7 +318,7 @@ class Session:
         )
 
     def take_up(self, events: Sequence[tuple[str, Any]]) -> None:
-        """Repeats all events from a text that :meth:`to_json` wrote.
+        """Repeats all events of a session, given as in the text of :meth:`to_json`.
 
         Raises:
             InputError: see :meth:`ask`, :meth:`answer`, :meth:`tell` and :meth:`observe`; or an

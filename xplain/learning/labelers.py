@@ -178,8 +178,8 @@ class FittedLabeler(MeasuredLabeler):
         self, share: NDArray[np.float64], weight: NDArray[np.float64] | float = np.inf
     ) -> NDArray[np.float64]:
         """Shrinks ``share``, the share of labels 1 among ``weight`` labels, towards the confidence
-        of the majority label, which counts as two further labels. The results are at least 1 /
-        (n_test + 2) away from 0 and 1."""
+        of the majority label, which counts as two further labels. The results are at least
+        1 / (n_test + 2) away from 0 and 1."""
         base = self._apply_confidence(share >= 0.5)
         pull = 2 / (np.asarray(weight) + 2)
         edge = 1 / (self.n_test + 2)
@@ -393,7 +393,8 @@ def check_tested_messages(count: int, n_messages: int) -> None:
 def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
     """Returns [P] True for held-out labels, which are drawn by distinct (transition, message set).
 
-    If there are at least two of these, at least one is held out, and at least one is not.
+    If there are several distinct (transition, message set), at least one is held out, and at least
+    one is not.
     """
     query = query_index(dataset)
     count = int(query.max()) + 1

@@ -102,7 +102,7 @@ def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landin
 
     Returns:
         None if fewer than PEOPLE observers received lasting messages between their answers, if
-        other observers received messages in another form, or if there are too many hidden states.
+        other observers received messages in another way, or if there are too many hidden states.
         Also None if ``table`` is None and observers received different messages, because their
         answers may then differ by type instead of ability.
     """

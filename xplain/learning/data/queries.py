@@ -128,8 +128,9 @@ def ask_in_order(
 
 @dataclass(frozen=True)
 class RandomTraces:
-    """The paper's questions: transitions of the robot's traces. A trace starts at random, follows
-    an optimal policy (ties broken at random) and has one random message set.
+    """Base class of query designs with the paper's questions: transitions of the robot's traces. A
+    trace starts at random, follows an optimal policy (ties broken at random) and has one random
+    message set.
 
     Attributes:
         trace_length: maximum length of a trace.
@@ -159,7 +160,7 @@ class RandomTraces:
 @checks("queries")
 @dataclass(frozen=True)
 class Independent(RandomTraces):
-    """Each observer labels different random traces (the paper's text)."""
+    """The paper's query design: each observer labels different random traces."""
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
@@ -175,9 +176,9 @@ class Independent(RandomTraces):
 @checks("queries")
 @dataclass(frozen=True)
 class Shared(RandomTraces):
-    """All observers label the same random traces. This is best for a clusterer that counts repeated
-    questions, such as the paper's clusterer: without errors, observers of one type then give
-    identical data."""
+    """A query design in which all observers label the same random traces. This is best for a
+    clusterer that counts repeated questions, such as the paper's clusterer: without errors,
+    observers of one type then give identical data."""
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int

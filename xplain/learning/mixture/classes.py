@@ -6,7 +6,7 @@ answers 1 to question q, with the prior Beta(c m_q, c (1 − m_q)). m_q is the m
 people. A class with few answers is shrunk towards m_q; the strength c is learned. A Dirichlet
 process assigns observers to classes; its variables are drawn in blocks (Ishwaran & James 2001,
 "Gibbs sampling methods for stick-breaking priors", section 5). The expected answers of an observer
-are averaged over all draws, because a single draw is more certain than the answers allow.
+are averaged over all draws, because a single draw shows too little uncertainty.
 """
 
 import numpy as np
