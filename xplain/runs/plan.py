@@ -258,8 +258,9 @@ def _format_value(value: Any) -> str:
 
 class _Composer:
     """Composes the configurations of jobs with few calls of Hydra, because a call takes 0.2 s.
-    If two jobs choose the same components, the values of the second job (``lambda=1.5``) are set in
-    the configuration of the first. Hydra handles everything else, including errors.
+    If two jobs choose the same components and set the same keys (``lambda=1.5``), the second job's
+    values are set in the configuration of the first. Hydra handles everything else, including
+    errors.
 
     Args:
         load: Hydra's composition.
