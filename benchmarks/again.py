@@ -5,8 +5,6 @@ picture.
     python benchmarks/again.py --quick    a smoke run
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import astuple
 from itertools import product

@@ -22,8 +22,6 @@ data in the R package CDM (data.fraction1); skateboard, from SUCCESS-MURI/psitur
 on GitHub.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

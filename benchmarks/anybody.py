@@ -10,8 +10,6 @@ and costs count true labels. A ratio compares ``belief=open`` with the best of
 maps.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from collections.abc import Iterable, Iterator

@@ -11,8 +11,6 @@ and the time of a decision.
 λ is 1, without discount; clips show everything that the robot can do; costs count true labels.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence

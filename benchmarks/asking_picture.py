@@ -5,8 +5,6 @@ sweeps=asking``, which it runs if needed.
     python benchmarks/asking_picture.py --quick    a smoke run
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

@@ -11,8 +11,6 @@ distinct true types is 1, and ``k`` the data sets with the right number of types
 the rules that chose this number.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import Counter
 from itertools import product

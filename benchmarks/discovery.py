@@ -15,8 +15,6 @@ Results go to benchmarks/results/. The grid takes long: each row is saved in out
 and a stopped run continues there.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import importlib

@@ -9,8 +9,6 @@
 No learner and no solver of explanations is involved: only the tasks, their types, and true labels.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator

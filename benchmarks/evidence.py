@@ -15,8 +15,6 @@ always believed), and *labels alone* (queries=independent labeler=practice). Cos
 transition.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import tempfile

@@ -12,8 +12,6 @@ paper's domains; costs count true labels. Every row has the same people, and dif
 by seed.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence

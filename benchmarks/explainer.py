@@ -8,8 +8,6 @@ decision of a session, which includes the plan; for later decisions; for a new t
 next decision; and for the belief update.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable

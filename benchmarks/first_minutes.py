@@ -10,8 +10,6 @@ of other runs). Goals: a first run takes at most 5 times the seconds of the bare
 at most 1.5 times.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import resource

@@ -8,8 +8,6 @@ sweep. A worker begins a batch by composing Hydra's configuration. In a sweep of
 has several jobs (on two cores from 8 jobs on), so a job's share is smaller.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

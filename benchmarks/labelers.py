@@ -14,8 +14,6 @@ with the type known and unknown, minus the cost of the clairvoyant, who knows th
 to benchmarks/results/.
 """
 
-from __future__ import annotations
-
 import argparse
 from itertools import product
 from typing import Any

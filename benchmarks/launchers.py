@@ -9,8 +9,6 @@ grid); without any way, all installed ways run. Install the packages of the last
 separate environment: ``pip install 'xplain-hri[ray,submitit]' hydra-optuna-sweeper``.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

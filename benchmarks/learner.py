@@ -9,8 +9,6 @@ Queries are shared, with the paper's numbers of labels, k-means and the elbow of
 Types count as found if the adjusted Rand index to the behaviourally distinct true types is 1.
 """
 
-from __future__ import annotations
-
 import argparse
 
 import numpy as np

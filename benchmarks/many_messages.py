@@ -9,8 +9,6 @@ confidence. Seconds are CPU time, the minimum of some repeats in one process wit
 Memory is the peak of what Python and numpy allocate (tracemalloc), without the problem's table.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 import tracemalloc

@@ -10,8 +10,6 @@ on average. Each size runs in a new process, `python -m xplain domain=pddl … t
 certify.traces=0 tracking=none`, with compiled kernels.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

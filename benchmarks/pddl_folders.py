@@ -13,8 +13,6 @@ of memory. The cost of the best plan is compared with the cost of Fast Downward'
 `up-fast-downward` is installed.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

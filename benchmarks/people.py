@@ -7,8 +7,6 @@ out, or in the way people answer; they do not depend on any method. Types are dr
 who are as assumed, so that all kinds of one seed believe the same facts incorrectly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache

@@ -9,8 +9,6 @@ and a type's labeler has one confidence. Times are medians of repeats in one pro
 kernels.
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 import time

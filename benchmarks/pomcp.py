@@ -12,8 +12,6 @@ every state, action and observation made once, expected rewards from a table, an
 labels are drawn. Its rollouts end at the depth; our rollouts go on to the end of the trace.
 """
 
-from __future__ import annotations
-
 import argparse
 import random
 import subprocess

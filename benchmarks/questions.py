@@ -18,8 +18,6 @@ table stay, with the day of their measurement. Rows of the grid are saved one by
 outputs/benchmarks/, those of people beside the table, and a stopped run continues there.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 import time

@@ -12,8 +12,6 @@ still exist, with the same reply. The exit code is 1 after any error. The client
 the same machine.
 """
 
-from __future__ import annotations
-
 import argparse
 import http.client
 import json

@@ -11,8 +11,6 @@ counts as output. The recording has one line for each piece of output: its time 
 text without control codes of a terminal. The command runs on a pty, so this needs POSIX.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import pty

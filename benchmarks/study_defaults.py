@@ -8,8 +8,6 @@ Types, observers and policy (personalized) are the study's. Each seed has the fi
 the types need most messages; costs count true labels.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from collections.abc import Iterable

@@ -11,8 +11,6 @@ Prints percentiles of the time that a page takes, from the click to the last byt
 any error. The participants run in this process, on the same machine.
 """
 
-from __future__ import annotations
-
 import argparse
 import http.client
 import json

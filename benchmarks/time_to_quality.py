@@ -10,8 +10,6 @@ problems; less than 0 is better). ``certified`` searches until the gap is 1 % of
 known type. If a solver refuses a size, its row says why.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Iterator

@@ -8,8 +8,6 @@ fewer messages in the personalized condition, without more inexplicable steps.
     python benchmarks/whole_loop.py [--domain rescue] [--seeds 5] [--people 20] [--quick]
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -4,8 +4,6 @@ python docs/config_reference.py            writes it
 python docs/config_reference.py --check    exit code 1 if it is out of date
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator

@@ -11,8 +11,6 @@ block is run as printed, after the blocks above it; what it prints is the `text`
 it. A block that begins with "```python path/of/a/file" shows that file.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -11,8 +11,6 @@ has digests of everything that each table depends on: the values of resolved con
 reference runs in tests/fixed. They change only if figures may change.
 """
 
-from __future__ import annotations
-
 import argparse
 import fnmatch
 import hashlib

@@ -1,7 +1,5 @@
 """A simulated participant in a real browser: Debian's chromium and chromium-driver, by selenium."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """Composed configurations of a run, with a change of every key."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from copy import deepcopy
 from functools import cache

@@ -1,7 +1,5 @@
 """Fixtures for all tests: commands that run as a user runs them, in separate folders."""
 
-from __future__ import annotations
-
 import logging
 import os
 import subprocess

@@ -1,8 +1,6 @@
 """Decisions and values of policies as numbers (sets of messages are bitmasks, question q is ~q),
 the values of policies by enumeration, and those of known types by direct recursion."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import product
 

@@ -4,8 +4,6 @@ These processes draw no pictures. Properties of a process (signals, death, the p
 are tested in processes that start as a user starts them.
 """
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Handmade values that stages pass to one another."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

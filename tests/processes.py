@@ -3,8 +3,6 @@
 Such a process gets no signal on Ctrl-C, or when the tests' terminal is closed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

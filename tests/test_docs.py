@@ -1,7 +1,5 @@
 """The docs show what really happens."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """Errors are one line with key, value and what is allowed."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal

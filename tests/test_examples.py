@@ -1,7 +1,5 @@
 """The examples as users have them: installed beside the built wheel, outside this folder."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Tests that are ended leave no process behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """The tools for kernels: their cache, reports of compilations, arrays without reference counts."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

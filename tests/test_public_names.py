@@ -1,7 +1,5 @@
 """Public names are listed, exist, and are imported only when they are used."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

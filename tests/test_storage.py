@@ -1,7 +1,5 @@
 """Stored values are read back unchanged, and a file is complete or unchanged."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -1,7 +1,5 @@
 """Tables of measured figures are marked if they are older than their configuration or code."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

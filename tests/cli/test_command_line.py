@@ -1,7 +1,5 @@
 """The command line for a person: errors are one line, and no file is written partly."""
 
-from __future__ import annotations
-
 import errno
 from functools import partial
 

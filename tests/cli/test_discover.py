@@ -1,7 +1,5 @@
 """Tests ``python -m xplain observe`` and ``python -m xplain discover`` as a person uses them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

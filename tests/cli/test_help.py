@@ -1,7 +1,5 @@
 """The help texts of the command line, and its choices with their options."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import re

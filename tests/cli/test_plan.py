@@ -1,7 +1,5 @@
 """Tests ``python -m xplain plan`` and ``export`` as people and programs use them."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """Every shipped component passes the suite of its kind; a new YAML file is tested automatically."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec

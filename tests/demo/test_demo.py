@@ -1,7 +1,5 @@
 """The demo plays the same explanation as the experiments, and makes a page without other files."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Questions in an experiment: the questions of a trace, right answers to them, and their costs."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """The cache returns what was stored, computes it once, and never returns old or damaged entries."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import threading

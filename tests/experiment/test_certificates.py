@@ -1,7 +1,5 @@
 """Compares certificates with brute force over every action and every label, on tiny traces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

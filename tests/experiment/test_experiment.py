@@ -1,7 +1,5 @@
 """The references of a run, on handmade traces, without learning."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn

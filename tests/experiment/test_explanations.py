@@ -1,7 +1,5 @@
 """Each solver's problem of a trace, and the cost of its explanations, on handmade tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 

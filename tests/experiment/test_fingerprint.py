@@ -1,7 +1,5 @@
 """A fingerprint changes exactly if something may change a number."""
 
-from __future__ import annotations
-
 import sys
 from importlib import metadata
 from types import SimpleNamespace

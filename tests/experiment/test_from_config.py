@@ -1,7 +1,5 @@
 """Values of a configuration: bad ones are found before any work, in any of the jobs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

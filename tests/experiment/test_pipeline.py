@@ -1,7 +1,5 @@
 """Data, types, labelers and traces, with handmade components."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files on disk are complete, or do not exist."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

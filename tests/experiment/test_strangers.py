@@ -1,7 +1,5 @@
 """Users of types without observers think according to the task that they believe in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

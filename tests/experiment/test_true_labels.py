@@ -1,8 +1,6 @@
 """``labeler=truth``: labels are known, and the type is unknown. Types that were found exactly give
 the same."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Writes the reference runs again: ``python -m tests.fixed [NAME ...]``."""
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """The reference runs: commands in an empty folder, and the part of their output that is stored."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """The reference runs give their stored results."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -9,8 +9,6 @@ Outcomes are in outputs/mutants-SEED.jsonl: an interrupted campaign goes on from
 must pass without a mistake (`make mutants` runs them before).
 """
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import json

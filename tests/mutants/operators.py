@@ -4,8 +4,6 @@ Types, texts, error messages, logging, decorators and imports stay unchanged, be
 is no mistake.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cache
 from typing import Any

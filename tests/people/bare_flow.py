@@ -1,7 +1,5 @@
 """Simulated people in the bare flow, without a server: for tests and benchmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

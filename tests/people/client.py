@@ -1,7 +1,5 @@
 """A browser without a network: requests go directly to an application."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from http.cookies import SimpleCookie

@@ -1,7 +1,5 @@
 """Stores, studies and simulated participants on a domain that the study has never seen."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Kills the server with -9 while people take part: no acknowledged answer may be lost or stored
 twice."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

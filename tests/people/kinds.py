@@ -1,7 +1,5 @@
 """Both kinds of flow, for tests of common properties: a flow on the street, and its people."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from functools import cache
 from pathlib import Path

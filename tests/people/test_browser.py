@@ -5,8 +5,6 @@ Screenshots of every page, on a desktop and on a phone, are left in ``outputs/st
 (``XPLAIN_SCREENSHOTS`` names another folder).
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

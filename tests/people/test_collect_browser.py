@@ -2,8 +2,6 @@
 picture of it is saved (``outputs/study/screenshots/collect``; ``XPLAIN_SCREENSHOTS`` names another
 folder)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """The commands of a study and a collection: each error is one line, and what pages and comments
 name is taken."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

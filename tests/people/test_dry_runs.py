@@ -1,7 +1,5 @@
 """The real server: dry runs over HTTP, kill -9, one process for each database."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from collections.abc import Callable

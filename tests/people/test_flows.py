@@ -1,8 +1,6 @@
 """Common stages of a study and a collection as pure machines: consent, practice, questions,
 ends."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

@@ -2,8 +2,6 @@
 labels, types, a robot, and a study of these types. axe-core checks every page, and a picture of it
 is saved (``outputs/study/screenshots/lab``; ``XPLAIN_SCREENSHOTS`` names another folder)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The allowed images of a lab; only their pixels are shown."""
 
-from __future__ import annotations
-
 import base64
 import io
 from pathlib import Path

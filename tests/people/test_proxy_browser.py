@@ -1,7 +1,5 @@
 """A real Chromium behind a proxy that answers for the server: no entered text is lost."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Replay: decisions are equal to the last bit, and different ones are noticed."""
 
-from __future__ import annotations
-
 import sqlite3
 from contextlib import closing
 from pathlib import Path

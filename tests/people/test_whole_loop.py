@@ -1,8 +1,6 @@
 """The whole method with simulated people: labels over the pages, types, and a study without a
 briefing, whose policies know only these types."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 

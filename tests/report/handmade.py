@@ -1,7 +1,5 @@
 """Sweeps with known numbers, written to disk like real sweeps."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace

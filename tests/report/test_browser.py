@@ -3,8 +3,6 @@
 Screenshots are left in ``outputs/screenshots`` (``XPLAIN_SCREENSHOTS`` names another folder).
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

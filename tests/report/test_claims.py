@@ -1,7 +1,5 @@
 """Claims and ratios on handmade episodes whose answer is known, and on the paper's own table."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """Tables show the swept values, and the solver with the lowest cost on the same problems is
 first."""
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools

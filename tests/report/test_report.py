@@ -1,7 +1,5 @@
 """Reports from a sweep whose numbers are known: tables, differences, curves, page."""
 
-from __future__ import annotations
-
 import csv
 import html
 import html.parser

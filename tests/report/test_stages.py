@@ -1,7 +1,5 @@
 """The progress of a run, with a terminal and without."""
 
-from __future__ import annotations
-
 import io
 import logging
 import sys

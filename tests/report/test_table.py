@@ -1,7 +1,5 @@
 """One table in four forms: each contains all texts, and none treats a name as markup."""
 
-from __future__ import annotations
-
 import html
 import io
 import math

@@ -1,7 +1,5 @@
 """The policy's value on the terminal: its uncertainty, and notes about sampling error."""
 
-from __future__ import annotations
-
 import pytest
 
 from xplain.cli.plan import describe_accuracy

@@ -1,7 +1,5 @@
 """Pictures: the explanation that is shown, with its description, and plots."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """One finished sweep for all tests that compare with it, and one empty store for new sweeps."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import time

@@ -1,7 +1,5 @@
 """Sweeps that the tests start: tiny, in separate folders and process groups."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """The folder of a sweep: its lock, and the states in its files."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from pathlib import Path

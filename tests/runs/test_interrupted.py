@@ -1,7 +1,5 @@
 """Sweeps from the command line with failing jobs, dying workers, and interruptions."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """After kill -9 at random moments of any process, the same command completes the sweep."""
 
-from __future__ import annotations
-
 import os
 import random
 import time

@@ -1,7 +1,5 @@
 """Runs and sweeps in MLflow, read with its own client."""
 
-from __future__ import annotations
-
 import json
 import logging
 import shutil

@@ -1,7 +1,5 @@
 """Results are saved before they are shown, and nothing of a user's is deleted."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Sweeps from the command line: jobs that run, jobs that are skipped, and failures."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

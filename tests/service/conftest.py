@@ -1,7 +1,5 @@
 """A service, called directly or in a thread, whose replies may be lost, and what it serves."""
 
-from __future__ import annotations
-
 import json
 import random
 import threading

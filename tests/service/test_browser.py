@@ -1,7 +1,5 @@
 """The playground, and a lab's own page in jsPsych, in a real browser."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """The service: each answer counts once, nothing acknowledged is lost, refusals give a reason."""
 
-from __future__ import annotations
-
 import csv
 import json
 import random

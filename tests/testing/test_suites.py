@@ -1,7 +1,5 @@
 """Each fault of a component fails the suite's test about it."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 from inspect import signature

@@ -1,7 +1,5 @@
 """A collection about a street: a domain that has no texts of its own, with few simulated people."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,8 +1,6 @@
 """From answers to tables and types: exclusions, learned types, and the types expected in more
 people."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

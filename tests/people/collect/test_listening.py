@@ -1,7 +1,5 @@
 """Messages that stay valid on later pages: the questions, and the learned habits of listening."""
 
-from __future__ import annotations
-
 from itertools import product
 from pathlib import Path
 

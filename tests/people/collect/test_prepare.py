@@ -1,7 +1,5 @@
 """From configuration to a plan: own transitions, images, lists, and errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

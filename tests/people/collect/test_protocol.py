@@ -1,7 +1,5 @@
 """The protocol without a server: its stages, its questions and their order, and hidden values."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Entry: invitations, platforms, signed links, a server below a path, and its health page."""
 
-from __future__ import annotations
-
 import time
 from collections import namedtuple
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Forms with valid, nearly valid and invalid fields; a refusal keeps the typed text."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import lxml.html

@@ -1,7 +1,5 @@
 """Thousands of hostile requests on every route: a clear page or a 4xx, and the data unharmed."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import socket

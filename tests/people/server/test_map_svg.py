@@ -1,7 +1,5 @@
 """The map and the robot's way on it."""
 
-from __future__ import annotations
-
 import re
 from itertools import combinations
 from types import SimpleNamespace

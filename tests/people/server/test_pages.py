@@ -1,7 +1,5 @@
 """The way through the pages of a study and of a collection, one page at a time."""
 
-from __future__ import annotations
-
 import base64
 import gc
 import re

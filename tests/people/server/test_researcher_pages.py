@@ -1,7 +1,5 @@
 """The researcher's page: nothing without the key."""
 
-from __future__ import annotations
-
 import io
 import re
 import zipfile

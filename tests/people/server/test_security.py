@@ -1,7 +1,5 @@
 """Checks of every request: signatures, limits, headers, and errors that are pages."""
 
-from __future__ import annotations
-
 from tests.people.client import Client
 from tests.people.visitors import Visitor, arrive, enter, field, newcomer
 from xplain.people.server import GUESSES, SESSION, Keys, RateLimit, Server

@@ -1,8 +1,6 @@
 """The store: answers are stored exactly once, on the disk, for the right person; conditions are
 balanced."""
 
-from __future__ import annotations
-
 import gc
 import json
 import sqlite3

@@ -1,7 +1,5 @@
 """Every word of the pages comes from files: in an invented language no English remains."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any

@@ -4,8 +4,6 @@ A street with crossings. At each the robot goes straight on, or walks around (on
 Whoever believes that going straight is bad there expects it to walk around.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A study on a lab's own table of transitions, with images and found types, without a map."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re

@@ -1,7 +1,5 @@
 """From a configuration to the plan of a study."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -4,8 +4,6 @@ They are a separate module, because a component's fingerprint covers its whole p
 imports, and the package of the tests is large.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

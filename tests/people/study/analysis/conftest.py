@@ -1,7 +1,5 @@
 """A snapshot of a study in which simulated participants took part."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

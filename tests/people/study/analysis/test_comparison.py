@@ -1,8 +1,6 @@
 """The comparison of conditions: Table 2 as scipy computes it, figures about questions, and the
 command that prints and draws both."""
 
-from __future__ import annotations
-
 import re
 from contextlib import closing
 from pathlib import Path

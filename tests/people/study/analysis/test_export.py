@@ -1,8 +1,6 @@
 """The exported tables and the codebook that describes them: no column without a meaning, no meaning
 without a column, no formula."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

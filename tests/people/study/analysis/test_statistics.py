@@ -1,8 +1,6 @@
 """Compares statistics with published figures, other programs, brute force, and their defining
 properties."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The duration of an evaluation: the server's clocks, and time without a visible page."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

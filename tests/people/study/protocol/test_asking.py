@@ -1,8 +1,6 @@
 """A condition that asks: its explanation is that of the experiments, and the other conditions do
 not change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from typing import Any

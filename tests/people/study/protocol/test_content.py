@@ -1,7 +1,5 @@
 """Briefings and tests follow from the domain's sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The protocol without a server: accepted answers, hidden values, and the policies' decisions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
