@@ -109,9 +109,9 @@ def habits_of(
 
     Args:
         error, accept, forget: the settings ``belief.error``, ``belief.accept``, ``belief.forget``.
-        learned: habits learned from people's answers. UNKNOWN is used without them, or if all
-            people have the paper's rate, because answers to questions cannot show which messages
-            were missed.
+        learned: habits learned from people's answers. The rates of UNKNOWN replace a learned rate
+            if ``learned`` is None, or if all people have the paper's rate, because answers to
+            questions cannot show which messages were missed.
 
     Raises:
         InputError: a setting is neither ``learned`` nor has rates in their range.

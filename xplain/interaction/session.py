@@ -1,4 +1,5 @@
-"""A session: one trace explained to one user, by names (paper, "Explaining a plan trace")."""
+"""A session: the explanation of one trace to one user, with names instead of bitmasks (paper,
+"Explaining a plan trace")."""
 
 from __future__ import annotations
 
