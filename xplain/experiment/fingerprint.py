@@ -85,7 +85,8 @@ def fingerprint(config: Mapping[str, Any]) -> str:
 
 @cache
 def code_version() -> str:
-    """Computes a digest of the package's own sources, so that other code has other results."""
+    """Computes a digest of the package's own sources, so that results of
+    another version of the code are never reused."""
     return _digest_of(_read_sources(Path(__file__).parents[1]))[:16]
 
 

@@ -80,9 +80,15 @@ def _compute_posterior(dataset: Dataset, types: UserTypes) -> NDArray[np.float64
 def _predict_answers(
     types: UserTypes, asked: Dataset, transition: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Computes [P, N, E] P(answer 1) by type and error rate, for questions about ``transition``
-    [P]: an index into the dataset of the types, or −1. Without an answer model, labelers predict
-    answers directly, and there is one error rate."""
+    """Computes [P, N, E] P(answer 1) by type and error rate.
+
+    Without an answer model, labelers predict answers directly, and there is one error rate.
+
+    Args:
+        types: types that were learned from a dataset.
+        asked: P questions.
+        transition: [P] row of each question's transition in that dataset; −1 if it has no such row.
+    """
     one = _predict_by_type(types.labelers, asked)
     if types.answers is None:
         return one[:, :, None]

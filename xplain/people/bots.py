@@ -329,7 +329,8 @@ class Researcher:
         self.token = Page.of_html(html).hidden["token"]
 
     def invite(self, count: int, stream_name: str = "bot") -> list[str]:
-        """Creates ``count`` invitations of a stream. Returns their tokens."""
+        """Creates ``count`` invitations for a stream of the data: people, pilots or bots.
+        Returns their tokens."""
         fields = [("token", self.token), ("count", str(count)), ("stream", stream_name)]
         _, html = self.browser.post("/researcher/invitations", fields)
         return re.findall(r"\?invitation=([\w-]+)", html)

@@ -41,8 +41,9 @@ def end_on_signals() -> None:
 def end_with_parent() -> None:
     """Ends this joblib worker when the process that started it ends. Call it once in a worker.
 
-    Otherwise the worker of a sweep killed with -9 continues beside the workers of a new start, and
-    then waits for minutes. Workers on clusters are ended by their scheduler.
+    Otherwise the workers of a sweep that was killed with ``kill -9`` continue beside the workers of
+    the restarted sweep, and then wait for minutes. Workers on clusters are ended by their
+    scheduler.
     """
     if not multiprocessing.current_process().name.startswith("LokyProcess"):
         return

@@ -44,8 +44,8 @@ class Policy(Protocol):
     """Decides what to do before the next *explain*."""
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """Chooses the action. *Explain* follows messages. After the answer to a question the policy
-        decides again.
+        """Chooses the action. After messages the next action is *explain*, without another call.
+        After the answer to a question the policy decides again.
 
         Args:
             visible: the visible state.

@@ -297,7 +297,7 @@ class Hypotheses:
 
     @cached_property
     def variant_prior(self) -> NDArray[np.float64]:
-        """[1 + V] prior of the assumed values, then those of the variants."""
+        """[1 + V] prior probability of the assumed values, then of each variant."""
         count = len(self.variants)
         weight = np.full(count, (1 - AS_ASSUMED) / max(count, 1))
         weight = weight if self.variant_weight is None else self.variant_weight

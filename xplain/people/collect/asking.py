@@ -254,8 +254,9 @@ def _list_unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int
 
 
 def _choose_lasting(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:
-    """Chooses a message that stays valid, with a step that most likely makes sense only with this
-    message. For the purposes LATER and AGAIN, repeats the step of the earlier clip TOLD."""
+    """Chooses a message that stays valid on later pages, and a step that most likely makes sense
+    only with this message. If the purpose is LATER or AGAIN, repeats the step of the earlier clip
+    whose purpose was TOLD."""
     before = [clip for clip in state.answered if clip.purpose == TOLD]
     if task.purpose != TOLD:
         first = before[task.again]

@@ -267,7 +267,11 @@ class Study(Explaining):
         raise Full("full")
 
     def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Stores the place and the orders of questions, if the window is wide enough."""
+        """Reads the assigned place (type and condition) and the orders of the questions.
+
+        Raises:
+            Refused: the browser window is too narrow.
+        """
         width, least = payload.get("width"), self.plan.rules.min_width
         if least and (not isinstance(width, int) or width < least):
             raise Refused(self.words["too_narrow"].format(width=least))
