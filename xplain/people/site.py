@@ -1,4 +1,5 @@
-"""Shared by all pages: the flow with its store, a request, and its responses."""
+"""What all pages of a study or a collection use: the flow with its store, and the class of a
+request with its responses."""
 
 import hashlib
 import re
@@ -98,7 +99,8 @@ class Site:
 
 
 def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
-    """Makes the templates of a flow, and the functions that all templates may use."""
+    """Makes the environment that loads a flow's page templates, with the texts and functions
+    that all templates may use."""
     folders = [jinja2.PackageLoader(name) for name in (flow.PACKAGE, "xplain.people")]
     found = jinja2.Environment(
         loader=jinja2.ChoiceLoader(folders), autoescape=True, trim_blocks=True, lstrip_blocks=True
@@ -229,7 +231,8 @@ class Visit:
         return HTMLResponse(made, status)
 
     def error(self, status: int, text: str) -> Response:
-        """Renders a page with an error; ``text`` is a key of the words, or the error itself."""
+        """Renders a page with an error message; ``text`` is a key of the flow's words, or the
+        message itself."""
         said, known = self.site.say(text), self.owner is not None
         return self.page("error.html", status, text=said, number=status, known=known)
 

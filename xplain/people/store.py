@@ -232,7 +232,14 @@ class Store(Log[Any]):
     def report(
         self, who: str, tab: str, items: Sequence[tuple[int, str, float, dict[str, Any]]]
     ) -> None:
-        """Stores a page's own events (number, kind, ms, payload), without repetitions.
+        """Stores the events that a page itself reports, such as "hidden"; a repeated event is
+        stored once.
+
+        Args:
+            who: the participant.
+            tab: id of the page.
+            items: (number on the page, kind, time by the page's clock in ms, payload) of each
+                event.
 
         Raises:
             Unknown: the participant does not exist.
@@ -256,11 +263,11 @@ class Store(Log[Any]):
 
         Args:
             who: the participant.
-            sequence: number of the answer: ``state.accepted`` of its page. An answer that was
-                already accepted under this number is acknowledged again. Withdrawal is accepted
-                from any page.
-            kind, payload: the flow's event. A timed-out participant who answers returns to the
-                study if a place is free.
+            sequence: number of answers accepted when the page was rendered (``state.accepted``). It
+                identifies the answer: the same answer with the same number is acknowledged again,
+                not stored again. Withdrawal is accepted with any number.
+            kind, payload: kind and content of the flow's event. A timed-out participant who answers
+                returns to the study if a place is free.
             browser: the page's ``performance.now``, ms.
 
         Returns:
@@ -301,8 +308,15 @@ class Store(Log[Any]):
             return self._accept_answer(one, kind, payload, browser)
 
     def find_state(self, found: Participant[Any], sequence: int) -> State:
-        """Finds the participant's state whose page had this number. Returns the current state if no
-        earlier page had this number."""
+        """Returns the state in which a participant saw an earlier page.
+
+        Args:
+            found: the participant.
+            sequence: the page's number, which is the number of answers accepted before the page.
+
+        Returns:
+            The state of that page; the current state if no earlier page had this number.
+        """
         here: State = self.flow.asking(found.state)
         if not 0 <= sequence < here.accepted:
             return here
@@ -347,7 +361,7 @@ class Store(Log[Any]):
         return len(stale)
 
     def _list_current(self) -> People:
-        """Lists all participants, after inactive participants are timed out."""
+        """Times out inactive participants, then lists all participants whose data is not erased."""
         self.time_out_stale()
         return self.present()
 

@@ -114,7 +114,13 @@ class NewQuestionnaire(Body):
 
 
 class Labels(Body):
-    """Labels of all shown transitions (1: it makes sense), or the answer to a question."""
+    """The person's answer to an action.
+
+    Attributes:
+        number: number of the action that is answered.
+        labels: labels of all shown transitions (1: it makes sense), as the answer to ``explain``.
+        answer: 1 or 0, as the answer to ``ask``.
+    """
 
     number: Annotated[int, Field(ge=1)]
     labels: Annotated[list[Bit], Field(max_length=1000)] | None = None
@@ -122,7 +128,7 @@ class Labels(Body):
 
 
 class More(Body):
-    """Further transitions; ``after`` is the number of transitions before them."""
+    """The next transitions of a trace; ``after`` is the number of transitions sent earlier."""
 
     after: Annotated[int, Field(ge=0)]
     transitions: Annotated[Trace, Field(min_length=1)]
@@ -131,9 +137,12 @@ class More(Body):
 class Next(BaseModel):
     """The next action. Its answer must have the same ``number``.
 
-    ``explain``: give the messages, show the first ``step`` transitions, send their labels. ``ask``:
-    ask the question, send its answer. ``wait``: all known transitions are explained. ``end``: the
-    questionnaire is over.
+    There are four kinds of actions:
+
+        explain: give the messages, show the first ``step`` transitions, send their labels
+        ask: ask the question, send its answer
+        wait: all transitions sent so far are explained; more may be sent
+        end: the questionnaire is over
     """
 
     model_config = ConfigDict(extra="allow")

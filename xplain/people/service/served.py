@@ -77,7 +77,7 @@ class Served:
 
     @cached_property
     def features(self) -> NDArray[np.float64]:
-        """[T, F] features of the transitions; the columns are ordered as
+        """[T, F] features of the T transitions; the F columns are ordered as
         ``types.feature_names``."""
         known = self.hypotheses
         if known is None or known.features is None:
@@ -98,8 +98,11 @@ class Served:
         return Questionnaire(self.hypotheses, **self.asking)
 
     def row(self, transition: Transition) -> list[float]:
-        """Returns the features of a transition that is given as a number, as features, or as
-        columns by name.
+        """Returns the features of a transition.
+
+        Args:
+            transition: the transition's index, its features in order, or its features as {column:
+                value}.
 
         Raises:
             InputError: the transition does not exist.

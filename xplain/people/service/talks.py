@@ -185,12 +185,20 @@ class Talks(Log[State]):
         return which, json.loads(str(first.state))
 
     def receive(self, kind: str, which: str, key: str, came: Json) -> Json:
-        """Receives an answer (key "answer NUMBER") or more of a trace ("trace TRANSITIONS BEFORE").
-        A repeated request gets the same reply.
+        """Receives the answer to the latest action, or more of a trace, and returns the next
+        action. A repeated request gets the same reply.
+
+        Args:
+            kind: kind of the talk.
+            which: the talk's id.
+            key: "answer NUMBER" with the number of the answered action; or "trace COUNT" with the
+                number of transitions received earlier.
+            came: content of the request.
 
         Raises:
             Unknown: the talk does not exist.
-            Conflict: this key was used for another request, or was never expected.
+            Conflict: the key was used earlier with another content, or the next request must have
+                another key.
             InputError: the request is no answer to the latest action.
         """
         try:

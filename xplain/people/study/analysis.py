@@ -52,17 +52,17 @@ PERMUTATIONS = 10_000
 
 @dataclass(frozen=True)
 class Analysis:
-    """All reported results.
+    """All reported results of one comparison.
 
     Attributes:
-        conditions: the compared conditions; differences are the first minus the second.
-        stream: the analysed data: person, pilot or bot. Never mixed.
-        measures: one row for each measure, the three primary measures first: the figures of
-            :func:`compare`, with the names of the conditions; ``student_p_holm``, only for primary
-            measures; and the paper's figures ``paper_…``.
-        flow: how many participants reached each stage, ended in each way, were excluded for each
-            reason, and are analysed; in all and by condition.
-        data: the participants who finished and are not excluded.
+        conditions: the two compared conditions; a difference is the first minus the second.
+        stream: kind of the analysed participants: "person", "pilot" or "bot". Kinds are never
+            mixed.
+        measures: one row for each measure, the three primary measures first. The columns are the
+            figures of :func:`compare`, named after the conditions; ``student_p_holm``, the
+            corrected p of the primary measures; and ``paper_…``, the paper's figures.
+        flow: numbers of participants, as in :func:`_count_flow`.
+        data: table of the analysed participants: those who finished and are not excluded.
     """
 
     conditions: tuple[str, str]
@@ -118,9 +118,13 @@ def exclusions(path: Path | None) -> dict[str, str]:
 def analyse_all(
     data: pd.DataFrame, stream: str, excluded: Mapping[str, str], seed: int = 0
 ) -> dict[str, Analysis]:
-    """Compares the paper's two conditions, and the personalized condition with the asking condition
-    if the study has both. Returns the analyses by their names in COMPARED. Each analysis corrects
-    for its own three measures."""
+    """Compares the paper's two conditions. If the study also has the asking condition, compares the
+    personalized condition with the asking condition too.
+
+    Returns:
+        The analyses by their names in ``COMPARED``. Each analysis corrects its p values for its own
+        three primary measures.
+    """
     met = set(data.loc[(data["stream"] == stream) & (data["stage"] == "done"), "condition"])
     return {
         name: analyse(data, stream, excluded, seed, pair)
@@ -140,14 +144,13 @@ def analyse(
 
     Args:
         data: table of participants.
-        stream: "person", "pilot" or "bot"; only these rows are used.
+        stream: kind of participants: "person", "pilot" or "bot"; only their rows are used.
         excluded: {participant: reason}, decided before looking at the results.
         seed: seed of the permutation tests.
         conditions: the two conditions.
 
     Raises:
-        InputError: a stream, participant or condition is unknown, or there are too few
-            participants.
+        InputError: a kind, participant or condition is unknown, or there are too few participants.
     """
     one_of("stream", stream, STREAMS)
     for who in excluded:
@@ -186,8 +189,8 @@ def analyse(
 def _compare_measure(
     data: pd.DataFrame, measure: str, conditions: tuple[str, str], seed: int
 ) -> dict[str, float]:
-    """Compares the first condition with the second. The names of the figures contain the names of
-    the conditions."""
+    """Returns the figures of :func:`compare` for one measure. The groups are the participants of
+    the two conditions, whose names are part of the figures' names."""
     data = data.dropna(subset=[measure])  # impossible times are left out
     a, b = (data[data["condition"] == condition] for condition in conditions)
     types_a, types_b = (group["type"].astype(str).tolist() for group in (a, b))
@@ -196,13 +199,14 @@ def _compare_measure(
 
 
 def _count_flow(own: pd.DataFrame, ends: Mapping[str, pd.Series[bool]]) -> pd.DataFrame:
-    """Counts in all and in each condition how many participants reached each stage, ended in each
-    way, were excluded for each reason, and are analysed.
+    """Makes a table of numbers of participants. Its columns are all participants and each
+    condition. Its rows are each stage that participants reached, each way in which participation
+    ended, and the counts of ``ends``.
 
     Args:
-        own: participants of a stream.
-        ends: {name of a further count: True for the counted participants}; missing participants
-            count as False.
+        own: table of all participants of one kind (person, pilot or bot).
+        ends: {name of a further row: True for each counted participant}, such as each reason for
+            exclusion. Participants without a value are not counted.
     """
     everybody = own["participant"].notna()
     reached = {
@@ -273,10 +277,18 @@ def compare(
 
 
 def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, float, float]:
-    """Computes Hedges' g from Student's t, with the exact interval from the noncentral t
-    distribution.
+    """Computes Hedges' g from Student's t of two groups.
 
-    The small-sample factor is exact, J = Γ(ν/2) / (√(ν/2) Γ((ν − 1)/2)) (Hedges 1981).
+    The small-sample factor is exact, J = Γ(ν/2) / (√(ν/2) Γ((ν − 1)/2)) with ν = n_a + n_b − 2
+    degrees of freedom (Hedges 1981).
+
+    Args:
+        t: Student's t.
+        n_a, n_b: numbers of participants in the groups.
+        level: level of the interval.
+
+    Returns:
+        g, and the low and high end of its exact interval from the noncentral t distribution.
     """
     df, scale = n_a + n_b - 2, np.sqrt(1 / n_a + 1 / n_b)
     correction = np.exp(special.gammaln(df / 2) - special.gammaln((df - 1) / 2)) / np.sqrt(df / 2)
@@ -288,8 +300,14 @@ def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, fl
 
 
 def holm(p: ArrayLike) -> NDArray[np.float64]:
-    """Computes [tests], Holm's step-down adjusted p values, in the given order. NaN stays NaN and
-    does not count as a test."""
+    """Computes Holm's step-down adjusted p values. NaN stays NaN and does not count as a test.
+
+    Args:
+        p: [n] p values of n tests.
+
+    Returns:
+        [n] the adjusted p values, in the order of ``p``.
+    """
     values = np.asarray(p, dtype=float)
     order = np.argsort(values)  # NaN last
     steps = (~np.isnan(values)).sum() - np.arange(len(values))
@@ -306,12 +324,18 @@ def stratified_permutation(
     seed: int,
     permutations: int = PERMUTATIONS,
 ) -> float:
-    """Computes the two-sided p of the difference in means if group membership is permuted within
-    strata.
+    """Computes the two-sided p of the difference between the means of two groups. Participants are
+    permuted between the groups, but only within a stratum (a user type).
 
-    Assignment in blocks justifies this test: within a type the condition was drawn at random. p =
-    (1 + number of permutations with a difference at least as large) / (1 + permutations), so p is
-    never 0.
+    The test is valid because the study assigns conditions at random within each type. The result is
+    p = (1 + number of permutations with a difference at least as large) / (1 + number of
+    permutations), so p is never 0.
+
+    Args:
+        x, y: the measure of each participant in the two groups.
+        strata_x, strata_y: the stratum of each participant.
+        seed: seed of the permutations.
+        permutations: number of permutations.
     """
     if not len(x) or not len(y):
         return float("nan")
@@ -361,7 +385,7 @@ def show(analysis: Analysis, console: Console) -> None:
 
 
 def _list_cells(row: pd.Series[float], conditions: tuple[str, str]) -> list[str]:
-    """Lists the cells of a measure's row."""
+    """Returns the cells of a measure's row in the terminal's table, as texts."""
     shown = ((row[f"mean_{c}"], row[f"sd_{c}"], row[f"n_{c}"]) for c in conditions)
     cells = [f"{mean:.2f} ({sd:.2f}), {count:.0f}" for mean, sd, count in shown]
     every = row[["student_p", "student_p_holm", "welch_p", "permutation_p"]]

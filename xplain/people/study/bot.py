@@ -80,7 +80,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return self.practises(page, len(page.messages))
 
     def at_eligibility(self, page: Page) -> Fields:
-        """Gives the answers of the briefing (apart from mistakes)."""
+        """Answers each question as the briefing says, apart from mistakes."""
         questions = self.plan.roles[self.user_type].eligibility
         return [
             (f"q{i}", str((q.answer + self.chance(self.habits.mistake)) % len(q.options)))
@@ -94,7 +94,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
 
     def at_asking(self, page: Page) -> tuple[Fields, float]:
-        """Answers the question about a clip, with the error rate of a new label."""
+        """Answers the question about a transition; the answer is wrong as often as a new label."""
         labels, habits, (clip,) = self.plan.clip_labels, self.habits, page.steps
         assert labels is not None, "a plan that asks has the answers of simulated people"
         truth = labels.of_steps([clip]).label_probabilities(1, self.known)[self.user_type, 0]
@@ -118,15 +118,23 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         ]
 
     def _forget(self, probability: float) -> None:
-        """Forgets corrected facts at random, each with this probability."""
+        """Forgets each corrected fact with this probability, independently."""
         wrong = self.plan.wrong[self.user_type]
         for j in indices(self.known):
             if j in wrong and self.chance(probability):
                 self.known &= ~(1 << j)
 
     def labels(self, count: int, messages: int, new: Sequence[str]) -> tuple[list[int], float]:
-        """Labels the first ``count`` steps. Also returns the time in seconds. ``messages`` is the
-        number of messages on the page, and ``new`` has the messages that are given now."""
+        """Labels the first steps of the trace.
+
+        Args:
+            count: number of steps to label.
+            messages: number of messages on the page.
+            new: the messages that are given now.
+
+        Returns:
+            The labels, and the time in seconds.
+        """
         habits = self.habits
         for sentence in new:
             others = messages - 1
@@ -154,5 +162,5 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
 
 
 def bot(plan: StudyPlan, habits: Habits, seed: int, number: int) -> StudyBot:
-    """Makes the simulated participant with a number."""
+    """Makes a simulated participant; bots with different ``number`` behave independently."""
     return StudyBot(plan, habits, stream(seed, "bots", number))

@@ -35,18 +35,18 @@ EVALUATING = ("evaluation", "asking")
 
 @dataclass(frozen=True)
 class AskedQuestion:
-    """A question to the participant.
+    """A question to the participant. The policy knows M user types.
 
     Attributes:
-        step: k of the step after the question.
-        question: index of the question.
+        step: index of the trace's step that follows the question, from 0.
+        question: index of the question in the problem.
         told: number of messages given before the question.
         worth: the policy's value of the question minus the value of its best other action; None if
             unknown.
-        before: [M] belief over user types.
+        before: [M] belief over user types before the answer.
         answer: 1 if the step made sense to the participant, 0 if not, or CANNOT_TELL; None before
             the answer.
-        after: [M] belief after the answer.
+        after: [M] belief over user types after the answer; empty before the answer.
     """
 
     step: int
@@ -62,23 +62,27 @@ class AskedQuestion:
 class StudyState(core.State):
     """The state of a participant. The default values are the state before the first page.
 
+    A *place* is one numbered opening in the study for a participant of one type and condition.
+
     Attributes:
-        user_type, condition: type and condition of the participant's place; None before consent.
-        orders: {"eligibility" | "quiz": order of the questions}.
-        attempts: number of eligibility tests.
-        step: k of the evaluation.
+        user_type, condition: type and condition of the participant; None before consent.
+        orders: {"eligibility" or "quiz": the order in which its questions are shown}.
+        attempts: number of eligibility tests taken.
+        step: index k of the trace's step that is shown last, from 0.
         given: bitmask of all messages on the page, including new messages.
-        new: bitmask of the messages given at this step.
-        previous: bitmask of the messages at the previous step; None at the first step.
+        new: bitmask of the messages given at step k.
+        previous: bitmask of the messages on the page at step k − 1; None at the first step.
         belief: belief over hidden states.
         labels: latest labels of the transitions 0 … k − 1.
-        heard: indices of the given messages, in order; a repeated message occurs again.
+        heard: indices of the given messages, in the order in which they were given; a repeated
+            message occurs again.
         score: score of the quiz.
-        asked: the questions; an open question is last.
-        position: position of the participant's place; None without a place.
+        asked: the policy's questions so far; a question without an answer is last.
+        position: number of the participant's place, also after the place was given back; None if
+            there never was a place.
         missed: number of attention checks after the quiz with a wrong answer.
-        before, values: the data of the current decision: the belief over user types, and the
-            policy's values by message set.
+        before: belief over user types when the policy chose the messages of step k.
+        values: {message set: the policy's value of giving it} at that decision.
         after: belief over user types after the labels of the last step.
     """
 
@@ -111,14 +115,14 @@ class StudyState(core.State):
 
     @property
     def place(self) -> int | None:
-        """The position of the place that the participant holds or has used up. None if the place is
-        free again, for example because the participant is excluded from the analysis."""
+        """The number of the place that the participant holds or has used up. None if the place
+        is free again, for example because the participant is excluded from the analysis."""
         used = self.stage == "done" and not self.missed
         return self.position if used or not self.over else None
 
     @property
     def again(self) -> int:
-        """Number of repeated messages."""
+        """Number of times that a message was given again."""
         return len(self.heard) - self.given.bit_count()
 
 
@@ -128,7 +132,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
 
     Attributes:
         policies: {condition: policy for the problem of that condition}.
-        belief: decides which labels are evidence.
+        belief: the belief update; it also decides which labels count as evidence.
     """
 
     policies: Mapping[str, CachedPolicy]
@@ -139,7 +143,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
         return self.plan.roles[state.slot_type]
 
     def talk(self, state: StudyState) -> Dialogue:
-        """Restores the dialogue at a page of the evaluation."""
+        """Returns the dialogue as it was when this page of the evaluation was shown."""
         condition = state.condition or ""
         problem = self.plan.problem_of(condition)
         # After a message, or if people may forget, a repeated question is a new question.
@@ -188,7 +192,8 @@ class Explaining(Flow[StudyPlan, StudyState]):
         )
 
     def of_types(self, belief: Sequence[float]) -> tuple[float, ...]:
-        """Returns the belief over user types, summed over habits and knowledge, for the log."""
+        """Returns the belief over user types, for the log: the belief over hidden states, summed
+        over habits and knowledge."""
         return tuple(self.plan.problem.type_belief(np.array(belief)).tolist())
 
     def collect_content(self, state: StudyState) -> dict[str, Any]:
@@ -214,7 +219,8 @@ class Evaluation(Stage["Explaining", StudyState]):
     """The robot's steps, one after the other, with the policy's messages."""
 
     def enter(self, flow: Explaining, state: StudyState) -> StudyState:
-        """Decides the first step."""
+        """Returns the state of the first page: the policy's first decision from the initial
+        belief."""
         belief = tuple(flow.plan.problem_of(state.condition or "").start.tolist())
         return flow.next_step(replace(state, wrong=False, belief=belief))
 
@@ -263,7 +269,7 @@ class Asking(OneLabel["Explaining", StudyState]):
     WITHIN: ClassVar = "evaluation"
 
     def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
-        """Shows the clip, and the messages so far."""
+        """Shows the transition that is asked about, and the messages given so far."""
         question = state.asked[-1].question
         return flow.collect_content(state) | {
             "clip": flow.plan.clips[question],

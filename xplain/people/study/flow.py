@@ -78,13 +78,13 @@ class StudyBriefing(Briefing["Study", StudyState]):
         return every[1:-1] if state.attempts else every
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
-        """Adds the number of attempts left."""
+        """Adds the number of eligibility tests that the participant may still take."""
         left = flow.plan.rules.max_attempts - state.attempts
         return super().view(flow, state) | {"attempts_left": left}
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
-        """Moves on; after a failed attempt directly to the test, because the practice is not
-        repeated."""
+        """Moves to the next stage. After a failed eligibility test, moves directly to the next
+        test, because the practice is not repeated."""
         after = super().advance(flow, state, payload)
         again = state.attempts and after.stage != self.name
         return replace(after, stage="eligibility") if again else after
@@ -94,8 +94,8 @@ class TrainingStage(Practice["Study", StudyState]):
     """The example: an additional action that makes no sense without its message."""
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
-        """Shows the step: in the first part without its message, in the second part with the
-        message."""
+        """Shows the example's action: in the first part of the practice without its message, in
+        the second part with the message."""
         slots = len(flow.plan.facts)
         return {"training": flow.plan.training, "part": state.part, "slots": slots}
 
@@ -144,7 +144,7 @@ class Quiz(Stage["Study", StudyState]):
         return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
-        """Gives a point for each statement judged correctly."""
+        """Stores the score: one point for each statement that the participant judged correctly."""
         statements, chosen = flow.role(state).quiz, payload.get("chosen")
         missing = flow.words["quiz_missing"]
         if not isinstance(chosen, list) or len(chosen) > len(statements):
@@ -166,9 +166,14 @@ class LastQuestions(QuestionStage["Study", StudyState]):
 
 @dataclass(frozen=True)
 class Study(Explaining):
-    """A running plan with its policies. Places are permuted blocks of every type and condition. A
-    participant takes a place at the consent, gives it back after dropping out, a time-out or failed
-    tests, and uses it up by finishing. The participants' states have all this information."""
+    """A running plan with its policies.
+
+    A *place* is one numbered opening for a participant of one type and condition. The places are
+    divided into blocks. Each block has one place for every pair of a type and a condition, in
+    random order. A participant takes a place at the consent, gives it back after dropping out, a
+    time-out or failed tests, and uses it up by finishing. The states of the participants tell which
+    places are free.
+    """
 
     PLAN = StudyPlan
     PACKAGE = "xplain.people.study"
@@ -210,21 +215,29 @@ class Study(Explaining):
         return view | {"untrue": [(role.briefing[j], facts[j].message) for j in untrue]}
 
     def advance(self, state: StudyState, kind: str, payload: Mapping[str, Any]) -> StudyState:
-        """Gives a returning participant the free place."""
+        """Advances a participant; a participant who returns after a time-out gets the place that
+        :meth:`readmit` chose."""
         after = super().advance(state, kind, payload)
         return replace(after, **payload) if kind == "return" else after
 
     # Places --------------------------------------------------------------------------------------
 
     def cell(self, stream_name: str, position: int) -> tuple[int, str]:
-        """Returns type and condition of a place. Each block of places contains every cell once, in
-        a seeded order."""
+        """Returns type and condition of a place. Each block of places contains every pair (type,
+        condition) once, in a seeded order.
+
+        Args:
+            stream_name: kind of participants: "person", "pilot" or "bot"; each kind has its own
+                places.
+            position: number of the place, from 0.
+        """
         block, place = divmod(position, len(self.plan.cells))
         rng = stream(self.plan.seed, "slots", stream_name, block)
         return self.plan.cells[int(rng.permutation(len(self.plan.cells))[place])]
 
     def holders(self, people: People) -> dict[tuple[str, int], StudyState]:
-        """Returns {(stream, position): state} of participants who hold or have used up a place."""
+        """Returns {(stream, place): state} of participants who hold or have used up a place; a
+        stream is "person", "pilot" or "bot"."""
         return {
             (one.stream, one.state.place): one.state
             for one in people
@@ -232,8 +245,12 @@ class Study(Explaining):
         }
 
     def admit(self, person: Participant[StudyState], people: People) -> dict[str, Any]:
-        """Chooses the first free place of the person's stream, and the orders of questions. A
-        preview takes no place."""
+        """Chooses the first free place for a person, and the orders of the questions. A pilot for
+        whom a researcher chose type and condition (a preview) takes no place.
+
+        Returns:
+            {"position", "user_type", "condition", "orders"}, as in :class:`StudyState`.
+        """
         own, number, cell, position = person.stream, person.number, None, None
         if person.state.cell is None:
             position = self._find_free(own, people)
@@ -246,15 +263,24 @@ class Study(Explaining):
         return place | {"orders": orders}
 
     def readmit(self, person: Participant[StudyState], people: People) -> dict[str, Any]:
-        """Chooses a place with the same type and condition as the lost place."""
+        """Chooses a free place for a participant who returns after a time-out. It has the type and
+        condition of the place that the participant lost.
+
+        Returns:
+            {"position": number of the place}; {} if the participant never had a place.
+        """
         state = person.state
         if state.position is None:
             return {}
         return {"position": self._find_free(person.stream, people, state)}
 
     def _find_free(self, own: str, people: People, like: StudyState | None = None) -> int:
-        """Finds the first free place of a stream; with ``like``, a place with this type and
-        condition.
+        """Returns the number of the first free place.
+
+        Args:
+            own: kind of participants: "person", "pilot" or "bot"; each kind has its own places.
+            people: all participants.
+            like: a state whose type and condition the place must have; None allows every place.
 
         Raises:
             Full: all places of people are taken. (Pilots and bots always get a place.)
@@ -267,7 +293,8 @@ class Study(Explaining):
         raise Full("full")
 
     def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Reads the assigned place (type and condition) and the orders of the questions.
+        """Returns the changes of the state at the consent: the assigned place with its type and
+        condition, and the orders of the questions.
 
         Raises:
             Refused: the browser window is too narrow.
@@ -287,8 +314,16 @@ class Study(Explaining):
         return tuple(f"{self.plan.roles[t].name}, {condition}" for t, condition in self.plan.cells)
 
     def find_drawing(self, what: int | tuple[str, int]) -> tuple[Way | None, int, Sequence[str]]:
-        """Returns the way, the number of steps and the items taken: of the trace after ``what``
-        steps, or of one clip."""
+        """Returns what a map shows.
+
+        Args:
+            what: number of steps of the trace; or ("clip", index of a question), for the transition
+                that the question is about.
+
+        Returns:
+            The robot's moves (None if there is no map), the number of moves to draw, and the names
+            of the items that are no longer on the map.
+        """
         plan = self.plan
         if isinstance(what, tuple):
             clip = plan.clips[what[1]]
@@ -297,17 +332,19 @@ class Study(Explaining):
 
     @property
     def titles(self) -> dict[str, str]:
-        """Adds the title of questions between steps."""
+        """{stage: title of its pages}, including the questions between steps."""
         return super().titles | {"asking": self.words["asking"]}
 
     def about(self, state: StudyState, blinded: bool) -> dict[str, str]:
-        """Adds the columns of type and condition, unless types and conditions must stay hidden."""
+        """Returns the participant's columns on the researcher's page, with type and condition
+        unless these must stay hidden."""
         role = "" if state.user_type is None else self.plan.roles[state.user_type].name
         hidden = {} if blinded else {"Type": role, "Condition": state.condition or ""}
         return super().about(state, blinded) | hidden
 
     def step_of(self, state: StudyState) -> str:
-        """Names the step of the evaluation."""
+        """Returns the participant's step of the evaluation, such as "step 3" or "before step 3";
+        "" in other stages."""
         before = "before " if state.stage == "asking" else ""
         return f"{before}step {state.step + 1}" if state.stage in EVALUATING else ""
 
@@ -327,7 +364,12 @@ class Study(Explaining):
         )
 
     def faultless(self) -> dict[str, list[Episode]]:
-        """Simulates one person of each kind who never errs, under each condition."""
+        """Simulates one person of each user type (or of each kind of ``plan.kinds``) who never
+        errs.
+
+        Returns:
+            {condition: the episode of each person}.
+        """
         plan, found = self.plan, {}
         of_clips = () if plan.clip_labels is None else (plan.clip_labels,)
         tables = [
@@ -342,8 +384,8 @@ class Study(Explaining):
         return found
 
     def difference(self) -> float:
-        """Returns the smallest difference between two conditions: the difference in the number of
-        messages (and questions) for people who never err, as a mean over types."""
+        """Returns how much the two most similar conditions differ, for people who never err: the
+        mean over people of the difference in messages plus the difference in questions."""
         given = [
             [(one.n_messages, one.n_questions) for one in met] for met in self.faultless().values()
         ]
