@@ -37,15 +37,17 @@ log = logging.getLogger(__name__)
 def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
     """Returns the number of clusters at the elbow, and the rule that gave it (also logged).
 
-    Kneedle (Satopää et al. 2011, the paper's choice) looks for the bend of a convex, decreasing
-    curve. Its knee is used even if it is wrong. The knee often comes too early, because the first
-    split separates most pairs of types and the first drop of the curve is the largest. The first
-    rule that applies decides:
+    Kneedle (Satopää et al. 2011, the paper's choice) looks for the knee of a convex, decreasing
+    curve: the point where it bends. This knee is used even if it is wrong. It often comes too
+    early, because the first split separates most pairs of types and the first drop of the curve is
+    the largest. The first rule that applies decides:
 
-    1. ``flat zero``: no disagreements, k = 1.
-    2. ``kneedle``: its knee. A knee at an end of the curve, as for concave curves, does not count.
-    3. ``no knee, few``: the smallest k that leaves at most ``few`` of the disagreements at k = 1.
-    4. ``no knee, lowest``: there is no such k; the smallest k with the fewest disagreements.
+    1. ``flat zero``: if one cluster has no disagreements, k = 1.
+    2. ``kneedle``: the knee that Kneedle finds, unless it is at an end of the curve (as for concave
+       curves).
+    3. ``no knee, few``: the smallest k whose disagreements are at most ``few`` times the
+       disagreements at k = 1.
+    4. ``no knee, lowest``: the smallest k with the fewest disagreements.
 
     Args:
         curve: [K] disagreements for k = 1 … K.
@@ -92,7 +94,7 @@ def _find_knee(curve: NDArray[np.int64]) -> int | None:
 
 
 def disagreements(dataset: Dataset, assignments: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Counts [K] the disagreements of K clusterings [O]."""
+    """Counts the disagreements of each of K clusterings [O] of the observers. Returns [K]."""
     cell = query_index(dataset)
     ones, size = np.bincount(cell, weights=dataset.label), np.bincount(cell)
     rows = np.flatnonzero(((ones > 0) & (ones < size))[cell])  # all others agree
@@ -149,8 +151,16 @@ def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messag
 
 
 def smallest(inexplicable: NDArray[np.int64], messages: Sequence[int]) -> int:
-    """Finds the smallest of the 2^r sets of some messages, as a bitmask. ``inexplicable`` [2^r] is
-    the number of inexplicable transitions under each set."""
+    """Finds the best set of some messages: the set with the fewest inexplicable transitions, then
+    the set with the fewest messages.
+
+    Args:
+        inexplicable: [2^r] number of inexplicable transitions under each set of the r messages.
+        messages: the r messages.
+
+    Returns:
+        The set as a bitmask.
+    """
     sets = subsets(messages)
     # The first message weighs most: {0, 5} comes before {1, 2}.
     first = bits_of(np.arange(len(sets)), len(messages)) @ (1 << np.arange(len(messages)))[::-1]

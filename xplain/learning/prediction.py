@@ -87,7 +87,8 @@ def _predict_answers(
     Args:
         types: types that were learned from a dataset.
         asked: P questions.
-        transition: [P] row of each question's transition in that dataset; −1 if it has no such row.
+        transition: [P] index of each question's transition in that dataset; −1 for transitions that
+            the dataset does not contain.
     """
     one = _predict_by_type(types.labelers, asked)
     if types.answers is None:

@@ -36,8 +36,8 @@ class TableLabeler(MeasuredLabeler):
     """A labeler of known transitions: a table of what people of a type think.
 
     Attributes:
-        rows: [U, F] float32 features.
-        values: [U, 2^n] P(label = 1); ½ for other transitions.
+        rows: [U, F] float32 features of the known transitions.
+        values: [U, 2^n] P(label = 1) of these transitions under each message set.
     """
 
     rows: NDArray[np.float32]
@@ -47,7 +47,8 @@ class TableLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """Returns P(label = 1) of T transitions from the table; ½ for other transitions."""
+        """Returns P(label = 1) of T transitions from the table; ½ for transitions that are not in
+        it."""
         place = places(features.astype(np.float32), self.rows)
         known = (place >= 0)[:, None]
         return LabelTable.dense([np.where(known, self.values[place], 0.5)])
@@ -69,10 +70,10 @@ def _collect_values(labeler: Labeler) -> dict[str, Any]:
 def _make_labeler(
     kept: Mapping[str, Any], t: int, features: int, messages: int, trusted: Sequence[str]
 ) -> Labeler:
-    """Makes the labeler of type t from its values (:func:`_collect_values`).
+    """Makes the labeler of type t from its values in a file.
 
     Args:
-        kept: the values.
+        kept: the values, as :func:`_collect_values` returned them.
         t: index of the type.
         features, messages: number of features, and of messages.
         trusted: classes outside scikit-learn that skops may create, by full name.
@@ -182,11 +183,12 @@ class LearnedTypes:
         )
 
     def encode(self, transition: Mapping[str, float | str]) -> tuple[float, ...]:
-        """Converts a transition, given by its columns in the table of labels, to the form that
-        sessions need: ``types.encode({"zone": "river", "load": 2})``.
+        """Converts a transition to the row of features that sessions need. The transition is given
+        by its columns in the table of labels, as in ``types.encode({"zone": "river", "load": 2})``.
 
         Raises:
-            InputError: a column is missing or unknown, or has a text that no labelled row has.
+            InputError: a column is missing or unknown, or contains a text that no row of the table
+                of labels has in this column.
         """
         return encode_transition(transition, self.feature_names)
 

@@ -66,7 +66,7 @@ class Clustering:
     @property
     def new(self) -> float:
         """P(the next person has a new type): the share of observers who are alone in their type
-        (Good 1953), at least OPEN."""
+        (Good 1953), but at least the constant OPEN."""
         alone = int((np.bincount(self.assignment) == 1).sum())
         return max(OPEN, alone / (len(self.assignment) + 1))
 
@@ -112,8 +112,8 @@ class KnownTypes:
 
     Attributes:
         names: N names.
-        matched_true_type: [N] the true type that each type represents, by its number in the
-            setting's ``distinct``; −1 if unknown.
+        matched_true_type: [N] the true type that each type represents, as the number of the true
+            type in ``Setting.distinct``; −1 if unknown.
         shares: [N] shares of the observers.
         figures: measures of the learning stage, by name.
         curve: disagreements for k = 1 …; empty if there are none.

@@ -243,8 +243,8 @@ def learn_types(
         trainer: fits the labelers.
         seed: seed of every fit. It is the same for all types, so a labeler depends only on its
             labels, not on the numbering of clusters.
-        known: labelers by their observers. They were fitted to this dataset with this trainer and
-            seed, and are not fitted again.
+        known: labelers that were already fitted to this dataset with this trainer and seed; the key
+            is the observers of the cluster. These labelers are used again.
     """
     clusters = [clustering.members(t) for t in range(clustering.n_types)]
     trainer, answers, evidence = trainer.with_errors(dataset, clustering.assignment)
@@ -344,8 +344,8 @@ def oracle_labelers(perfect: UserTypes | None, observed: Observed) -> tuple[Labe
 
 
 def _match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]:
-    """Finds [N] the true type that most observers of each learned type have, by its number in the
-    setting's ``distinct``; −1 if the true types are unknown."""
+    """Finds [N] the true type that most observers of each learned type have, as its number in
+    ``Setting.distinct``; −1 if the true types are unknown."""
     matched = np.full(len(types.labelers), -1)
     alike = observed.behaviour
     if alike is not None:

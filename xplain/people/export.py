@@ -62,8 +62,10 @@ def codebook(package: str) -> list[dict[str, str]]:
 
 
 def order_columns(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.DataFrame:
-    """Makes the table ``name`` from its rows, and orders its columns as in the codebook. Columns
-    that share one entry of the codebook (:data:`OTHERS`) come last, in the order of the first row.
+    """Makes the table ``name`` from its rows, and orders its columns as in the codebook.
+
+    A codebook entry that ends in :data:`OTHERS` describes all columns with the same beginning. Such
+    columns come last, ordered as in the first row.
 
     Raises:
         ValueError: the columns of a row differ from the columns of the codebook. An export would

@@ -36,7 +36,8 @@ class State:
         stage: stage of the flow.
         accepted: number of accepted answers, which is also the number of the open page. Events of
             the server (a time-out, a return) are not counted.
-        part: half of the practice.
+        part: index of the open page within a stage of several pages: a screen of the briefing, or
+            the first or second half of the practice.
         wrong: True if the last answer of a practice or a test was wrong.
         left: the stage in which the participant was timed out.
         cell: index of the cell (:attr:`Flow.cells`) that a preview shows; None for people.
@@ -121,7 +122,8 @@ class Participant(Generic[S]):
         number: 1, 2, … in order of arrival.
         kind: class of the state.
         text: the state as JSON.
-        about: data from the arrival: ``stream`` and ``entry``.
+        about: payload of the arrival event: ``stream`` (person, pilot or bot), and ``entry``, which
+            is how the participant entered, such as "platform".
         identity: identifiers, which no export contains: the keyed hashes ``key`` and ``session``,
             the completion ``code``, and ``kept``, the platform's ids without a hash.
         entered: time of arrival by the server's wall clock.
@@ -273,7 +275,13 @@ class Flow(ABC, Generic[P, S]):
         """
 
     def readmit(self, person: Participant[S], people: People) -> dict[str, Any]:
-        """Returns values for the event by which a timed-out participant returns."""
+        """Returns the payload of the event "return", which is stored when a timed-out participant
+        comes back; empty if the flow assigns nothing again.
+
+        Args:
+            person: the participant who comes back.
+            people: all participants, in order of arrival.
+        """
         return {}
 
     @abstractmethod
@@ -297,9 +305,13 @@ class Flow(ABC, Generic[P, S]):
 
     @abstractmethod
     def find_drawing(self, what: Any) -> tuple[Way | None, int, Sequence[str]]:
-        """Converts a template's (hashable) argument to the arguments of
-        :func:`xplain.people.map_svg.picture`: the robot's way, the number of steps to draw, and
-        the names of items that are no longer on the map."""
+        """Finds what to draw on the map for a template's argument ``what`` (hashable).
+
+        Returns:
+            The arguments of :func:`xplain.people.map_svg.picture`: the cells before and after each
+            transition, the number of transitions to draw, and the names of items that are no longer
+            on the map.
+        """
 
     @property
     def titles(self) -> dict[str, str]:

@@ -198,8 +198,18 @@ class Log(Generic[S]):
         browser: float | None = None,
         state: str | None = None,
     ) -> None:
-        """Appends an event and the state after it, unless the source already sent the event.
-        Without ``number`` the event gets the next number."""
+        """Appends an event and the state after it. Appends nothing if the log already has an event
+        of this participant and source with this number.
+
+        Args:
+            who: id of the participant; "" for events of the server itself.
+            source: source of the event, such as "server".
+            kind: kind of the event.
+            payload: data of the event.
+            number: number of the event at its source; None takes the participant's next number.
+            browser: time in the browser, in milliseconds.
+            state: the state after the event, as JSON; None if the event does not change it.
+        """
         sql = "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?"
         (sequence,) = self._connection.execute(sql, (who,)).fetchone()
         text = json.dumps(payload, sort_keys=True, allow_nan=False)

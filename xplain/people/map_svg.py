@@ -39,8 +39,8 @@ def picture(plan: Any, path: Path | None, steps: int, gone: Sequence[str] = ()) 
 
     Args:
         plan: has the map (``scene``), ``icons`` by the names of items, and words.
-        path: [m] the robot's way, (cell before, cell after).
-        steps: number of steps to draw; 0 shows the map alone.
+        path: [m] (cell before, cell after) of each transition of the robot.
+        steps: number of transitions to draw; 0 shows the map alone.
         gone: names of items that are no longer on the map.
     """
     if plan.scene is None or path is None:
@@ -92,8 +92,15 @@ def _list_looks(plan: Any) -> list[tuple[Item, str | None, str]]:
 
 
 def _make_badges(ended: Sequence[Cell]) -> list[tuple[Cell, str]]:
-    """Lists the step numbers by the cell where the steps ended. A cell has room for the last
-    numbers; two dots represent the earlier numbers."""
+    """Makes a text for each cell in which steps ended, with the numbers of these steps. If a text
+    is too long for the cell, two dots replace its first numbers.
+
+    Args:
+        ended: the cell in which each step ended.
+
+    Returns:
+        Pairs (cell, text).
+    """
     found = []
     for cell in dict.fromkeys(ended):
         shown = [str(number) for number, one in enumerate(ended, 1) if one == cell]

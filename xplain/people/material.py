@@ -127,7 +127,8 @@ class Material:
         )
 
     def labels(self, rows: Transitions) -> NDArray[np.uint8]:
-        """Returns [M, m, 2^n], the true labels of each type."""
+        """Returns [M, m, 2^n], the true labels of the transitions with the indices ``rows`` [m], by
+        type and message set."""
         if self.setting and self.transitions is not None:
             return self.setting.label_table(self.transitions[rows])
         known = self.hypotheses
@@ -137,14 +138,15 @@ class Material:
         return np.stack([known.labels[known.row(one & ~told)][:, rows].T for one in held])
 
     def rows_of(self, steps: NDArray[np.int64]) -> Transitions:
-        """Finds the rows of transitions [m, 3]."""
+        """Finds the index of each of the given transitions [m, 3] in :attr:`transitions`."""
         assert self.transitions is not None, "transitions of a domain"
         row_of = {tuple(one): row for row, one in enumerate(self.transitions.tolist())}
         return np.array([row_of[tuple(step)] for step in steps.tolist()], np.int64)
 
     def list_taken(self, trace: Transitions) -> Told:
-        """Lists [m + 1] names of the items that are no longer on the map after 0 … m steps. The
-        list is empty without a domain, or if the domain does not name such items."""
+        """Returns m + 1 lists: the names of the items that are no longer on the map after 0 … m
+        steps of a trace. Returns an empty tuple without a domain, or if the domain does not name
+        such items."""
         if self.setting is None or self.transitions is None:
             return ()
         steps = self.transitions[trace]
@@ -348,13 +350,15 @@ def name_items(scene: Scene, in_words: InWords) -> Scene:
 
 
 def select_plan_keys(cfg: DictConfig) -> dict[str, Any]:
-    """Selects the resolved keys that belong to the plan."""
+    """Returns the keys of a configuration that belong to the plan, with resolved values: all keys
+    except NOT_OF_THE_PLAN."""
     plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     return {key: value for key, value in plain.items() if key not in NOT_OF_THE_PLAN}
 
 
 def of_states(domain: Domain, method: str, states: Iterable[int]) -> Told:
-    """Calls a domain's optional method for each state; empty if the domain has no such method."""
+    """Calls a domain's optional method for each state, and returns the results. Returns an empty
+    tuple if the domain has no such method."""
     told = getattr(domain, method, None)
     return () if told is None else tuple(tuple(told(int(state))) for state in states)
 

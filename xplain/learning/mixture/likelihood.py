@@ -144,10 +144,15 @@ class KnownTransitions:
     candidates with such a fact, alone or with other facts. The effect of such a fact is unknown:
     any label may be 0 instead of 1, and the answers show which labels are 0.
 
+    In the shapes, C is the number of candidates, U of distinct rows of features, and V of variants
+    of the inaccurate values; index 0 of 1 + V is for the values without a variant. f is the label
+    of a cell. It differs from the hypotheses with probability δ, which has one of the D values in
+    :data:`DEVIATION`.
+
     Attributes:
         hypotheses: hypotheses with features, including the candidates with unwritten facts.
         unwritten: facts that no hypothesis contains, as a bitmask.
-        features: [U, F] float32, distinct.
+        features: [U, F] float32, distinct rows of F features.
         share: [1 + V, C, U] float64, share of the transitions with these features that are labelled
             1.
     """
@@ -182,15 +187,16 @@ class KnownTransitions:
 
     def find_supported(self, answers: Answers) -> NDArray[np.int64]:
         """Returns the essential facts of the candidates that are probable given the answers of one
-        type, ascending. If all fact sets are candidates, returns those of every candidate."""
+        type, ascending. If all fact sets are candidates, returns the essential facts of every
+        candidate."""
         if self.hypotheses.complete:
             return np.unique(self.essential)
         posterior = self._compute_posterior(self.hypotheses, answers)
         return np.unique(self.essential[posterior >= min(SUPPORTED, posterior.max())])
 
     def _compute_posterior(self, hypotheses: Hypotheses, answers: Answers) -> NDArray[np.float64]:
-        """Computes [C] the posterior of the candidates. One transition represents all transitions
-        with the same features."""
+        """Computes the posterior [C] of the candidates given the answers of one type. One
+        transition represents all transitions with the same features."""
         column = self._column[answers.transition]
         return posterior_by(hypotheses, column, answers.message_set, answers.label)
 
@@ -202,42 +208,58 @@ class KnownTransitions:
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        """[C] essential facts, as in the hypotheses. Facts that no hypothesis contains always count
-        as essential."""
+        """[C] the facts of each candidate that some question reveals (``Hypotheses.essential``),
+        and its unwritten facts, as a bitmask."""
         return self.hypotheses.essential | self.hypotheses.facts & self.unwritten
 
     def prior_of(self, facts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Computes [R] the prior of the candidates with these essential facts."""
+        """Computes the prior of each fact set in ``facts`` [R]: the sum over all candidates whose
+        essential facts are this set."""
         every, which = np.unique(self.essential, return_inverse=True)
         prior = np.bincount(which.ravel(), self.hypotheses.prior)
         return np.asarray(prior[np.searchsorted(every, facts)], np.float64)
 
     @cached_property
     def log_prior(self) -> NDArray[np.float64]:
-        """[1 + V, D] log P(variant, δ)."""
+        """[1 + V, D] log prior of each pair (variant, δ)."""
         return np.log(self.hypotheses.variant_prior)[:, None] + np.log(DEVIATION_PRIOR)
 
     def exactly(
         self, held: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Computes [P, 1 + V, D] P(f = 1) of the transitions [P], each from its own label instead
-        of the mean label of its features, for people who believe ``held`` [P] incorrectly."""
+        """Computes [P, 1 + V, D] P(f = 1) from the label of each transition itself, not from the
+        mean label of the transitions with the same features.
+
+        Args:
+            held: [P] facts that the person believes incorrectly, as bitmasks.
+            transitions: [P] transitions of the hypotheses.
+        """
         labels = self.hypotheses.tables[:, self.hypotheses.row(held), transitions]
         return self._add_deviations((labels * _compute_certainty(held, self.unwritten)).T)
 
     @cached_property
     def _by_cell(self) -> NDArray[np.float64]:
-        """[C · U, 1 + V] the values of :attr:`share`; the row is the key of a cell."""
+        """[C · U, 1 + V] the values of :attr:`share`. Row c · U + u is for candidate c and row u of
+        the features; this number is the cell's key."""
         return np.ascontiguousarray(self.share.reshape(len(self.share), -1).T)
 
     def truth(self, key: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Computes [*, 1 + V, D] P(f = 1) of cells [*], by variant and δ."""
+        """Computes [..., 1 + V, D] P(f = 1) before any answer, for each variant and value of δ, of
+        the cells with the keys ``key`` [...] (see :attr:`Cells.key`)."""
         return self._add_deviations(self._by_cell[key])
 
     def _add_deviations(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Computes [*, 1 + V, D] P(f = 1), by variant and δ, if the hypotheses predict ``share``
-        [*, 1 + V]. δ is larger where the assumed values and variants on the same side of the
-        robot's values (``sizes``) disagree."""
+        """Computes P(f = 1) of cells if their labels may differ from the hypotheses.
+
+        δ, the probability that a label differs, is DISPUTED times larger (but at most ⅓) in cells
+        in which ``share`` is not the same for all variants of ``Hypotheses.sizes``.
+
+        Args:
+            share: [..., 1 + V] P(label = 1) as the hypotheses predict it, by variant.
+
+        Returns:
+            [..., 1 + V, D] P(f = 1), by variant and δ.
+        """
         of_sizes = share[..., self.hypotheses.sizes]
         disputed = of_sizes.min(axis=-1) != of_sizes.max(axis=-1)
         more = np.minimum(DISPUTED * DEVIATION, DEVIATION[-1])
@@ -261,8 +283,8 @@ class KnownTransitions:
     def find_exactly(
         self, features: NDArray[np.float64], states: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Returns [P] the transitions of the hypotheses with these features [P, F] and states [P,
-        2]; −1 if there is no such transition."""
+        """Returns [P] the index of the hypotheses' transition with each row of ``features`` [P, F]
+        and of ``states`` [P, 2] (start and end state); −1 if there is no such transition."""
         return places(np.hstack([states, features.astype(np.float32)]), self._exact)
 
     @cached_property
@@ -270,8 +292,8 @@ class KnownTransitions:
         return number_rows(self.features)
 
     def find(self, features: NDArray[np.floating]) -> NDArray[np.int64]:
-        """Returns [P] the indices of rows of features [P, F]; −1 for rows that the hypotheses do
-        not contain."""
+        """Returns [P] the index in :attr:`features` of each of the given rows [P, F]; −1 for rows
+        that the hypotheses do not contain."""
         return places(features.astype(np.float32), self._place)
 
 
@@ -302,8 +324,13 @@ def _add_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
 
 
 def _compute_certainty(held: NDArray[np.int64], unwritten: int) -> NDArray[np.float64]:
-    """Computes P(the label is the label of the hypotheses) for people who believe these facts
-    incorrectly."""
+    """Computes the factor on P(label = 1) for people who believe unwritten facts incorrectly: 1 −
+    MATTERS for people who believe at least one unwritten fact incorrectly, otherwise 1.
+
+    Args:
+        held: the facts that people believe incorrectly, as bitmasks.
+        unwritten: the unwritten facts, as a bitmask.
+    """
     return np.where(held & unwritten, 1 - MATTERS, 1.0)
 
 
@@ -317,8 +344,8 @@ ERROR = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 
 
 def by_level(label: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Computes [P, 2, E] log P(answer | f, ε) of answers [P], for f = 0 and 1 and every level of
-    ε."""
+    """Computes [P, 2, E] log P(answer | f, ε) of P answers, for f = 0 and 1 and for each of the E
+    error rates ε in :data:`ERROR`."""
     right = label[:, None] == np.arange(2)
     return np.asarray(np.where(right[:, :, None], np.log1p(-ERROR), np.log(ERROR)))
 
@@ -330,8 +357,16 @@ as well."""
 
 
 def scale_errors(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Computes [P, 2, E] log P(answer | f) of answers [P], with error rates multiplied by each
-    level of :data:`SCALE`; ``given`` [P, 2] holds the values without a factor."""
+    """Computes log P(answer | f) with error rates multiplied by each of the E factors in
+    :data:`SCALE`.
+
+    Args:
+        given: [P, 2] log P(answer | f) of P answers with the learned error rates, for f = 0 and 1.
+        label: [P] the answers, 0 or 1.
+
+    Returns:
+        [P, 2, E] log P(answer | f) for each factor.
+    """
     right = label[:, None] == np.arange(2)
     wrong = np.exp(np.where(right, np.log(-np.expm1(given)), given))[:, :, None] * SCALE
     wrong = np.minimum(wrong, 0.45)
@@ -340,13 +375,14 @@ def scale_errors(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArra
 
 @dataclass(frozen=True)
 class Cells:
-    """The cells of the answers of one type, for each of R fact sets that the type may have.
+    """The cells (fact set still believed incorrectly, transition) of the P answers of one type, for
+    each of R fact sets that the type may have. For each of these R sets the cells are separate.
 
     Attributes:
-        which: [N] index of the fact set of each cell.
-        where: [R, P] the cell of each answer, by fact set.
-        key: [N] (index of the set of incorrect facts) · U + transition; ascending within a fact
-            set.
+        which: [N] the index 0 … R − 1 of the fact set to which each cell belongs.
+        where: [R, P] the index of each answer's cell, by fact set.
+        key: [N] c · U + u: c is the index of the candidate with the facts that are still believed
+            incorrectly, u the row of features. Ascending within a fact set.
         one: [N, 1 + V, D] P(f = 1) before any answer, by variant and δ.
     """
 
@@ -366,14 +402,26 @@ class Cells:
         return cls(cells // size, where.reshape(held.shape), key, known.truth(key))
 
     def sum_evidence(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Computes [2, N, 1, 1, E] log P(answers in the cell | f) for f = 0 and 1 and E error
-        levels, from log P(answer | f) ``given`` [P, 2, E]."""
+        """Sums the log likelihoods of the answers in each cell.
+
+        Args:
+            given: [P, 2, E] log P(answer | f) for f = 0 and 1 and each of E error rates or factors.
+
+        Returns:
+            [2, N, 1, 1, E] log P(answers in the cell | f).
+        """
         every = np.tile(given, (len(self.where), 1, 1))
         total = sum_by_group(every, self.where.ravel(), len(self.key))
         return np.moveaxis(total, 1, 0)[:, :, None, None]
 
     def log_likelihood(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Computes [R, 1 + V, D, E] log P(answers | R, variant, δ, level), from log P(answer | f)
-        ``given`` [P, 2, E]."""
+        """Computes the log likelihood of all answers for each fact set.
+
+        Args:
+            given: [P, 2, E] log P(answer | f) for f = 0 and 1 and each of E error rates or factors.
+
+        Returns:
+            [R, 1 + V, D, E] log P(answers | fact set, variant, δ, error rate or factor).
+        """
         value = log_cell(self.one[..., None], *self.sum_evidence(given))
         return sum_by_group(value, self.which, len(self.where))

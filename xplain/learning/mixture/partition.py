@@ -1,10 +1,11 @@
 """Finds the types of observers, as fact sets, and the error rates of their answers.
 
 The first step fits a mixture over all people by expectation maximisation. It estimates together:
-the shares of (fact set, variant, deviation), the label f of each cell, slips, guesses and error
-rates. Cognitive diagnosis (DINA) is similar, but there f is given. Each person has a probability of
-each fact set. If each person had only the best fact set, this set would also explain the person's
-errors, and people would seem to make none.
+the shares of (fact set, variant, deviation), the label f of each cell
+(:mod:`xplain.learning.mixture.likelihood`), slips, guesses and error rates. Cognitive diagnosis
+(DINA) is similar, but there the labels f are known. Each person has a probability of each fact set.
+If each person had only the best fact set, this set would also explain the person's errors, and
+people would seem to make none.
 
 The second step assigns observers to types by a Chinese restaurant process, as in
 :mod:`xplain.learning.mixture.sampler`, but without sampling. Hypotheses leave so few fact sets that
@@ -49,18 +50,20 @@ def mixture(
 ) -> tuple[NDArray[np.float64], AnswerModel, NDArray[np.float64] | None]:
     """Fits the mixture over all people.
 
-    Returns P(fact set) of each person [O, R]; the error model of answers; and [O, U] P(answer 1) of
-    each person without messages, for all rows of features in the hypotheses. The last result is
-    None if some people received messages.
-
     Args:
         known: the hypotheses.
         answers: P answers.
         person: [P] the person who gave each answer.
-        people: O, including people without answers.
-        facts: [R] candidates.
-        log_new: [R] log prior weight of each candidate.
+        people: O, the number of people, including people without answers.
+        facts: [R] the fact sets that people may have, as bitmasks.
+        log_new: [R] log prior weight of each fact set.
         level: initial value of slips and guesses.
+
+    Returns:
+        [O, R] P(fact set) of each person.
+        The error model of answers.
+        [O, U] P(answer 1) of each person without messages, for each of the U rows of features in
+        the hypotheses; None if some people received messages.
     """
     cells, questions = Cells.of(known, answers, facts), known.share.shape[2]
     group = cells.where.T.ravel()
@@ -111,10 +114,10 @@ class Partition(NamedTuple):
 
     Attributes:
         facts: [O] facts that each observer's type believes incorrectly.
-        answers: error model of the answers; each row of features is one question.
-        expected: [O, U] P(answer 1) of each observer without messages, for each row of features,
-            predicted by the mixture over all people. (The mixture gives the hypotheses more weight
-            than the types do.) None if some observers received messages.
+        answers: error model of the answers; each row of features counts as one question.
+        expected: [O, U] P(answer 1) of each observer without messages, for each of the U rows of
+            features. The mixture over all people predicts it, because it gives the hypotheses more
+            weight than the types do. None if some observers received messages.
     """
 
     facts: NDArray[np.int64]
@@ -158,8 +161,11 @@ def errors_of(
 
 
 class _Search:
-    """The data of the search in :func:`partition`. Its state is an index into ``facts`` for each
-    observer."""
+    """The data of the search in :func:`partition`.
+
+    The methods' argument ``state`` [O] is the current partition: for each observer the index of the
+    type's fact set in ``facts``.
+    """
 
     def __init__(
         self, known: KnownTransitions, observers: list[Answers], concentration: float
@@ -173,8 +179,12 @@ class _Search:
         self.log_new = np.log(concentration) + np.log(known.prior_of(self.facts))
 
     def set_common_error(self) -> NDArray[np.float64]:
-        """Sets one error rate for all answers: the most likely one if every observer has a separate
-        type. Returns the posterior [O, R] of each observer's fact set."""
+        """Sets one error rate for all answers: the rate with the highest likelihood if every
+        observer is a separate type.
+
+        Returns:
+            [O, R] the posterior of each observer's fact set, at this error rate.
+        """
         levels = by_level(self.every.label)
         alone = np.stack([self._log_sum(rows, self.facts, levels) for rows in self.rows])
         alone += self.log_new[:, None]
@@ -223,9 +233,17 @@ class _Search:
     def _log_sum(
         self, rows: NDArray[np.int64], facts: NDArray[np.int64], given: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Computes [R, E] log P(the answers ``rows`` | all their observers have the fact set,
-        error level) for each of the fact sets ``facts`` [R], from log P(answer | f) ``given``
-        [P, 2, E]."""
+        """Computes the log likelihood of some answers if all their observers have the same fact
+        set.
+
+        Args:
+            rows: indices of the answers in ``every``.
+            facts: [R] fact sets.
+            given: [P, 2, E] log P(answer | f) of all P answers, for f = 0 and 1 and E error levels.
+
+        Returns:
+            [R, E] log P(answers | fact set, error level).
+        """
         value = Cells.of(self.known, self.every.take(rows), facts).log_likelihood(given[rows])
         return np.asarray(logsumexp(value + self.known.log_prior[:, :, None], axis=(1, 2)))
 

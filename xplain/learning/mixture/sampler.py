@@ -293,7 +293,7 @@ def split_merge(
         answers, prior, state: see :func:`sample`.
         log_new: log weight of an unused fact set in the Chinese restaurant process.
         temperature: temperature of the target distribution.
-        rng: the chain's stream.
+        rng: random generator of the chain.
     """
     now = log_likelihood(state, prior)
     for _ in range(MOVES):
@@ -336,8 +336,19 @@ def _try_relabel(
     prior: Prior,
     state: ChainState,
 ) -> float:
-    """Gives all observers of a type the fact set ``new`` if the log-likelihood then exceeds ``now``
-    by more than ``least``. Returns the gain, or 0 without a change."""
+    """Gives some observers of one type another fact set, if this increases the log-likelihood
+    enough; otherwise leaves ``state`` unchanged.
+
+    Args:
+        members: the observers.
+        new: their new fact set.
+        least: the gain in log-likelihood must be larger than this.
+        now: log-likelihood of ``state`` before the change.
+        answers, prior, state: see :func:`sample`.
+
+    Returns:
+        The gain in log-likelihood, or 0 without a change.
+    """
     old, counts = state.facts[members[0]], state.counts.copy()
     relabel(members, new, answers, prior, state)
     gain = float(log_likelihood(state, prior)) - now
@@ -354,9 +365,11 @@ def _propose_move(
     """Proposes a merge (all observers of a type take the fact set of another type) or a split (some
     random observers of a type take an unused fact set).
 
-    Returns the observers, their new fact set, the log ratio of the priors (after / before), and the
-    log ratio of the proposal probabilities (back / forth). Returns None if the drawn move is
-    impossible: there is no second type, one observer cannot be split, or the fact set is in use.
+    Returns:
+        The observers, their new fact set, the log ratio of the priors (after the move / before it),
+        and the log ratio of the proposal probabilities (of the reverse move / of this move). None
+        if the drawn move is impossible: there is no second type, the type has only one observer to
+        split, or the fact set is in use.
     """
     used = np.unique(facts)
     a = rng.integers(0, len(used))
@@ -379,8 +392,9 @@ def _propose_move(
 
 
 def _log_merged(size: int, others: int, urn: float) -> float:
-    """Computes log P(one type) − log P(two types) under Pólya's urn, which begins with ``urn``
-    balls of each fact set."""
+    """Computes the log ratio of two probabilities under Pólya's urn: that ``size`` + ``others``
+    observers all have one fact set, and that ``size`` of them have one fact set and ``others`` have
+    another. The urn begins with ``urn`` balls of each fact set."""
     return lgamma(size + others + urn) + lgamma(urn) - lgamma(size + urn) - lgamma(others + urn)
 
 

@@ -78,12 +78,12 @@ class CollectState(core.State):
 
     Attributes:
         number: the participant's number, which seeds the questions; None before consent.
-        role: index of the role in the briefing; None without a briefing.
+        role: index of the role whose briefing the participant gets; None without a briefing.
         others: {fact set: share among earlier participants}.
         answered: clips with their labels.
         clip: the clip on the page.
         belief: {fact set, or "none": posterior} after the last question.
-        stated: for each fact an index into STATED.
+        stated: the participant's statement about each fact, as an index into STATED.
     """
 
     number: int | None = None
@@ -191,7 +191,8 @@ def belief(asking: Questionnaire) -> dict[str, float]:
 
 
 def questions_of(plan: CollectPlan) -> int:
-    """Counts the questions for each participant. The last question may have fewer steps."""
+    """Returns the number of questions for each participant. The last question may have fewer
+    steps."""
     return -(-plan.rules.points // plan.design.clip)
 
 

@@ -134,7 +134,8 @@ class BeliefStage(Stage["Collection", CollectState]):
         return flow.briefing(state) | {"statements": statements(flow.plan, state.person)}
 
     def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
-        """Reads an index into STATED for each fact."""
+        """Reads the participant's statement about each fact: the statement's index in STATED, or
+        None if the form has no valid statement."""
         facts = range(len(flow.plan.facts))
         return {"stated": [small(form.get(f"fact_{j}")) for j in facts]}
 
@@ -177,9 +178,16 @@ class Collection(Flow[CollectPlan, CollectState]):
         return cls(plan)
 
     def admit(self, person: Participant[CollectState], people: People) -> dict[str, Any]:
-        """Returns the participant's number, the role in the briefing, the mean posterior of earlier
-        participants, and their numbers. Earlier participants are those of the same stream whose
-        labels are used."""
+        """Returns the values that the consent event needs:
+
+        - ``number``: the participant's number.
+        - ``role``: index of the role whose briefing the participant gets; None without briefings.
+        - ``others``: the mean posterior of the earlier participants of the same stream whose labels
+          are used.
+        - ``after``: the numbers of these earlier participants.
+
+        Without ``design.from_others`` no earlier participants are used.
+        """
         own = [one for one in people if one.stream == person.stream]
         kept = {
             one.number: one.state.belief
@@ -199,19 +207,20 @@ class Collection(Flow[CollectPlan, CollectState]):
         return consent | {"role": int(rng.choice(fewest))}
 
     def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Stores the number, the briefing's role, and earlier participants' mean posterior."""
+        """Returns the changes of the state: the participant's number, the index of the briefing's
+        role, and the mean posterior of earlier participants."""
         return {key: payload[key] for key in ("number", "role", "others")}
 
     def forget(self) -> None:
-        """Clears also the questionnaires and the found types, which are computed again if
-        needed."""
+        """Clears all caches after an erasure, also the questionnaires and the found types. They are
+        computed again when they are needed."""
         super().forget()
         self.kept.cache_clear()
         self.found.clear()
 
     def find_drawing(self, what: tuple[int, ...]) -> tuple[Way | None, int, Sequence[str]]:
-        """Finds the drawing of a clip's transitions. Without transitions, the robot is at a place
-        where it covers no item of the map."""
+        """Finds the drawing of a clip's transitions. Without transitions, the drawing shows the
+        robot in a cell where it covers no item of the map."""
         shown, scene = self.plan.shown, self.plan.scene
         if scene is None:
             return None, 0, ()

@@ -79,14 +79,16 @@ class CollectPlan(StoredPlan):
         rules: settings of the protocol.
         roles: roles of simulated people.
         assigned: True if each participant gets the briefing of a role.
-        hypotheses: sets of facts that people may believe incorrectly, with phrases.
-        whole: hypotheses for all transitions, from which types are learned. Nobody is asked about
-            transitions that have the same features as another transition, but another label. None
-            if people are asked about all transitions.
+        hypotheses: sets of facts that people may believe incorrectly, and the labels of the T
+            transitions, with phrases.
+        whole: hypotheses for all transitions of the task, from which types are learned; None if the
+            T transitions are all of them. The T transitions do not include transitions that have
+            the same features but different labels.
         subject: subject of the phrases; "" if phrases are whole sentences.
         questions: the list of questions for all people, as (transition, message set); empty if each
             question depends on earlier answers.
-        design: settings of adaptive questions; beliefs about people use them for a list, too.
+        design: settings of adaptive questions. The posterior of a participant uses these settings
+            even if all people get one list of questions.
         shown: [T] the transitions.
         attention: the obvious step that does not make sense.
     """

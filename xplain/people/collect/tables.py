@@ -174,9 +174,16 @@ def glance(collection: Collection, people: People) -> dict[str, Any]:
 
 
 def count_agreement(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dict[str, int]]:
-    """Counts people for each fact. "of": people who stated a belief at the end. "said": people who
-    stated the incorrect belief. "inferred": people whose answers show the incorrect belief.
-    "agree": people whose statement agrees with their answers."""
+    """Counts people for each fact. Returns four numbers for each fact, by the fact's name:
+
+    - "of": people who stated a belief at the end.
+    - "said": people who stated the incorrect belief.
+    - "inferred": people whose answers show the incorrect belief.
+    - "agree": people whose statement agrees with their answers.
+
+    People who stated that they are unsure about a fact are not counted for this fact. Facts without
+    counted people are left out.
+    """
     found = {
         fact.name: dict.fromkeys(("said", "inferred", "agree", "of"), 0) for fact in plan.facts
     }
@@ -337,13 +344,14 @@ FACT_SETS = 64
 
 @dataclass(frozen=True)
 class Asked:
-    """The answered pages of one person, and the fact sets that the person may have.
+    """The answered pages of one person, and the fact sets that the person may believe incorrectly.
 
     Attributes:
-        known: the hypotheses, with the labels of people who have a fact set.
-        held: [N] fact sets that the person may have, as bitmasks.
-        prior: [N] probabilities of the fact sets before any answer.
-        clips: all pages except the obvious step, in order, with their labels.
+        known: the hypotheses: the label of each transition for people who believe a fact set
+            incorrectly.
+        held: [N] fact sets that the person may believe incorrectly, as bitmasks.
+        prior: [N] probabilities of these fact sets before any answer.
+        clips: all pages except the page with the obvious step, in order, with their labels.
     """
 
     known: Hypotheses
@@ -352,7 +360,7 @@ class Asked:
     clips: Sequence[AskedClip]
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
-        """Computes [F], the posterior of each habit."""
+        """Computes the posterior of each of the F habits in ``habits``. Returns [F]."""
         weight = np.outer(self.prior, habits.prior).ravel()
         lasting = [clip for clip in self.clips if clip.purpose in HEEDED]
         for clip in self.clips:
@@ -365,8 +373,17 @@ class Asked:
     def _update_weights(
         self, clips: Sequence[AskedClip], weight: NDArray[np.float64], habits: Habits
     ) -> NDArray[np.float64]:
-        """Updates the weights [N F] of (fact set, habit) by the labels on these pages. Messages
-        stay valid from page to page; at first the person knows no message."""
+        """Multiplies the weights of the pairs (fact set, habit) by the likelihoods of the labels on
+        some pages. Messages stay valid from page to page; at first the person knows no message.
+
+        Args:
+            clips: the pages.
+            weight: [N · F] weights of the pairs, before these pages.
+            habits: F habits.
+
+        Returns:
+            [N · F] the new weights, not normalised.
+        """
         told = sorted({j for clip in clips for j in indices(clip.told)})
         relevant = np.tile(np.array(told, np.int64), (len(weight), 1))
         accept, lose = (np.tile(rate, len(self.held)) for rate in (habits.accept, habits.forget))

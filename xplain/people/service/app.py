@@ -92,8 +92,8 @@ class OnlyJson:
 
 
 class Body(BaseModel):
-    """The body of a request. Every body may have the key, because frames and beacons cannot send it
-    in a header."""
+    """The body of a request. Every body may contain ``key``, the service's access key, because
+    frames and beacons cannot send it in a header."""
 
     model_config = ConfigDict(extra="forbid")
     key: str = Field("", max_length=200)
