@@ -74,9 +74,9 @@ class Question:
 
     Attributes:
         number: index among the trace's questions.
-        text: the question.
-        about: the step of a clip; "" for a belief.
-        replies: (words, answer), in the order of display.
+        text: the question that is read to the user.
+        about: text of the transition that a clip shows; "" if the question is about a fact.
+        replies: the possible replies in the order of display, each with its answer, 0 or 1.
     """
 
     number: int
@@ -91,16 +91,18 @@ class Question:
 @dataclass(frozen=True)
 class Questions:
     """Q questions that the explanation of one trace may ask, the nearest to the trace first; none
-    by default.
+    by default. A question is either a clip, which shows one transition, or two sentences about one
+    fact, of which one is true.
 
     Attributes:
-        table: P(label is 1), and P(answer is 1) if users err, of the Q questions, which are indexed
-            like transitions.
+        table: P(label is 1), and P(answer is 1) if users err. A row is a question instead of a
+            transition.
         limits: cost, number and time.
-        shows: [Q, m] True if a question is a clip of this transition of the trace.
-        texts: Q texts, or none. The text of a clip is its step. The text of a belief has the two
-            sentences on two lines, in the order of display.
-        right: [Q] index of the true line of a belief, 0 or 1; −1 for clips. By default −1 for all.
+        shows: [Q, m] True if the question is a clip of this transition of the trace.
+        texts: Q texts, or none. The text of a clip names its transition. The text of a question
+            about a fact has the two sentences on two lines, in the order of display.
+        right: [Q] for a question about a fact, index of the true sentence, 0 or 1; −1 for a clip.
+            By default −1 for all questions.
     """
 
     table: LabelTable = field(
@@ -132,7 +134,8 @@ class Questions:
 
 
 def make_question(number: int, text: str, right: int) -> Question:
-    """Makes a question in words from the fields of :class:`Questions`."""
+    """Makes a question in words from its index, its text, and its entry in
+    :attr:`Questions.right`."""
     if right < 0:
         return Question(number, SENSE, text, (("yes", 1), ("no", 0)))
     first, second = text.split("\n")
@@ -140,15 +143,21 @@ def make_question(number: int, text: str, right: int) -> Question:
 
 
 def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
-    """Selects at most ``most`` questions from a list that begins with the nearest. Returns their
-    indices, ascending.
+    """Selects questions whose labels differ, from questions sorted by their distance to the trace.
 
-    Two questions are alike if every type's more likely answer to both is equal, under every message
-    set. The nearest question of each group of alike questions is selected first. The selection
-    begins with questions that differ from nearer questions before any message, and continues with
-    questions that differ only after messages. Then the second question of each group is selected,
-    then the third, and so on. Questions that all types answer alike under every message set are
-    left out.
+    A question is left out if all types answer it with the same probability, under every message
+    set. Two questions are *alike* if each type has the same more likely label for both, under every
+    message set. The nearest question of each group of alike questions is selected first, then the
+    second nearest of each group, then the third nearest, and so on. Among the nearest questions of
+    all groups, a question is selected earlier if no nearer question has the same more likely labels
+    before any message.
+
+    Args:
+        table: label table of the questions, the nearest to the trace first.
+        most: maximum number of selected questions.
+
+    Returns:
+        Indices of the selected questions in ``table``, ascending.
     """
     yes = table.p >= 0.5
     same = (table.answered == table.answered[:, :, :1]).all(axis=(1, 2))
@@ -166,9 +175,19 @@ def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
 def nearest_first(
     features: NDArray[np.float64], of_trace: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """Sorts transitions with features [Q, F] by their distance to a trace [m, F]. Returns [Q] their
-    indices. The distance is the smallest number of features that differ from a transition of the
-    trace; the smallest sum of scaled differences breaks ties."""
+    """Sorts transitions by their distance to a trace, the nearest first.
+
+    The distance is the smallest number of features in which the transition differs from a
+    transition of the trace. If two distances are equal, the smallest sum of scaled differences of
+    features from a transition of the trace decides.
+
+    Args:
+        features: [Q, F] features of the transitions to sort.
+        of_trace: [m, F] features of the trace's transitions.
+
+    Returns:
+        [Q] indices of the sorted transitions.
+    """
     if not len(features):
         return np.empty(0, np.int64)
     scale = np.ptp(np.concatenate([features, of_trace]), axis=0)
@@ -183,5 +202,5 @@ def nearest_first(
 
 
 def bitmask(asked: Iterable[int]) -> int:
-    """Returns the bitmask with the bits of these numbers."""
+    """Returns the bitmask in which bit q is 1 for each number q of ``asked``."""
     return sum(1 << q for q in set(asked))

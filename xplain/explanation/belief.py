@@ -33,11 +33,11 @@ class Facts(NamedTuple):
 
     Attributes:
         everything: P(label is 1) of a trace's transitions for a type that believes every fact
-            incorrectly. Given all messages except those about W, this type behaves like people who
-            believe W incorrectly.
+            incorrectly. After the messages about all facts except a set W, this type has the same
+            labels as people who believe exactly the facts W incorrectly.
         asked: P(label is 1) of the questions for the same type; None without questions.
         wrong: bitmasks of the facts that each user type believes incorrectly.
-        new: P(the next person has no found type).
+        new: P(the next person has none of the found types).
     """
 
     everything: LabelTable
@@ -51,8 +51,12 @@ NO_FIT = 0.5
 
 
 def fact_sets(wrong: NDArray[np.float64]) -> tuple[int, ...]:
-    """Returns the bitmask of the facts that each type believes incorrectly with a probability of at
-    least ½, from probabilities [N, n]."""
+    """Returns a bitmask for each type: the facts that the type believes incorrectly with a
+    probability of at least ½.
+
+    Args:
+        wrong: [N, n] P(a person of the type believes the fact incorrectly).
+    """
     return tuple(sum(1 << j for j in np.flatnonzero(own >= 0.5).tolist()) for own in wrong)
 
 
@@ -63,7 +67,7 @@ class BeliefUpdate(Protocol):
         fresh_labels: True if each label of each step is drawn independently and is evidence, as in
             the POMDP of solvers and certificates. Otherwise people repeat themselves, and
             :func:`xplain.interaction.dialogue.advance` leaves out labels without new information.
-        open: True if people may have no found type.
+        open: True if a person may have none of the found types.
     """
 
     fresh_labels: ClassVar[bool]
@@ -110,8 +114,8 @@ class Assuming:
             check_assumed(key, getattr(self, key))
 
     def habits(self, learned: Habits | None = None) -> Habits:
-        """Combines the assumed rates. A rate whose setting is ``"learned"`` comes from the habits
-        ``learned``."""
+        """Returns the habits with the assumed rates. A rate whose setting is ``"learned"`` is taken
+        from ``learned``."""
         return habits_of(self.error, self.accept, self.forget, learned)
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
@@ -129,11 +133,13 @@ class Independent(Assuming):
 
 @dataclass(frozen=True)
 class Persistent(Assuming):
-    """The update for people who repeat themselves: only new labels are evidence. A repeated label
-    of (transition, message set), or of a copy of the transition, is not evidence: without new
-    information people repeat themselves. Message sets only grow, so only the newest transition's
-    label is new unless a message was given. After a message people err independently of their
-    earlier labels."""
+    """The update for people who repeat themselves: only new labels are evidence.
+
+    A label is not new if the person has labelled the same transition, or a copy of it, with the
+    same message set before. Message sets only grow. So only the label of the newest transition is
+    new, unless a message was given. After a message people err independently of their earlier
+    labels.
+    """
 
     fresh_labels: ClassVar[bool] = False
 
@@ -145,8 +151,8 @@ def update(
     labels: NDArray[np.uint8],
     evidence: Evidence = slice(None),
 ) -> NDArray[np.float64]:
-    """Updates the belief: b'(t) ∝ b(t) · Π_i P(l_i | τ_i, H, t) over the answers that are evidence.
-    Then known facts may be forgotten.
+    """Updates the belief: b'(t) ∝ b(t) · Π_i P(l_i | τ_i, H, t) over the labels l_i that are
+    evidence. Then known facts may be forgotten.
 
     Args:
         problem: a problem of N hidden types.
@@ -154,7 +160,7 @@ def update(
         message_set: H, all messages given so far.
         labels: [k + 1] the user's labels of the prefix, 0 or 1; 2 is "cannot tell", which is no
             evidence.
-        evidence: the labels that count.
+        evidence: index of the labels that are evidence: a slice, or [k + 1] of bool.
 
     Returns:
         The new belief, in the same form. Labels that are impossible for all types with positive
@@ -217,9 +223,15 @@ def after_message(
     message: int,
     accept: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Updates a belief [rows · N] by a message that was given once. Bit j of a row's
-    index is message ``relevant[t, j]`` of type t (``relevant`` [N, r]). ``accept`` [N] is the
-    probability α that each type accepts the message."""
+    """Returns the belief after a message was given once.
+
+    Args:
+        belief: [rows · N] before the message. Row and type give the known facts: bit j of the row
+            is 1 if a person of type t knows the fact ``relevant[t, j]``.
+        relevant: [N, r] messages relevant to each type.
+        message: index of the message.
+        accept: [N] α, the probability that a person of the type accepts the message.
+    """
     after, landing = belief.copy(), np.where(relevant == message, accept[:, None], 0.0)
     for bit in np.flatnonzero(landing.any(axis=0)).tolist():
         pairs = after.reshape(-1, 2, 1 << bit, len(accept))
@@ -230,8 +242,12 @@ def after_message(
 
 
 def after_forgetting(belief: NDArray[np.float64], lose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns [..., rows · N] the beliefs after the end of a step, at which each known fact is
-    forgotten with probability φ (``lose`` [N])."""
+    """Returns the beliefs after the end of a step, at which people may forget known facts.
+
+    Args:
+        belief: [..., rows · N] beliefs before the end of the step.
+        lose: [N] φ, the probability that a person of the type forgets a known fact.
+    """
     after, width = np.array(belief, order="C"), len(lose)
     while width < after.shape[-1]:
         pairs = after.reshape(-1, 2, width // len(lose), len(lose))

@@ -94,8 +94,8 @@ def pomdp_lines(problem: Problem) -> Iterator[str]:
     """Yields the lines of a ``.pomdp`` file.
 
     Raises:
-        InputError: the problem has questions, or only its steps discount; the format allows
-            neither.
+        InputError: the problem has questions, or its discount applies only to *explain* and not to
+            messages; the format allows neither.
         TooLargeError: more than MAX_LINES lines.
     """
     if problem.discount_per == "step" and problem.discount < 1:
@@ -165,9 +165,20 @@ def _check_lines(expected: int) -> None:
 
 def _list_answers(problem: Problem, step: int, shown: int) -> list[list[float]]:
     """Computes P(answer | type) of the distinguishable answers to *explain* at (k, H).
-    Transitions with the same probability for each type cannot be distinguished, so an answer has
-    only the number of labels 1 among these transitions. Transitions that all types label alike are
-    left out."""
+
+    Two transitions cannot be distinguished if every type answers 1 with the same probability to
+    both. An answer to *explain* is then the number of answers 1 in each group of such transitions.
+    A transition gives no information if all types answer 1 with the same probability; it is left
+    out.
+
+    Args:
+        problem: the problem.
+        step: k.
+        shown: H, as a bitmask.
+
+    Returns:
+        For each distinguishable answer, its probability for each type.
+    """
     labels = problem.table.answer_probabilities(step + 1, shown)
     columns: dict[tuple[float, ...], int] = {}
     for i in range(step + 1):

@@ -34,9 +34,9 @@ class Habits:
     """F habits that a user may have.
 
     Attributes:
-        error: [F] e, in [0, ½).
-        accept: [F] α, in (0, 1].
-        forget: [F] φ, in [0, 1).
+        error: [F] e of each habit, in [0, ½).
+        accept: [F] α of each habit, in (0, 1].
+        forget: [F] φ of each habit, in [0, 1).
         prior: [F] probability of each habit; sums to 1.
     """
 
@@ -81,8 +81,15 @@ class Habits:
         return {rate: float(self.prior[rates == rate].sum()) for rate in np.unique(rates).tolist()}
 
     def add_errors(self, meant: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Computes [..., N F] P(answer is 1) from P(label is 1) ``meant`` [..., N]. The habits of
-        one type are neighbours."""
+        """Computes P(answer is 1) of each type with each habit.
+
+        Args:
+            meant: [..., N] P(label is 1) of each type.
+
+        Returns:
+            [..., N F] P(answer is 1); the F habits of the first type come first, then those habits
+            of the second type, and so on.
+        """
         e = np.tile(self.error, meant.shape[-1])
         a = meant.repeat(len(self), axis=-1)
         return (1 - e) * a + e * (1 - a)

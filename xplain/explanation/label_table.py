@@ -37,12 +37,12 @@ Change = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class LabelTable:
-    """A table for N types and m transitions. Use :meth:`dense` or :meth:`by_type`.
+    """A table for N types and m transitions, made by :meth:`dense` or :meth:`by_type`.
 
     Attributes:
         relevant: [N, r] int64 messages relevant to a type, ascending, padded with NONE.
-        p: [m, 2^r, N] float64, C-contiguous, P(label is 1); bit j of the middle axis is message
-            ``relevant[t, j]``; the bit of a pad has no effect.
+        p: [m, 2^r, N] float64, C-contiguous, P(label is 1); bit j of the middle index is 1 if
+            message ``relevant[t, j]`` is given; the bit of a pad has no effect.
         answers: [m, 2^r, N] P(answer is 1); empty if users answer what they think.
     """
 
@@ -63,8 +63,8 @@ class LabelTable:
         return self.answers if self.answers.size else self.p
 
     def _change_arrays(self, relevant: NDArray[np.int64], change: Change) -> LabelTable:
-        """Returns a table with another ``relevant``, and with both arrays changed by the same
-        function."""
+        """Returns a table with these relevant messages, whose arrays ``p`` and ``answers`` are the
+        results of ``change`` for the arrays of this table."""
         answers = change(self.answers) if self.answers.size else self.answers
         return LabelTable(relevant, change(self.p), answers)
 
@@ -84,11 +84,13 @@ class LabelTable:
     def by_type(
         cls, relevant: ArrayLike, tables: ArrayLike, answers: ArrayLike | None = None
     ) -> LabelTable:
-        """Makes a table from tables over the messages that are relevant to each type.
+        """Makes a table from one array for each type, over the messages that are relevant to the
+        type.
 
         Args:
             relevant: [N, r] message indices in any order, −1 for none.
-            tables: [N, m, 2^r]; bit j of the last axis is message ``relevant[t, j]``.
+            tables: [N, m, 2^r] P(label is 1); bit j of the last index is 1 if message
+                ``relevant[t, j]`` is given.
             answers: P(answer is 1) in the same shape, if it differs from P(label is 1).
 
         Raises:
@@ -147,8 +149,12 @@ class LabelTable:
     def join_types(
         cls, relevant: Sequence[ArrayLike], tables: Sequence[NDArray[np.float64]]
     ) -> LabelTable:
-        """Makes a table from types with different numbers of relevant messages: rows [r_t],
-        ascending, and tables [m, 2^r_t]."""
+        """Makes a table from types with different numbers r_t of relevant messages.
+
+        Args:
+            relevant: for each type, its r_t relevant messages, ascending.
+            tables: for each type, [m, 2^r_t] P(label is 1).
+        """
         rows = [np.asarray(row, dtype=np.int64).tolist() for row in relevant]
         width = max(map(len, rows))
         sets = np.arange(1 << width)
@@ -188,15 +194,17 @@ class LabelTable:
         return np.concatenate([self.p, self.answers]) if self.answers.size else self.p
 
     def subset(self, given: int) -> NDArray[np.int64]:
-        """Returns [N] the index of each type's entry for message set H (``given``)."""
+        """Returns [N] the index of message set H (``given``) in the middle axis of ``p``, which
+        differs by type."""
         messages, bits = self._bits
         where: NDArray[np.int64] = ((given >> messages & 1) * bits).sum(axis=-1)
         return where
 
     @cached_property
     def _bits(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """[N, r] the relevant messages, and the number that each message adds to an entry's index;
-        both are 0 for pads. Cached, because every step of every explanation looks up an entry."""
+        """The arrays from which :meth:`subset` computes an index: [N, r] the relevant messages, and
+        [N, r] the number that each given message adds to the index. Both are 0 for pads. Cached,
+        because every step of every explanation computes an index."""
         bits = (self.relevant != NONE) << np.arange(self.relevant.shape[1])
         return np.maximum(self.relevant, 0), bits
 
@@ -214,8 +222,11 @@ class LabelTable:
         return np.ascontiguousarray(own.T)
 
     def select_messages(self, rows: Rows) -> LabelTable:
-        """Makes a table over the messages ``rows`` of each type, ascending. Its entries assume that
-        no other message is given.
+        """Makes a table in which only some messages are relevant. It has the probabilities of this
+        table if no other message is given.
+
+        Args:
+            rows: for each type, its relevant messages in the new table, ascending.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages of a type.
@@ -260,15 +271,17 @@ class LabelTable:
         return self.select_messages([range(n)] * self.n_types if n <= DENSE else self.effective())
 
     def of_types(self, types: Sequence[int]) -> LabelTable:
-        """Selects types."""
+        """Returns the table of the types with these indices."""
         return self._change_arrays(self.relevant[list(types)], lambda p: p[:, :, list(types)])
 
     def of_steps(self, steps: Sequence[int]) -> LabelTable:
-        """Selects transitions, in this order."""
+        """Returns the table of the transitions with these indices; row i of it is transition
+        ``steps[i]``."""
         return self._change_arrays(self.relevant, lambda p: p[list(steps)])
 
     def repeat_types(self, times: int) -> LabelTable:
-        """Repeats each type ``times`` times; the copies are neighbours."""
+        """Returns a table with ``times`` copies of each type; the copies of a type follow each
+        other."""
         return self._change_arrays(
             self.relevant.repeat(times, axis=0), lambda p: p.repeat(times, axis=-1)
         )
@@ -303,7 +316,7 @@ def join_steps(parts: Sequence[LabelTable]) -> LabelTable:
 
 
 def stack_types(parts: Sequence[LabelTable]) -> LabelTable:
-    """Concatenates the types of tables about the same transitions."""
+    """Concatenates the types of several tables for the same transitions."""
     rows = [row for part in parts for row in part.rows]
     tables = [part.p[:, :, t] for part in parts for t in range(part.n_types)]
     return LabelTable.join_types(rows, tables)
@@ -317,8 +330,17 @@ def _pad_rows(rows: Rows, width: int) -> NDArray[np.int64]:
 
 
 def _locate_subsets(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.int64]:
-    """Computes [2^width] the index of each subset of the messages ``row`` in a table over the
-    messages ``old``; messages that are not in ``old`` have no effect."""
+    """Finds the subsets of some messages in a table over other messages. A message that is not in
+    the table has no effect.
+
+    Args:
+        row: messages; bit i of a subset's number is message ``row[i]``.
+        old: relevant messages of the table.
+        width: at least the number of messages in ``row``.
+
+    Returns:
+        [2^width] the index of each subset in the table.
+    """
     sets = np.arange(1 << width)
     where = np.zeros_like(sets)
     for i, j in enumerate(row):
@@ -328,10 +350,10 @@ def _locate_subsets(row: Sequence[int], old: Sequence[int], width: int) -> NDArr
 
 
 def _check_array(key: str, value: ArrayLike) -> NDArray[np.float64]:
-    """Checks a table [types, steps, entries].
+    """Converts a table to an array [types, steps, entries] of float64.
 
     Raises:
-        InputError: another shape, or values that are no numbers.
+        InputError: the table has another shape, or has values that are not numbers.
     """
     try:
         p = np.asarray(value, dtype=np.float64)
@@ -343,7 +365,7 @@ def _check_array(key: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def _find_effective_bits(p: NDArray[np.float64]) -> tuple[int, ...]:
-    """Finds the bits of the middle axis [m, 2^n, N] that change some entry, ascending."""
+    """Finds the bits of the middle index that change some entry of ``p`` [m, 2^n, N], ascending."""
     n = p.shape[1].bit_length() - 1
     alone = (p[:, [1 << j for j in range(n)]] != p[:, :1]).any(axis=(0, 2))
     effective = []

@@ -39,8 +39,8 @@ class Explained:
 
     Attributes:
         problem: the problem of the explained trace and the user types; its habits are not used.
-        said: for each step, a bitmask of the messages given before it, new or repeated.
-        answers: for each step, the labels of the first k + 1 transitions.
+        said: for each step, a bitmask of the messages given before *explain*, new or repeated.
+        answers: for each step k, the labels of the first k + 1 transitions.
     """
 
     problem: Problem
@@ -67,8 +67,8 @@ def learn_habits(people: Sequence[Listener], grid: Habits | None = None) -> Habi
         people: people with known answers.
         grid: possible habits with their documented shares; None: all combinations of the rates in
             ``xplain.explanation.habits.UNKNOWN``. A person whose rate is between two rates of the
-            grid counts partly for both; a person whose rate is beyond the last rate counts for the
-            last.
+            grid counts partly for each of the two. A rate outside the grid counts as the nearest
+            rate of the grid.
 
     Raises:
         InputError: no people.

@@ -48,11 +48,13 @@ def subsets(messages: Iterable[int]) -> NDArray[np.int64]:
 
 
 def expand(mask: int, kept: Sequence[int]) -> int:
-    """Converts a mask whose bit i is message ``kept[i]`` to a mask over all messages."""
+    """Converts a bitmask over the messages ``kept`` to a bitmask over all messages. Bit i of the
+    given mask is message ``kept[i]``; bit j of the result is message j."""
     return sum(1 << j for i, j in enumerate(kept) if mask >> i & 1)
 
 
 def compress(mask: int, kept: Sequence[int]) -> int:
-    """Converts a mask over all messages to a mask whose bit i is message ``kept[i]``; other
-    messages are left out."""
+    """Converts a bitmask over all messages to a bitmask over the messages ``kept``, and leaves out
+    all other messages. Bit j of the given mask is message j; bit i of the result is message
+    ``kept[i]``."""
     return sum(1 << i for i, j in enumerate(kept) if mask >> j & 1)

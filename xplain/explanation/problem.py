@@ -31,7 +31,7 @@ class Problem:
 
     A hidden type is a user type or, if habits differ or users err, a user type with a habit
     (:meth:`with_habits`). M user types with F habits are then N = M F hidden types. Beliefs are
-    over the hidden types, [N]. If messages may be missed or forgotten, they are over each type's
+    over the hidden types, [N]. If messages may be missed or forgotten, beliefs are over each type's
     knowledge as well, [rows · N]; a row is a set of facts relevant to the type.
 
     Attributes:
@@ -45,10 +45,11 @@ class Problem:
         discount_per: "action" (the paper: each message and each *explain* discounts) or "step"
             (only *explain* does).
         message_names, type_names: n and M readable names.
-        habits: the F habits; those of one user type are neighbours. The table's answers already
-            include their errors.
+        habits: the F habits; hidden type t has habit ``t mod F``. The table's answers already
+            include the errors of the habits.
         questions: possible questions, for the same hidden types; none in the paper.
-        whose: [N] user type of each hidden type; by default F neighbours have the same user type.
+        whose: [N] user type of each hidden type; by default, hidden type t has user type
+            ``t // F``.
         as_found: [N] True if a hidden type is a found user type with the assumed habits; by default
             True for all.
         copies: [m] for each transition, the index of the first equal transition. People who repeat
@@ -72,7 +73,8 @@ class Problem:
     as_found: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
 
     def __post_init__(self) -> None:
-        """Checks every field; each error is one line."""
+        """Checks and converts every field. Raises InputError, with a message of one line, for an
+        invalid field."""
         given: Any = self.table
         table = given if isinstance(given, LabelTable) else LabelTable.dense(given)
         types, steps = table.n_types, len(table.p)
@@ -203,7 +205,8 @@ class Problem:
         return self.trade_off * self.message_cost
 
     def may_give(self, given: int) -> int:
-        """Returns the bitmask of the messages that may still be given."""
+        """Returns the bitmask of the messages that may still be given, after the messages
+        ``given``."""
         return (1 << self.n_messages) - 1 & ~(given if self.messages_land else 0)
 
     def communication(self, said: Iterable[int]) -> float:
@@ -279,8 +282,12 @@ class Problem:
         )
 
     def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:
-        """Returns the problem of the same trace and costs for one type. Its P(label is 1) is the
-        mean over all types, weighted by ``weights`` [N]; labels are independent.
+        """Returns the problem of the same trace and costs for a single type. P(label is 1) of this
+        type is the weighted mean over all types; its labels are independent of each other.
+
+        Args:
+            weights: [N] weight of each type.
+            name: name of the single type.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
@@ -289,7 +296,8 @@ class Problem:
 
 
 def _add_errors(table: LabelTable, habits: Habits) -> LabelTable:
-    """Makes the table of users with these habits; the habits of one type are neighbours."""
+    """Makes the table of users who have these habits. Hidden type t of the new table has type
+    ``t // F`` and habit ``t mod F``."""
     erring = table.repeat_types(len(habits))
     if habits.never_err:
         return erring
@@ -308,7 +316,7 @@ def check_numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def check_distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
-    """Checks a prior [N]; an empty one becomes uniform."""
+    """Checks a prior [N] and returns it. An empty prior is replaced by the uniform prior."""
     prior = np.asarray(given)
     prior = np.full(types, 1 / types) if prior.size == 0 else check_numbers("prior", prior)
     if prior.shape != (types,) or (prior < 0).any() or abs(prior.sum() - 1) > 1e-6:

@@ -54,13 +54,15 @@ class DialogueState(NamedTuple):
     """The state of a dialogue.
 
     Attributes:
-        visible: step, messages and questions.
+        visible: step, messages given, and questions asked.
         belief: [S] over the hidden states.
         open: the question that the user has not answered yet; None for none.
         new: bitmask of the messages given at the current step; None before they are decided.
         repeats: True if the user has received no message and forgotten nothing since the last
             labels. Users who repeat themselves then give the same labels again.
-        clips: bitmask of the clips asked about since the last labels.
+        clips: bitmask of the questions answered since the last message (or since the last step, if
+            users may forget). Users who repeat themselves label a transition as they answered the
+            question about it.
     """
 
     visible: VisibleState
@@ -124,8 +126,13 @@ def advance(
 def _find_evidence(
     problem: Problem, state: DialogueState, labels: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
-    """Returns [k + 1] True for the labels that are evidence if people repeat themselves: the label
-    was not given since the last message, and its transition is the first of equal transitions."""
+    """Finds the labels that are evidence if people repeat themselves. A label is evidence if its
+    transition is the first of equal transitions, and the person has neither labelled the transition
+    nor answered a question about it since the last message.
+
+    Returns:
+        [k + 1] True for a label that is evidence.
+    """
     count = len(labels)
     news: NDArray[np.bool_] = problem.copies[:count] == np.arange(count)
     if state.repeats:
@@ -142,7 +149,7 @@ class Dialogue:
     Attributes:
         problem: the agent's model of users.
         policy: planned for that problem.
-        belief_update: says which labels change the belief.
+        belief_update: decides which labels change the belief.
         events: the events so far, in order.
         state: the state after these events.
     """
@@ -174,8 +181,8 @@ class Dialogue:
 
     @property
     def visible(self) -> VisibleState:
-        """The visible state for the policy. Questions that the last labels have answered count as
-        asked."""
+        """The visible state that the policy receives. If users repeat themselves, a question whose
+        transition the user has just labelled counts as asked, because its answer is known."""
         state, shows = self.state, self.problem.questions.shows
         if not state.repeats or self.belief_update.fresh_labels:
             return state.visible

@@ -23,7 +23,8 @@ class Episode:
     Attributes:
         messages: [m] int64, the messages (bitmask) given before each *explain*.
         labels: [m, m] int8; row k has the labels given at step k, and −1 right of the diagonal.
-        thoughts: [m, m] int8; row k has the labels that the user truly thinks. Costs count these.
+        thoughts: [m, m] int8; row k has the labels that the user truly thinks at step k, and −1
+            right of the diagonal. Costs count these labels.
         beliefs: [m + 1, M] beliefs over user types, before the first step and after each step.
         seconds: [m] the time that the policy took for each step's decisions. A cached decision
             counts with the time of its first computation.

@@ -2,8 +2,9 @@
 
 An *explainee* is one kind of user. It makes a *person* for each trace and true type. The person
 receives messages, judges whether each shown transition makes sense, and answers. Costs count what
-the person thinks. A person's random choices come from a separate stream for each transition,
-message and step, so that every solver meets the same person.
+the person thinks. Each random choice of a person is drawn from the person's seed, the messages, the
+transition and, for some kinds, the step, independent of all other choices. So every solver meets
+the same person.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ class Person(Protocol):
         """Answers a question with 0 or 1, given the messages ``given`` so far.
 
         Args:
-            row: index of the question's label among the person's labels, which begin with the
-                labels of the trace.
+            row: index of the question in the person's label table, whose first rows are the
+                transitions of the trace.
             given: bitmask of the messages.
 
         Raises:
@@ -135,15 +136,14 @@ class Explainee:
         given: int,
         *when: int | str,
     ) -> NDArray[np.uint8]:
-        """Returns a user's answers about some rows of the table, given the user's thoughts about
-        them.
+        """Returns a user's answers about some rows of the user's label table.
 
         Args:
             user: the user.
-            thoughts: the labels that the user truly thinks.
-            rows: rows of the table: transitions, or questions.
+            thoughts: the labels of these rows that the user truly thinks.
+            rows: indices of the rows; a row is a transition or a question.
             given: bitmask of the messages.
-            when: the step or the question, for random streams.
+            when: the step, or the question; random draws may depend on it.
         """
         return thoughts
 
@@ -168,11 +168,12 @@ class SimulatedUser(Person):
     by the true labels of one user type.
 
     Attributes:
-        table: label table of this type alone.
+        table: label table of this type alone; its first rows are the trace's transitions, the other
+            rows are questions.
         kind: decides what the person knows and answers.
         same, seed: see :meth:`Explainee.meet`.
         step: number of transitions shown so far.
-        memory: numbers that the kind stores for the person, by message.
+        memory: for some messages, a number that the kind stores for the person.
     """
 
     table: LabelTable
@@ -208,8 +209,7 @@ class SimulatedUser(Person):
         return Reaction(thoughts, answers)
 
     def answer(self, row: int, given: int) -> int:
-        """Answers a question with 0 or 1. Row ``row`` of the table has the labels of the
-        question."""
+        """Answers the question in row ``row`` of the table with 0 or 1."""
         thought = self.labels(row + 1, self.kind.find_known(self, given))[row:]
         return int(self.kind.say(self, thought, np.array([row]), given, "asked", row)[0])
 
@@ -240,7 +240,7 @@ class Slips(Explainee):
         given: int,
         *when: int | str,
     ) -> NDArray[np.uint8]:
-        """Returns the thoughts with random errors."""
+        """Returns the labels that the user thinks, of which random ones are flipped."""
         times = () if self.repeats else when
         rate = max(self.rate, min(self.rate + self.tires * user.step, 0.5))
         drawn = stream(user.seed, "slips", given, *times).random(len(user.same))[user.same[rows]]
@@ -266,7 +266,8 @@ class Sticky(Explainee):
         given: int,
         *when: int | str,
     ) -> NDArray[np.uint8]:
-        """Returns the thoughts. At random, an answer repeats the previous answer instead."""
+        """Returns the labels that the user thinks, except that random answers repeat the answer
+        about the previous row."""
         answers = thoughts.copy()
         repeated = stream(user.seed, "sticky", given, *when).random(len(rows)) < self.rate
         for i in np.flatnonzero(repeated[1:]) + 1:
@@ -287,7 +288,8 @@ class Between(Explainee):
     incorrectly at the other half."""
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """Returns the type's labels; at half of the transitions one fact is believed correctly."""
+        """Returns the type's labels, except that at a random half of the transitions one random
+        fact is believed correctly."""
         rng, p = stream(seed, "between"), labels.p.copy()
         effective = labels.effective()[0]
         if effective:
@@ -310,7 +312,8 @@ class Misreads(Explainee):
     messages: Annotated[int, Range(2)] = 2
 
     def thoughts(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> LabelTable:
-        """Returns the type's labels after the understood messages."""
+        """Returns a table in which each confused message has the effect that another message has on
+        the type's labels."""
         rng, rows = stream(seed, "misreads"), labels.rows[0]
         effective = labels.effective()[0]
         if not effective or len(rows) < 2:
@@ -337,14 +340,14 @@ class LearnsUntold(Explainee):
     after: Count = 2
 
     def find_known(self, user: SimulatedUser, given: int) -> int:
-        """Returns the bitmask of the given and the discovered facts. For each message, the user
-        remembers the first step at which the message would have changed a label."""
+        """Returns the bitmask of the facts that were given or discovered. A fact is discovered
+        ``after`` steps after the step that :meth:`end_step` stored for it."""
         found = (j for j, step in user.memory.items() if user.step >= step + self.after)
         return given | sum(1 << j for j in found)
 
     def end_step(self, user: SimulatedUser, known: int, thoughts: NDArray[np.uint8]) -> None:
-        """Stores the current step for each message that would have changed a label now, and at no
-        earlier step."""
+        """Stores the current step for each message that would change a label at this step, if no
+        earlier step is stored for the message."""
         for j in indices(sum(1 << j for j in user.table.rows[0]) & ~known):
             if (user.labels(user.step, known | 1 << j) != thoughts).any():
                 user.memory.setdefault(j, user.step)
@@ -453,5 +456,5 @@ class Backlash(_Others):
     def others(
         self, domain: Domain, observed: tuple[UserType, ...], rng: np.random.Generator
     ) -> tuple[UserType, ...]:
-        """Returns the observed types with this reaction to messages."""
+        """Returns copies of the observed types that react to messages in this way."""
         return tuple(replace(one, name=f"{one.name}, backlash", backlash=True) for one in observed)

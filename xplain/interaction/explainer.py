@@ -122,7 +122,12 @@ class GivenTypes:
         return None if about is None else self._select_rows(about, transitions, 1)
 
     def _select_rows(self, given: Any, transitions: Sequence[Any], types: int) -> LabelTable:
-        """Selects the rows of these transitions in a table, or calls a function for the rows.
+        """Returns the label table of some transitions.
+
+        Args:
+            given: a table of all transitions, or a function from transitions to their table.
+            transitions: indices into the table, or arguments of the function.
+            types: required number of types.
 
         Raises:
             InputError: the numbers of types, messages or transitions do not match, or an index is
@@ -229,11 +234,11 @@ class Explainer:
             trace: the transitions known so far, as ``types`` accepts them (learned types: rows of
                 features). If the robot has a whole plan, give all of it.
             expected_steps: expected length of the whole trace. The solver assumes that the
-                remaining transitions are explicable to everybody; at each of these steps the user
-                labels the known transitions once more. If it is 0, the trace ends with the last
-                known transition.
+                remaining transitions are explicable to everybody; at each of the remaining steps
+                the user labels the known transitions once more. If it is 0, the trace ends with the
+                last known transition.
             clips: transitions that the user may be asked about, on the trace or not, nearest to the
-                trace first: a list, or a mapping from readable names.
+                trace first: a list of transitions, or a mapping from readable names to transitions.
 
         Raises:
             InputError: a transition or number that is not allowed, or clips although ``ask`` is
@@ -320,8 +325,13 @@ class Explainer:
     def _make_questions(
         self, clips: Sequence[Candidate], trace: Sequence[Any], steps: int
     ) -> Questions:
-        """Makes questions from these candidates, for a trace that will have ``steps``
-        transitions."""
+        """Makes the questions of a session.
+
+        Args:
+            clips: candidates for questions, the nearest to the trace first.
+            trace: the known transitions.
+            steps: number of transitions that the whole trace will have.
+        """
         if not clips or self.ask is None:
             return Questions()
         shows = np.zeros((len(clips), steps), np.bool_)

@@ -30,8 +30,10 @@ another plan can have a lower cost by chance."""
 
 
 def possible(measure: str) -> Range:
-    """Returns the range of a measure of an episode, at which intervals are cut. A difference from
-    the clairvoyant's cost can still be negative, because plans are discounted and costs are not."""
+    """Returns the possible range of a measure of an episode, for
+    :func:`~xplain.interaction.statistics.clustered_mean`. A cost, and a difference from the
+    clairvoyant's cost, has the range [0, ∞). Yet an observed difference may be negative, because
+    plans are discounted and costs are not."""
     return RANGES.get(measure, (0.0, np.inf))
 
 
@@ -147,7 +149,7 @@ def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
 
 
 def _count_questions(episode: Episode) -> NDArray[np.float64]:
-    """Counts [m] the questions at each step."""
+    """Returns [m] the number of questions at each step."""
     counts = np.bincount(episode.questions[:, 0], minlength=len(episode.messages))
     return counts.astype(np.float64)
 

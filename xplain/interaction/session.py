@@ -46,12 +46,13 @@ Move = Question | Show
 
 @dataclass(frozen=True)
 class Candidate:
-    """A possible question.
+    """A possible question: about a transition (a clip) or about a fact.
 
     Attributes:
         transition: a transition that ``types`` accepts; the answer is its label.
-        text: readable text. For a belief, the two sentences on two lines, in the order of display.
-        right: for a belief, index of the true line; −1 for a step.
+        text: readable text. For a question about a fact, the two sentences on two lines, in the
+            order of display.
+        right: for a question about a fact, index of the true sentence, 0 or 1; −1 for a clip.
     """
 
     transition: Any
@@ -59,7 +60,7 @@ class Candidate:
     right: int = -1
 
     def __post_init__(self) -> None:
-        """Raises InputError if a belief does not have two sentences."""
+        """Raises InputError if a question about a fact does not have two sentences."""
         one_of("clips.right", self.right, (-1, 0, 1))
         if self.right >= 0 and self.text.count("\n") != 1:
             raise InputError("clips.text", self.text, "two sentences of a belief, on two lines")
@@ -73,7 +74,7 @@ class Why:
         step: number of transitions shown before the decision.
         given: messages given before the decision.
         belief: belief in each type, by name.
-        fit: probability of the found types with the assumed habits.
+        fit: probability that the user has a found type and the assumed habits.
         chosen: the chosen messages; none means *explain* at once.
         values: estimated discounted return for each set of messages given next, best first; ``()``
             is *explain* at once. Some solvers evaluate only single messages.
@@ -319,7 +320,11 @@ class Session:
         )
 
     def take_up(self, events: Sequence[tuple[str, Any]]) -> None:
-        """Repeats all events of a session, given as in the text of :meth:`to_json`.
+        """Repeats the events of a session.
+
+        Args:
+            events: (name of the method, its argument) for each event, as :meth:`to_json` writes
+                them.
 
         Raises:
             InputError: see :meth:`ask`, :meth:`answer`, :meth:`tell` and :meth:`observe`; or an
@@ -361,7 +366,8 @@ class Session:
             raise InputError("trace", first, f"transitions that JSON allows ({error})") from None
 
     def _decide(self, asking: bool) -> None:
-        """Adds the policy's next action. If ``asking`` is False, the action is not a question."""
+        """Lets the policy choose the next action, and adds the action to the dialogue's events. If
+        ``asking`` is False, the action is not a question."""
         match self._talk.decide(asking):
             case AskQuestion(question):
                 self._talk.hear(Asked(question))

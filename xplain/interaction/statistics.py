@@ -14,7 +14,7 @@ ANY: Range = (-np.inf, np.inf)
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean with the ends of its interval (NaN if there is only one cluster)."""
+    """A mean, and the lower and upper end of its interval (NaN if there is only one cluster)."""
 
     mean: float
     low: float
@@ -34,10 +34,11 @@ def half_width(error: float, freedom: int) -> float:
 
 
 def clustered_ratio(above: ArrayLike, below: ArrayLike, clusters: ArrayLike) -> Estimate:
-    """Estimates the ratio of two means of numbers ≥ 0, measured on the same episodes.
+    """Estimates the ratio R of two means of numbers ≥ 0, measured on the same episodes.
 
-    The interval is the linearised one: the quantity R + (a − R b) / mean(b) has the mean R and, in
-    large samples, the variance of the ratio. The interval is cut at 0.
+    The interval is linearised: it is the interval of the mean of R + (a − R b) / mean(b) over
+    episodes. This quantity has the mean R and, in large samples, the variance of the ratio. A lower
+    end below 0 is replaced by 0.
 
     Args:
         above, below: [E] values a of the numerator and b of the denominator; mean(b) > 0.
@@ -58,8 +59,9 @@ def clustered_mean(values: ArrayLike, clusters: ArrayLike, possible: Range = ANY
     Args:
         values: [E].
         clusters: [E] the same number for values of one cluster.
-        possible: range of the quantity; the interval is cut at it. (An observed value outside
-            extends the range.)
+        possible: least and largest possible value of the quantity. An end of the interval outside
+            this range is moved to the nearest possible value. If a value was observed outside the
+            range, the range is extended to that value.
     """
     values, clusters = np.asarray(values, dtype=float), np.asarray(clusters)
     _, index = np.unique(clusters, return_inverse=True)
