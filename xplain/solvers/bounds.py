@@ -28,9 +28,9 @@ class Bounds:
 
     Attributes:
         lower, upper: bounds of the optimal value.
-        known_type: Σ_t prior(t) V*_t, the value if the type were known at the start, with the same
-            messages as actions. If messages may be missed or forgotten, the user's knowledge after
-            each action would be known, too.
+        known_type: Σ_t prior(t) V*_t, the value if the type were known at the start. Messages
+            without effect on the known type may also be given. If messages may be missed or
+            forgotten, the user's knowledge after each action would be known, too.
     """
 
     lower: float
@@ -111,8 +111,8 @@ def _plan_messages(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
 
 
 def _evaluate_plan(process: Process, plan: list[int]) -> float:
-    """Computes the expected discounted return of a fixed plan of sets, which ignores answers. The
-    cheapest message of a set comes first."""
+    """Computes the expected discounted return of a plan: the message set to give at each step,
+    whatever the answers are. The cheapest message of a set is given first."""
     given, value, discount = 0, 0.0, 1.0
     for step, new in enumerate(plan):
         given |= new

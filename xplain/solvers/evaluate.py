@@ -146,7 +146,8 @@ def _compute_discount(process: Process, visible: VisibleState) -> float:
 
 
 def _price_messages(process: Process, messages: int) -> tuple[float, float]:
-    """Returns the discounted price of messages given cheapest first, and their total discount."""
+    """Returns the discounted price of a set of messages, and the discount of the next action. The
+    cheapest message is given first."""
     price, discount = set_prices(process, np.array([messages], np.int64))
     return float(price[0]), float(discount[0])
 
@@ -164,10 +165,11 @@ def simulate(problem: Problem, policy: CachedPolicy, episodes: int, seed: int) -
     """Estimates the policy's value as a mean over simulated users, with its standard error.
 
     It averages the expected loss of each decision relative to known states, not the costs of the
-    drawn labels. Let W(k, v, b) = Σ_s b_s V(k, v, s). The loss is the immediate cost plus the
-    expected W(k + 1, v⁺, b'), minus W(k, v, b). The belief is a martingale and W is linear in it,
-    so the value of a policy is W at the start minus all later losses. This holds for any V that is
-    0 after the last step, and the V of known states gives little noise (a control variate). Answers
+    drawn labels. Let V(k, v, s) be the values of known states, and W(k, v, b) = Σ_s b_s V(k, v, s).
+    The loss of a decision is W before the decision, plus its expected immediate cost, minus the
+    expected discounted W after it. The belief is a martingale and W is linear in it, so the value
+    of a policy is W at the start minus all discounted losses. This would hold for any V that is 0
+    after the last step; the values of known states give little noise (a control variate). Answers
     are drawn from the belief, which is exact.
     """
     process, rng = make_process(problem), stream(seed, "policy_value")

@@ -131,8 +131,8 @@ class Searched:
     Attributes:
         process: the model.
         tables: the model in the kernel's layout.
-        kept: the messages of the tables, in order.
-        store: the nodes.
+        kept: the messages that the tables contain; ``kept[i]`` is bit i of their message sets.
+        store: the visited nodes with their bounds and actions; node 0 is the root.
     """
 
     process: Process
@@ -316,14 +316,19 @@ class _Search:
 
 
 def _split_words(tables: Tables, asked: int) -> NDArray[np.int64]:
-    """Splits a bitmask of questions into integers of WORD bits, the first questions first."""
+    """Splits a bitmask of questions into integers of WORD bits. The first integer has the questions
+    with the smallest numbers."""
     words = range(-(-len(tables.model.asked_answered) // WORD))
     return np.array([asked >> WORD * w & (1 << WORD) - 1 for w in words], np.int64)
 
 
 def _make_tables(problem: Problem, memory_gib: float) -> tuple[Process, Tables, tuple[int, ...]]:
-    """Makes the process, its tables for the kernel, and the messages with an effect, the cheapest
-    first."""
+    """Makes the model for a search.
+
+    Returns:
+        The process, its tables for the kernel, and the messages that the tables contain, by
+        ascending price.
+    """
     kept = weighable(problem, "certified")
     sets = 1 << len(kept) if problem.messages_land else 1 << 2 * problem.table.relevant.shape[1]
     size = 48 * (problem.n_steps + 1) * sets * problem.n_types

@@ -91,13 +91,14 @@ NEWS = 0.01
 
 
 class Tables(NamedTuple):
-    """The data that a search reads: m steps, S states, messages in the order of their prices.
+    """The data that a search reads, for m steps, S states and the n messages with an effect. Bit 0
+    of a set of messages is the cheapest message.
 
     Attributes:
-        model: the process of these messages; the cell of (v, s) is s + v · width.
+        model: the model, restricted to these messages; the cell of (v, s) is s + v · width.
         width: S if messages always correct the fact; 0 if they may be missed.
-        plans: [U, m + 1, cells] the values of plans that ignore all answers. They bound the optimum
-            from below. The last plan gives no message.
+        plans: [U, m + 1, cells] the values of U plans that ignore all answers. They bound the
+            optimal value from below. The last plan gives no message.
         floor: [m + 1] a lower bound of every policy's value in every state.
         price: [2^n] the discounted price of each set of messages.
         factor: [2^n] the discount of the *explain* that follows each set.
@@ -114,26 +115,30 @@ class Tables(NamedTuple):
 class Store(NamedTuple):
     """The results of a search.
 
+    The lengths ``nodes``, ``actions``, ``answers``, ``sets`` and ``rows`` grow during the search.
+
     Attributes:
-        used: [8] the number of used elements of each array.
-        nodes: [.] NODE.
-        belief: [nodes, S].
-        alpha: [nodes, S] the values by state of the policy that earns the lower bound.
+        used: [8] counts of used elements; NODES … HASHED are the positions.
+        nodes: [nodes] records NODE.
+        belief: [nodes, S] the belief of each node.
+        alpha: [nodes, S] an alpha vector of each node: the values by state of a policy.
         asked: [nodes, words] bits of the questions that were asked on the way to the node.
-        actions: [.] ACTION; the actions of a node are side by side.
-        answers: [.] ANSWER; the answers to an action are side by side.
+        actions: [actions] records ACTION; the actions of a node are side by side.
+        answers: [answers] records ANSWER; the answers to an action are side by side.
         likelihood: [answers, S] P(answer | s).
-        sets: [.] sets of messages; the sets of a place are side by side.
-        base, over, under: [sets, S] the immediate reward of each set by state, and an upper and a
-            lower bound of its value.
-        places: [m, visible] PLACE, by (k, v).
-        published: [rows, 2] how many lower and upper bounds were published at a place. The last
-            KEPT of them are in the next five arrays.
-        vector: [rows, KEPT, S] alpha vectors.
-        peak: [rows, KEPT, S] beliefs whose upper bounds are in ``height``.
-        height: [rows, KEPT] upper bounds.
-        by: [rows, KEPT] the action of each alpha vector.
-        source: [rows, KEPT, 2] the node of each alpha vector and of each peak.
+        sets: [sets] bitmasks of messages; the message sets of a place are side by side.
+        base: [sets, S] the immediate reward of each message set by state.
+        over, under: [sets, S] upper and lower bounds of the value of each message set by state.
+        places: [m, number of v] records PLACE, by (k, v). The field ``row`` is the place's index in
+            the next six arrays.
+        published: [rows, 2] the numbers of alpha vectors and of upper bounds that were published at
+            a place. The last KEPT of each are in the next five arrays.
+        vector: [rows, KEPT, S] published alpha vectors.
+        peak: [rows, KEPT, S] the beliefs of the published upper bounds.
+        height: [rows, KEPT] published upper bounds.
+        by: [rows, KEPT] the first action of the policy of each alpha vector: a bitmask of messages,
+            or ~q for question q.
+        source: [rows, KEPT, 2] the node that published each alpha vector, and each upper bound.
         table: [.] hash table (open addressing) of nodes by (k, v, belief, asked).
     """
 
@@ -162,18 +167,26 @@ class Store(NamedTuple):
 class Scratch(NamedTuple):
     """The scratch memory of one search.
 
+    Labels with equal probabilities P(answer 1 | s) in all possible states form a group; an answer
+    to *explain* is the number of 1s in each group. :func:`_list_answers` treats the groups one
+    after the other.
+
     Attributes:
-        like: [answers, S] likelihoods of the answers listed so far.
-        more: [answers, S] the next ``like``, which includes the labels with the next column.
-        belief, after, tail: [S] beliefs, and the likelihood of the answers that are left out.
-        asked: [words] bits of questions, as in the store.
-        ways: [m + 1, S] likelihoods of each number of 1s in a fixed order, for labels with equal
-            columns.
-        under: [2^n, S] lower bounds as in the store, for all sets of messages.
+        like: [answers, S] a row for each combination of numbers of 1s in the groups treated so far:
+            the probability of this combination given s.
+        more: [answers, S] the same probabilities, including the group that is treated now.
+        belief: [S] the belief before the answers to an action.
+        after: [S] the belief after an answer, or the alpha vector of the node after it.
+        tail: [S] the probability given s of all answers that are left out.
+        asked: [words] bits of the asked questions, as in :class:`Store`.
+        ways: [m + 1, S] the probability given s that the first c labels of a group are 1 and all
+            others are 0, for each number c.
+        under: [2^n, S] lower bounds of the value of each message set, by state.
         news: [Q] the information of each question's answer.
         cells: [S] the cells at which tables of questions are read.
-        path, taken, gaps: [levels] the nodes of a trial, the actions taken, and the nodes' gaps
-            before the trial.
+        path: [levels] the nodes of a trial.
+        taken: [levels] the actions that the trial took at these nodes.
+        gaps: [levels] the gaps of these nodes when the trial reached them.
     """
 
     like: NDArray[np.float64]
@@ -193,17 +206,19 @@ class Scratch(NamedTuple):
 
 @kernel
 def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
-    """Improves the bounds of nodes by the published bounds of their places, and backs up the nodes.
-    Then runs trials from the root until the root's gap is at most ``gap``, ``opened`` nodes are
-    opened, or the trials of this call have taken ``work`` units of work.
+    """Improves the bounds of nodes by the bounds published at their places, and backs up the nodes.
+    Then runs trials from the root until a limit is reached.
 
     Args:
         tables, store, scratch: the data, the results so far, and scratch memory.
-        order: the nodes to back up, later steps first.
+        order: the nodes to back up before the trials, later steps first.
         least: the least improvement that is published when these nodes are backed up
             (:func:`_publish`).
-        gap, opened, work: the limits of the trials.
+        gap: trials end when the root's gap is at most this number.
         tail_gap: the gap that unlikely answers to one action may cause (:func:`_expand_action`).
+        opened: trials end when the store has this number of opened nodes.
+        work: trials end when ``store.used[WORK]``, the count of processed answers and message sets,
+            has grown by this number during the trials.
 
     Returns:
         DONE, WORKING (call again), or FULL (grow the store and the scratch, call again).
@@ -237,14 +252,17 @@ def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  
 
 @kernel
 def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[no-untyped-def]
-    """Computes the optimal plan of each known type, and its value for all types. Messages must
-    always correct the fact.
+    """Computes the plan that is optimal for each of N known types, and the values of this plan for
+    all types. Messages must always correct the fact.
 
     Args:
-        known, explain, cost: V, and Q and cost of *explain*, as in the model.
+        known: [m + 1, cells] V of known types.
+        explain: [m, cells] Q of *explain* for known types.
+        cost: [m, cells] the expected cost of *explain*.
         price: [n] the price of each message.
         discounts: γ of *explain* and γ' of a message.
-        plans: [U, m + 1, cells] receives the N plans, before the last one.
+        plans: [N + 1, m + 1, cells] receives the values of the N plans; the last element, the plan
+            without messages, does not change.
     """
     types, sets = len(plans) - 1, cost.shape[1] // (len(plans) - 1)
     for k in range(len(cost) - 1, -1, -1):
@@ -395,9 +413,15 @@ def _improve_bounds(tables, store, index):  # type: ignore[no-untyped-def]
 
 @part
 def _raise_lower_bound(store, begin, end, messages, value):  # type: ignore[no-untyped-def]
-    """Raises an action's lower bound to a value that the action is known to earn, so that the
-    policy takes the action. Returns False if the node's actions, ``begin`` to ``end``, do not
-    include it."""
+    """Raises the lower bound of the action ``messages`` to ``value``, which a policy that begins
+    with this action earns. Returns False if the node does not have this action.
+
+    Args:
+        store: the results so far.
+        begin, end: range of the node's actions.
+        messages: the action: a bitmask of messages, or ~q for question q.
+        value: the new lower bound.
+    """
     found = False
     for a in range(begin, end):
         action = store.actions[a]
@@ -420,8 +444,15 @@ def _have_same_questions(store, index, other):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, error_model="numpy")
 def _publish(tables, store, scratch, index, upper, lower, least):  # type: ignore[no-untyped-def]
-    """Publishes a node's bounds for the other nodes of its place, if they are better than ``upper``
-    and ``lower`` by more than ``least``."""
+    """Publishes a node's upper or lower bound for the other nodes of its place, if the bound has
+    improved by more than ``least``.
+
+    Args:
+        tables, store, scratch: the data, the results so far, and scratch memory.
+        index: the node.
+        upper, lower: the node's bounds before they were improved.
+        least: the least improvement that is published.
+    """
     node = store.nodes[index]
     row = store.places[node.step, node.given].row
     if node.upper < upper - least:
@@ -599,7 +630,7 @@ def _list_sets(tables, store, scratch, step, given):  # type: ignore[no-untyped-
 
 @part
 def _is_dominated(over, under):  # type: ignore[no-untyped-def]
-    """Returns True if one vector is at most the other in every state."""
+    """Returns True if ``over`` is at most ``under`` in every state."""
     dominated = True
     for s in range(len(over)):
         dominated &= over[s] <= under[s]
@@ -674,12 +705,15 @@ def _expand_action(tables, store, scratch, index, a, gap):  # type: ignore[no-un
 
 @part
 def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ignore[no-untyped-def]
-    """Lists the likelihoods by state of all answers to *explain* that are more likely than
-    ``negligible``. ``scratch.tail`` receives the likelihood of all other answers. Returns the
-    number of answers (−1 if there is not enough memory) and their array.
+    """Lists the answers to *explain* with probabilities above ``negligible``. ``scratch.tail``
+    receives the probability given s of all other answers.
 
-    Transitions with equal columns over the possible states are exchangeable, so an answer is the
-    number of 1s in each kind of column.
+    Labels with equal probabilities P(answer 1 | s) in all possible states are exchangeable and form
+    a group. So an answer is the number of 1s in each group.
+
+    Returns:
+        The number of listed answers (−1 if there is not enough memory), and an array whose first
+        rows are P(answer | s) of these answers.
     """
     states, first = len(belief), given * tables.width
     like, more, count = scratch.like, scratch.more, 1
@@ -716,8 +750,9 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
 
 @part
 def _count_equal_labels(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
-    """Counts the labels of a step that have the same column as label i. Returns 0 if i is not the
-    first of these labels, or if all possible states have the same P(answer 1) for label i."""
+    """Counts the labels of a prefix that have the same P(answer 1 | s) as label i in all possible
+    states. Returns 0 if i is not the first of these labels, or if P(answer 1 | s) of label i is the
+    same in all possible states."""
     size, news, one = 0, False, -1
     for s in range(len(belief)):
         if belief[s] > 0.0:
@@ -829,7 +864,7 @@ def _rehash(store):  # type: ignore[no-untyped-def]
 
 @part
 def _give_messages(tables, messages, belief):  # type: ignore[no-untyped-def]
-    """Updates a belief: these messages are given."""
+    """Updates a belief in place, after each message of a bitmask was given."""
     left = messages
     while left:
         give(tables.model.jump[first_bit(left)], tables.model.accept, belief)
@@ -838,7 +873,8 @@ def _give_messages(tables, messages, belief):  # type: ignore[no-untyped-def]
 
 @part
 def _average_over_giving(tables, messages, values):  # type: ignore[no-untyped-def]
-    """Replaces values v by E[v(s') | s], where s' is the state after these messages."""
+    """Replaces values v by E[v(s') | s], where s' is the state after each message of a bitmask was
+    given."""
     left = messages
     while left:
         jump = tables.model.jump[first_bit(left)]

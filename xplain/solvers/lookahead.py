@@ -75,7 +75,7 @@ class Expectimax:
         process, known: the model, and its values for known states.
         messages: bitmask of the messages with an effect.
         candidates, answers: see :class:`Lookahead`.
-        kept: cache for bitmasks of messages, at most KEPT.
+        kept: cache of :meth:`_list_sets`, by bitmask of messages, at most KEPT.
     """
 
     process: Process
@@ -117,7 +117,12 @@ class Expectimax:
         return found
 
     def _list_sets(self, messages: int) -> Sets:
-        """Lists the subsets of these messages, with their cells, prices and discounts."""
+        """Lists the subsets of the messages in a bitmask.
+
+        Returns:
+            [B] the B subsets, [B, S] the numbers that they add to the cells of the process, [B]
+            their discounted prices, and [B] the discounts of the *explain* after them.
+        """
         found = self.kept.get(messages)
         if found is None:
             if len(self.kept) == KEPT:

@@ -175,7 +175,8 @@ class Search:
     def _compute_values(
         self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]
     ) -> dict[Action, float]:
-        """Returns the values after these messages were chosen for the step."""
+        """Searches after the messages ``chosen`` (a bitmask) were chosen at this step. Returns the
+        values of the next actions that were tried."""
         tree = self.search(visible, chosen, belief)
         root, n = tree.nodes[ROOT], self.process.n_messages
         actions = [a for a in range(64) if int(root["actions"]) >> a & 1]
@@ -250,8 +251,8 @@ def search_model(process: Process, known: KnownValues, searches: bool = True) ->
 
 
 def _find_wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
-    """Computes ``wanted`` of :class:`~xplain.solvers.search_model.SearchModel`. Messages must
-    always correct the fact."""
+    """Computes the attribute ``wanted`` of :class:`~xplain.solvers.search_model.SearchModel`.
+    Messages must always correct the fact."""
     steps, types = process.n_steps, process.n_types
     wanted = np.zeros(known.explain.shape, np.int64)
     for bit, own in enumerate(process.own.T):
@@ -268,8 +269,8 @@ def _find_wanted(process: Process, known: KnownValues) -> NDArray[np.int64]:
 
 
 def _count_slots(process: Process) -> int:
-    """Returns the number of questions that a search tries at a belief. A bitmask must have a bit
-    for each action."""
+    """Returns the maximum number of questions that a search tries at a node. It is limited because
+    a 64-bit integer has a bit for each message, for *explain* and for each of these questions."""
     return min(QUESTIONS, len(process.questions.answered), 61 - process.n_messages)
 
 
@@ -318,7 +319,8 @@ def _count_entries(simulations: int) -> int:
 
 
 def _count_coded(messages: int, steps: int, states: int) -> int:
-    """Returns the number of message sets whose codes are kept: a power of two."""
+    """Returns the number of message sets for which :class:`Tree` stores codes of labels at the same
+    time: a power of two."""
     each = steps * (COLUMN.itemsize * states + LABEL.itemsize)
     return 1 << min(max(CODED // each, 16).bit_length() - 1, 12, messages)
 

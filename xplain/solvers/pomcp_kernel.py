@@ -95,6 +95,10 @@ class Options(NamedTuple):
 class Tree(NamedTuple):
     """The memory of one search of R simulations. Each simulation adds at most one node.
 
+    There are n messages, m steps, S states and Q questions; at most B questions are tried at a
+    node. The arrays with lengths "..." have a slot for each stored observation (``likelihoods``)
+    or message set (``labels`` and ``columns``).
+
     Attributes:
         nodes: [R + 1] NODE.
         edges: [(R + 2) · (n + 1 + B)] EDGE, one for each action of a node, side by side. The first
@@ -108,17 +112,18 @@ class Tree(NamedTuple):
         likelihoods: [.., S] P(observation | state).
         coded: [a power of two] the message set of each slot of ``labels`` and ``columns``; −1 for
             none.
-        labels: [.., m] LABEL. ``informative`` is the number of informative labels among the first
-            k + 1; ``weight`` has the w of the informative labels, in order.
-        columns: [.., m, S] COLUMN. ``p`` has P(answer 1) of the informative labels, in order;
-            ``probability`` and ``code`` are those of the likeliest answers to the first k + 1
-            labels.
-        path: [(n + 1) m + 1 + Q] the MOVEs of a simulation.
-        zero: [m] True for labels 0 of the last draw; filled only if not all labels were the
-            likelier answer.
+        labels: [.., m] records LABEL. In element k, ``informative`` is the number of informative
+            labels among the first k + 1 labels. In element i, ``weight`` is the hash w of the i-th
+            informative label.
+        columns: [.., m, S] records COLUMN. In element i, ``p`` is P(answer 1 | s) of the i-th
+            informative label. In element k, ``probability`` and ``code`` are the probability and
+            the code of the most likely answers to the first k + 1 labels in state s.
+        path: [(n + 1) m + 1 + Q] the records MOVE of a simulation.
+        zero: [m] True for each informative label whose drawn answer is 0. It is filled only if some
+            drawn answer was the less likely answer.
         belief: [S] the belief of a rollout.
         cells: [S] the cells at which tables are read for one message set.
-        gain: [n] the amount that each message adds to QMDP's value; 0 between calls.
+        gain: [n] the difference in V that each message makes under a belief; 0 between calls.
         tried: [R + 1, B + 2] for nodes that begin a step: the questions to try, their number, and
             the question that led to the node (−1 for none).
         asked: [Q] True for questions that were asked before the search.
@@ -306,9 +311,10 @@ def _evaluate(model, tree, options, missed, node, is_new, state):  # type: ignor
 def _back_up(model, tree, options, node, length, value):  # type: ignore[no-untyped-def]
     """Adds a return to the statistics of all nodes on the path up to the root.
 
-    With MAX, a node's value is the value of its best action, and the value of *explain* is the mean
-    of the current values of the nodes that its observations lead to. If such a node's value
-    changes, ``moved`` corrects the earlier visits, which were counted with the old value.
+    With MAX, a node's value is the value of its best action. The value of *explain* is its reward
+    plus the discounted mean, over all visits, of the current values of the nodes after it. If the
+    value of such a node changes, this mean also changes for earlier visits of the node: ``moved``
+    is their number times the change.
     """
     n, to_max, moved = len(model.price), options.backup == MAX, 0.0
     if node != END:
@@ -349,11 +355,13 @@ def _back_up(model, tree, options, node, length, value):  # type: ignore[no-unty
 
 @part
 def _find_entry(tree, parent, code):  # type: ignore[no-untyped-def]
-    """Finds the entry of a child in the table, or the free entry where it belongs. Returns the slot
-    and the child's tag. The tag excludes most other children without reading their nodes.
+    """Finds the entry of a child node in ``tree.table``, or the free entry for it. Returns the
+    entry's index, and the child's tag: 32 bits of a hash of its key. Children with other tags are
+    excluded without reading their nodes.
 
-    The key of a child is (node, labels) after *explain*, and (node at which the step began, v)
-    after a message, so all orders of the same messages lead to one node.
+    The key of a child is ``parent`` and ``code``: the node before and the code of the answers after
+    *explain* or a question; the node at which the step began and v after a message. So all orders
+    of the same messages lead to one node.
     """
     mask = tree.used[MASK]
     h = splitmix64(code + uint64(parent) * GOLDEN)
@@ -387,7 +395,8 @@ def _grow_table(tree):  # type: ignore[no-untyped-def]
 
 @part
 def _add_node(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
-    """Adds a node without edges. The caller sets its step, given, base and belief."""
+    """Adds a node without edges. The caller sets the fields ``step``, ``given`` and ``base`` of the
+    node, and its belief."""
     node = tree.used[NODES]
     tree.used[NODES] += 1
     tree.table[slot].node = node
@@ -441,7 +450,7 @@ def _find_relevant(model, belief):  # type: ignore[no-untyped-def]
 
 @part
 def _find_cells(stride, tree, said):  # type: ignore[no-untyped-def]
-    """Computes for each s the cell of (v, s) in tables with these strides."""
+    """Computes in ``tree.cells``, for each s, the cell of (v, s) in tables with these strides."""
     for s in range(len(tree.cells)):
         tree.cells[s] = find_cell(stride, said, s)
 
@@ -449,7 +458,8 @@ def _find_cells(stride, tree, said):  # type: ignore[no-untyped-def]
 @part
 def _find_wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
     """Returns the bitmask of the messages that are better than *explain* in some state; SETTLED if
-    no state needs a message from this step to the end. ``tree.cells`` has the states' cells."""
+    no state needs a message from this step to the end. Reads the states' cells in
+    ``tree.cells``."""
     mask, settled = np.int64(0), True
     for s in range(len(tree.cells)):
         own = model.wanted[step, tree.cells[s]]
@@ -463,10 +473,19 @@ def _find_wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
 def _evaluate_qmdp(model, tree, missed, step, messages, belief, patience):  # type: ignore[no-untyped-def]
     """Evaluates QMDP at a belief: max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages.
 
-    Returns the maximum, its action (n is *explain*), and Σ_s b(s) V(k, v, s). ``tree.cells`` has
-    the cells of v. A message changes the value only in the states that it has an effect on;
-    ``tree.gain`` sums over these. ``patience`` is the value in
-    :class:`~xplain.solvers.search_model.SearchModel`, or 0.
+    The function reads the states' cells in ``tree.cells``. It reads values after a message only in
+    the states on which the message has an effect, and adds up the differences in ``tree.gain``.
+
+    Args:
+        model, tree, missed: as in :func:`simulate`.
+        step: k.
+        messages: bitmask of the possible messages.
+        belief: [S].
+        patience: the additional share of its price that a message must gain
+            (:data:`~xplain.solvers.process.PATIENCE`); 0 for the plain maximum.
+
+    Returns:
+        The maximum, its action (a message, or n for *explain*), and Σ_s b(s) V(k, v, s).
     """
     best, base, action, likeliest = 0.0, 0.0, len(model.price), 0.0
     for s in range(len(belief)):
@@ -599,8 +618,8 @@ def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped
 
 @part
 def _update_belief(model, tree, missed, step, said, state, code, belief):  # type: ignore[no-untyped-def]
-    """Updates a belief [S] by the labels that were just drawn for a user in this state. The
-    likelihoods of an observation are stored for its next occurrence."""
+    """Updates a belief [S] by the labels that :func:`_draw_labels` has just drawn for a user in
+    this state. The likelihoods of these labels are stored, for later draws of the same labels."""
     at = _find_coded_slot(model, tree, missed, said)
     count = tree.labels[at, step].informative
     if count > 0:
@@ -628,8 +647,8 @@ def _update_belief(model, tree, missed, step, said, state, code, belief):  # typ
 
 @part
 def _find_coded_slot(model, tree, missed, said):  # type: ignore[no-untyped-def]
-    """Returns the slot with the codes of the labels at v. Message sets with the same hash share a
-    slot; the set that is needed now replaces the earlier set."""
+    """Returns the slot of ``tree.labels`` and ``tree.columns`` for v, and fills it if necessary.
+    Message sets with the same hash use the same slot: v replaces the earlier set."""
     shown = said if missed is None else np.int64(0)
     slot = shown
     if slot >= len(tree.coded):
@@ -643,7 +662,7 @@ def _find_coded_slot(model, tree, missed, said):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
-    """Writes the codes of the labels at v to this slot."""
+    """Fills this slot of ``tree.labels`` and ``tree.columns`` for v."""
     steps, states = len(model.answered), len(model.relevant)
     labels, columns, found = tree.labels[slot], tree.columns[slot], 0
     cells = np.arange(states)

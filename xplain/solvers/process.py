@@ -1,23 +1,26 @@
 """The one model that every solver plans with: the POMDP of one problem as arrays.
 
-The hidden state is s ∈ {0 … S − 1}; the visible part is v, a bitmask of the relevant messages:
+There are m steps, n messages and N hidden types. The list ``own[t]`` has the at most r messages
+that the tables contain for type t. The hidden state is s ∈ {0 … S − 1}; the visible state before
+step k is (k, v), where v is a bitmask of messages:
 
-- *messages always correct the fact* (``jump`` is None): s is the hidden type, S = N, and v = H, all
-  messages given;
-- *messages may be missed or forgotten*: s = K · N + t, the user's known facts (a row K of the label
-  table) and the hidden type t, S = rows · N; v has the messages of this step.
+- *messages always correct the fact* (``jump`` is None): s is the hidden type t, so S = N; v has all
+  messages given so far;
+- *messages may be missed or forgotten*: s = K · N + t, where t is the hidden type and the bitmask K
+  tells which messages of ``own[t]`` the user knows, so S = 2^r · N; v has the messages given in
+  this step.
 
 Tables are flat, [..., cells]. A table is read at x(v, s) = base[s] + Σ_{j ∈ v} stride[j, s]
-(:class:`Cells`). If messages always correct the fact, a cell is (row of v, t) and ``base[t] = t``.
-If messages may be missed, a cell is s itself and every stride is 0.
+(:class:`Cells`). If messages always correct the fact, the cell of (v, t) is K · N + t, where the
+bitmask K tells which messages of ``own[t]`` are in v. If messages may be missed, the cell is s.
 
     give j      pays price[j], discounts by γ' = ``message_discount``; b' = ``give(process, b, j)``:
                 the share accept[s] of b[s] moves to s + jump[j, s] (jump is 0 if nothing changes)
-    explain     pays explain_cost[k, x(v, s)], discounts by γ = ``discount``; the evidence is
-                Π_i P(y_i) with P(y_i = 1) = answered[i, x(v, s)] for i ≤ k; then
+    explain     pays explain_cost[k, x(v, s)], discounts by γ = ``discount``; the likelihood of the
+                answers y is Π_{i ≤ k} P(y_i | s) with P(y_i = 1 | s) = answered[i, x(v, s)]; then
                 b' = ``forget(process, b)``: a known fact is forgotten with probability forget[t]
-    ask q       pays questions.cost, never discounts; the evidence is
-                questions.answered[q, x_q(v, s)], x_q by ``questions.cells``
+    ask q       pays questions.cost, never discounts; the probability of the answer 1 is
+                questions.answered[q, x(v, s)], where x uses ``questions.cells``
 
 A message is given at most once in a step; if messages always correct the fact, at most once in the
 whole explanation. Messages discount (γ' = γ, the paper) only if they always correct the fact: each
@@ -27,16 +30,18 @@ is relevant to no s with positive belief.
 *Explain* leads to k + 1 with the same v if messages always correct the fact, otherwise with v = 0
 (:func:`before_step`).
 
-With known s labels give no information, and the process is an MDP on (k, v), solved backwards in k
-(Bellman 1957):
+If s is known, labels give no information, and the process is an MDP with states (k, v, s). It is
+solved backwards in k (Bellman 1957), where α = accept[s], v⁺ is v after *explain*, and E is the
+expectation over the state s' after forgetting:
 
-    Q(k, v, s, explain) = γ E_F V(k + 1, v⁺, s') − explain_cost[k, x(v, s)],   V(m, ·) = 0
+    Q(k, v, s, explain) = γ E V(k + 1, v⁺, s') − explain_cost[k, x(v, s)],   V(m, ·) = 0
     Q(k, v, s, give j) = γ' [α V(k, v + j, s + jump[j, s]) + (1 − α) V(k, v + j, s)] − price[j]
     V(k, v, s) = max { Q(k, v, s, explain), max_{j ∉ v} Q(k, v, s, give j) }
 
 If messages always correct the fact, the maximum over all sets of messages takes one pass over the
-table for each message. The most expensive message comes first, so that the cheapest message of a
-best set is given first. If messages may be missed, the next state depends on the accepted messages.
+table for each message. The pass of the most expensive message comes first, so that the cheapest
+message of a best set is given first. If messages may be missed, the values for a set v depend on
+the values for v with one more message, so larger sets are solved first.
 """
 
 from collections import Counter
@@ -62,8 +67,8 @@ MAX_MISSED = 10
 """Maximum number of messages whose sets are compared if messages may be missed. Each set then leads
 to another belief."""
 KEPT_ANSWERS, JOINED = 1 << 9, 1 << 6
-"""Maximum number of cached results of :func:`answer_likelihoods`, and of answers in a joined
-factor."""
+"""Maximum number of cached results of :func:`answer_likelihoods`, and of rows in an array that
+joins several groups of labels there."""
 PATIENCE = 0.1
 """If messages may be missed, a message must gain this additional share of its price, times the
 probability that the state is not the most likely state. A message gives no information about the
@@ -78,7 +83,7 @@ class Cells:
     Attributes:
         base: [S] cell of s before any message.
         stride: [n, S] the number that message j adds.
-        kept: cached cells of bitmasks, at most KEPT.
+        kept: cache of :meth:`at`, ``{bitmask of messages: cells}``, at most KEPT.
         answers: cached results of :func:`answer_likelihoods`, at most KEPT_ANSWERS.
     """
 
@@ -106,8 +111,9 @@ class QuestionTables(NamedTuple):
 
     Attributes:
         answered: [Q, cells] P(answer 1).
-        likelier: [Q, cells] True if label 1 is more likely; questions with equal rows are alike.
-        cells: the indices of a question's table.
+        likelier: [Q, cells] True if label 1 is more likely than label 0. Questions with equal rows
+            are called alike.
+        cells: indices of ``answered`` and ``likelier``.
         relevant: [S] bitmask of the messages that change some answer of s.
         cost: κ.
         most: maximum number of questions, at most Q.
@@ -132,13 +138,16 @@ class Process(NamedTuple):
         answered: [m, cells] P(answer 1); the same array as ``p`` if users do not err.
         explain_cost: [m, cells] C_inexp Σ_{i ≤ k} (1 − P), the expected cost of *explain* at k.
         cells: indices of ``p``, ``answered`` and ``explain_cost``.
-        own: [N, r] message of each bit of a type's row, NONE for none. If messages always correct
-            the fact, the bits of a type ascend in price.
+        own: [N, r] the messages that the tables contain for each type, padded with NONE. Message
+            ``own[t, i]`` is bit i of a bitmask K for type t. If messages always correct the fact,
+            the messages of a type are sorted by ascending price.
         relevant: [S] bitmask of the messages that change some label of s, or the state s itself.
         jump: [n, S] number that an accepted message adds to s; None if messages always correct the
             fact.
-        accept: [S] α; None if messages always correct the fact.
-        forget: [N] φ, or None if nothing is ever forgotten.
+        accept: [S] α, the probability that a message corrects the fact; None if messages always
+            correct the fact.
+        forget: [N] φ, the probability that a known fact is forgotten at the end of a step; None if
+            nothing is ever forgotten.
         price: [n] λ C_e.
         discount, message_discount: γ and γ'.
         questions: the possible questions.
@@ -185,12 +194,12 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
 
     Args:
         problem: a problem of any kind.
-        dense: used if messages always correct the fact. With True each type's row covers all
-            messages with an effect on some type. With False it covers only messages with an effect
-            on this type, if these are fewer.
+        dense: used only if messages always correct the fact. With True, the tables contain for
+            each type all messages with an effect on some type. With False, they contain for each
+            type only the messages with an effect on this type, if this makes them smaller.
 
     Raises:
-        TooLargeError: more than MAX_RELEVANT messages in a row.
+        TooLargeError: a type has more than MAX_RELEVANT messages in the tables.
     """
     price = problem.trade_off * problem.message_cost
     limits, asked = problem.questions.limits, problem.questions.table
@@ -235,7 +244,8 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
 
 
 def row_messages(problem: Problem, dense: bool = False) -> list[tuple[int, ...]]:
-    """Lists the messages of each type's row, ascending. Messages must always correct the fact."""
+    """Lists for each type the messages that the tables contain for it, by ascending index; see
+    ``dense`` of :func:`make_process`. Messages must always correct the fact."""
     own = problem.table.effective()
     union = problem.messages_with_effect
     together = tuple(sorted({j for row in own for j in row}))
@@ -261,13 +271,15 @@ def weighable(problem: Problem, what: str) -> tuple[int, ...]:
 
 
 def _sort_by_price(table: LabelTable, price: FloatArray) -> LabelTable:
-    """Sorts the bits of each type by ascending price."""
+    """Returns the same label table with each type's messages sorted by ascending price: bit 0 is
+    the cheapest message."""
     rows = [sorted(row, key=lambda j: float(price[j])) for row in table.rows]
     return table.select_messages(rows)
 
 
 def _make_row_cells(table: LabelTable, messages: int) -> Cells:
-    """Makes the cells of a table [..., rows · N]. Messages must always correct the fact."""
+    """Makes the indices of a flat label table [..., 2^r · N]. Messages must always correct the
+    fact."""
     stride = np.zeros((messages, table.n_types), np.int64)
     whose, bit = np.nonzero(table.relevant != NONE)
     stride[table.relevant[whose, bit], whose] = table.n_types << bit
@@ -275,8 +287,8 @@ def _make_row_cells(table: LabelTable, messages: int) -> Cells:
 
 
 def _compute_jumps(table: LabelTable, messages: int) -> IntArray:
-    """Computes ``jump`` [n, S] if messages may be missed: the number that a message adds to a state
-    without its fact, 0 if the message changes nothing."""
+    """Computes ``jump`` [n, S] if messages may be missed: the number that an accepted message adds
+    to s if the user does not know its fact; 0 if the message changes nothing."""
     types, width = table.relevant.shape
     rows = np.arange(1 << width)
     jump = np.zeros((messages, len(rows), types), np.int64)
@@ -304,7 +316,7 @@ def matters(process: Process, belief: FloatArray) -> int:
 
 
 def give(process: Process, belief: FloatArray, message: int) -> FloatArray:
-    """Updates beliefs [..., S]: message j was given once."""
+    """Returns the beliefs [..., S] after ``message`` was given once."""
     if process.jump is None or process.accept is None:
         return belief
     jump = process.jump[message]
@@ -317,19 +329,21 @@ def give(process: Process, belief: FloatArray, message: int) -> FloatArray:
 
 
 def give_all(process: Process, belief: FloatArray, messages: int) -> FloatArray:
-    """Updates beliefs [..., S]: these messages were given."""
+    """Returns the beliefs [..., S] after each message of a bitmask was given once."""
     for message in indices(messages):
         belief = give(process, belief, message)
     return belief
 
 
 def forget(process: Process, belief: FloatArray) -> FloatArray:
-    """Updates beliefs [..., S] at the end of a step, when known facts may be forgotten: b F."""
+    """Returns the beliefs [..., S] after the end of a step, at which each known fact may be
+    forgotten."""
     return belief if process.forget is None else after_forgetting(belief, process.forget)
 
 
 def expected_after_forgetting(process: Process, values: FloatArray) -> FloatArray:
-    """Computes F v: E[v(s') | s] of values [..., S] after a step."""
+    """Computes [..., S] E[v(s') | s] from values v [..., S], where s' is the state after the end of
+    a step, at which each known fact may be forgotten."""
     if process.forget is None:
         return values
     after = np.array(values, order="C")
@@ -342,9 +356,23 @@ def expected_after_forgetting(process: Process, values: FloatArray) -> FloatArra
 def answer_likelihoods(
     process: Process, step: int, said: int, possible: IntArray
 ) -> list[FloatArray]:
-    """Lists the distinguishable answers to *explain* at (k, v) as factors. Each factor is [B, P]
-    P(answer | s) of B partial answers for P possible states. The result is cached, because many
-    beliefs use it."""
+    """Computes the likelihoods of all answers to *explain* at (k, v).
+
+    Labels with equal probabilities P(answer 1 | s) in all possible states are exchangeable. They
+    form a group, and only the number of 1s in each group matters. Labels with the same P(answer 1)
+    in all possible states give no information and are left out. The result is cached, because many
+    beliefs use it.
+
+    Args:
+        process: the model.
+        step, said: k and v.
+        possible: [P] the possible states.
+
+    Returns:
+        Arrays [B, P]. Each array is about one group, or about several small groups, and has a row
+        for each combination of their numbers of 1s: the probability of this combination given s.
+        An answer takes one row of each array; its likelihood is the product of these rows.
+    """
     kept, key = process.cells.answers, (step, said, possible.tobytes())
     factors = kept.get(key)  # several threads may use a policy
     if factors is None:
@@ -383,12 +411,13 @@ def outcomes(
         process: the model.
         step, said: k and v.
         belief: [S] before the labels; need not sum to 1.
-        negligible: less likely answers are not listed.
-        most: maximum number of answers.
+        negligible: answers with a probability up to this number are not listed.
+        most: maximum number of listed answers; None is no limit.
 
     Returns:
-        [B, S] joint probabilities of an answer and the state at the next step, and [S] the sum over
-        all answers that are not listed; None if there are more than ``most``.
+        [B, S] joint probabilities of each listed answer and the state at the next step, and [S] the
+        sum of these probabilities over all answers that are not listed. None if there are more than
+        ``most`` answers.
     """
     possible = np.flatnonzero(belief > 0)
     weights, tail = belief[None, possible], np.zeros(len(belief))
@@ -405,8 +434,8 @@ def outcomes(
 
 
 def expected_after_giving(process: Process, messages: list[int], values: FloatArray) -> FloatArray:
-    """Computes [F, S] E[v_j(s') | s] after message j was given once, from values [F, S] for each of
-    F messages j."""
+    """Computes [J, S] E[v_j(s') | s] from values v [J, S] with a row for each of J messages. In row
+    j, s' is the state after message j was given once."""
     if process.jump is None or process.accept is None:
         return values
     landed = np.take_along_axis(
@@ -416,8 +445,8 @@ def expected_after_giving(process: Process, messages: list[int], values: FloatAr
 
 
 def all_given(process: Process, belief: FloatArray, messages: list[int]) -> FloatArray:
-    """Computes [2^F, S] the belief after each set of F messages, in the order of
-    ``message_sets.subsets``."""
+    """Computes [2^J, S] the belief after each subset of J messages was given; the subsets are in
+    the order of ``message_sets.subsets``."""
     after = belief[None]
     for message in messages:
         after = np.concatenate([after, give(process, after, message)])
@@ -425,8 +454,12 @@ def all_given(process: Process, belief: FloatArray, messages: list[int]) -> Floa
 
 
 def set_prices(process: Process, sets: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Computes [B] the discounted price of B sets of messages, cheapest message first, and the
-    discount of each set."""
+    """Computes the prices and discounts of B sets of messages. The cheapest message of a set is
+    given first.
+
+    Returns:
+        [B] the discounted price of each set, and [B] the discount of the action after the set.
+    """
     price, discount = np.zeros(len(sets)), np.ones(len(sets))
     for j in np.argsort(process.price, kind="stable"):
         has = sets >> j & 1 == 1
@@ -438,17 +471,26 @@ def set_prices(process: Process, sets: IntArray) -> tuple[FloatArray, FloatArray
 def hear_answer(
     process: Process, belief: FloatArray, said: int, question: int, answer: int
 ) -> FloatArray:
-    """Computes [S] joint probabilities of the state and the answer 0 or 1 to a question, at v."""
+    """Computes [S] joint probabilities of the state and this answer (0 or 1) to a question.
+
+    Args:
+        process: the model.
+        belief: [S] before the answer.
+        said: v.
+        question: number of the question.
+        answer: 0 or 1.
+    """
     yes = process.questions.answered[question, process.questions.cells.at(said)]
     return belief * (yes if answer else 1 - yes)
 
 
 class KnownValues(NamedTuple):
-    """The values V and Q of known states. If messages may be missed, V has more cells than Q.
+    """The values V and Q of known states. If messages may be missed, V has more cells than Q of
+    *explain*, because only V depends on the messages v given in the step.
 
     Attributes:
-        value: [m + 1, cells] V, with indices ``value_cells``.
-        explain: [m, cells] Q of *explain*, with indices ``explain_cells``.
+        value: [m + 1, cells] V; its indices are ``value_cells``.
+        explain: [m, cells] Q of *explain*; its indices are ``explain_cells``.
         value_cells, explain_cells: the indices of ``value`` and ``explain``.
     """
 
@@ -489,8 +531,8 @@ def known_bytes(problem: Problem) -> int:
 
 
 def _find_bit_prices(process: Process, without_effect: bool) -> FloatArray:
-    """Computes [r, N] the price of each bit's message; inf if the bit has no message, or the
-    message changes nothing."""
+    """Computes [r, N] the price of the message of each bit and type. The price is inf if the bit
+    has no message, or if the message changes nothing and ``without_effect`` is False."""
     own, types = process.own.T, np.arange(process.n_types)
     exists = own != NONE
     if not without_effect:
@@ -514,7 +556,8 @@ def _solve_certain_messages(process: Process, prices: FloatArray) -> KnownValues
 
 
 def _solve_missed_messages(process: Process, prices: FloatArray) -> KnownValues:
-    """Computes [m + 1, sets of the step, S] values if messages may be missed."""
+    """Solves the MDP of known states if messages may be missed. The cell of V for (v, s) is
+    K · S + s, where the bitmask K tells which messages of the type's list ``own[t]`` are in v."""
     states, types, bits = process.n_states, process.n_types, len(prices)
     assert process.accept is not None
     accept = process.accept[:types]

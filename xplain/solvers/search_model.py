@@ -18,23 +18,29 @@ class SearchModel(NamedTuple):
 
     Attributes:
         answered: [m, cells] P(answer 1).
-        explain_cost, explain: [m, cells] the expected cost and the Q of *explain*.
+        explain_cost: [m, cells] the expected cost of *explain*.
+        explain: [m, cells] Q of *explain*.
         stride: [n, S] the strides of these three tables.
         value: [m + 1, value cells] V.
         value_stride: [n, S] the strides of ``value``.
-        wanted: [m, value cells] bitmask of the messages that are better in s than *explain*, or
-            SETTLED; empty if messages may be missed, and for HSVI.
+        wanted: [m, value cells] bitmask of the messages that are better in s than *explain*;
+            SETTLED if s needs no message from this step to the end. Only POMCP uses this table; it
+            is empty for HSVI, and if messages may be missed.
         relevant: [S] bitmask of the messages that have an effect on s.
-        jump, accept, forget: [n, S], [S] and [N], as in the process. If messages always correct the
-            fact, the first two are empty.
+        jump: [n, S] the number that an accepted message adds to s; empty if messages always correct
+            the fact.
+        accept: [S] α; empty if messages always correct the fact.
+        forget: [N] φ; 0 if nothing is ever forgotten.
         price: [n] λ C_e.
-        asked_answered, likelier: [Q, question cells] P(answer 1); True if label 1 is likelier.
-        question_stride: [n, S] the strides of these two tables.
+        asked_answered: [Q, question cells] P(answer 1) of Q questions.
+        likelier: [Q, question cells] True if label 1 of a question is likelier than label 0.
+        question_stride: [n, S] the strides of ``asked_answered`` and ``likelier``.
         discount, message_discount: γ and γ'.
         question_cost: κ.
         most: the largest number of questions.
         first: True if questions come only before the first step.
-        patience: :data:`~xplain.solvers.process.PATIENCE`; 0 if messages always correct the fact.
+        patience: the additional share of its price that a message must gain
+            (:data:`~xplain.solvers.process.PATIENCE`); 0 if messages always correct the fact.
     """
 
     answered: NDArray[np.float64]

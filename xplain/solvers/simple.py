@@ -77,8 +77,9 @@ class QHRPolicy:
     Attributes:
         process: the model.
         sets: the sets to compare, ascending. If these are not all sets, the best set is added to
-            the chosen messages until no addition is better.
-        shown: [m, cells] the cost of all prefixes from step k on, without further messages.
+            the chosen messages, again and again, until no addition is better.
+        shown: [m, cells] the expected cost of all *explain* actions from step k to the end, if no
+            further message is given.
     """
 
     process: Process

@@ -2,13 +2,15 @@
 
     VOI(q) = Σ_y P(y | b) V(b_y) − V(b) − κ
 
-(Howard 1966; one question ahead, "myopic"). V is not QMDP's bound, which assumes that the state
-becomes known at no cost. V is the return of QMDP's own decisions from a belief, estimated by
-simulation. W(b) = Σ b_s V(k, v, s) is linear in b, and answers do not change its mean. So the
-return of QMDP's decisions is W(b) minus the expected losses: the loss of each decision relative to
-a known state at that step. W cancels in VOI(q), and the losses vary little. So few simulations are
-enough if all beliefs share their random numbers. If labels are certain, one simulation of each
-state is exact.
+(Howard 1966; one question ahead, "myopic"), where b_y is the belief after the answer y, and V(b) is
+the return of QMDP's own decisions from the belief b, estimated by simulation. V(b) is not QMDP's
+bound, which assumes that the state becomes known at no cost.
+
+Let W(b) = Σ_s b_s V*(k, v, s), where V* are the values of known states. W is linear in b, and
+answers do not change its mean. So V(b) is W(b) minus the expected losses of QMDP's decisions, each
+relative to a decision in the known state. W cancels in VOI(q), and the losses vary little. So few
+simulations are enough if all beliefs share their random numbers. If answers are certain, one
+simulation of each state is exact.
 
 Only the questions with the most informative answers (mutual information) are evaluated, as chosen
 by :func:`telling_questions`.
