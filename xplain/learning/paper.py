@@ -131,11 +131,12 @@ def minimal_message_sets(dataset: Dataset, trainer: LabelerTrainer, seed: int) -
 
 
 def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messages: int) -> int:
-    """Finds the smallest message set that makes every transition [T, F] explicable, as a bitmask.
+    """Finds the smallest message set that makes T transitions explicable (:func:`smallest`), as a
+    bitmask.
 
     Args:
         classifier: fitted on :func:`xplain.learning.data.dataset.inputs`.
-        features: of the distinct transitions.
+        features: [T, F] features of the distinct transitions.
         n_messages: n.
 
     Raises:

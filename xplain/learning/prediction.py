@@ -108,8 +108,14 @@ def _predict_by_type(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[n
 
 
 class Tenth(NamedTuple):
-    """One tenth of the held-out labels, sorted by predicted P(1): the mean prediction, the share of
-    ones with its 95 % interval (Wilson's), and the number of labels."""
+    """One tenth of the held-out labels, in the order of the predicted P(label = 1).
+
+    Attributes:
+        said: mean predicted P(label = 1).
+        ones: share of labels 1.
+        low, high: Wilson's 95 % interval of this share.
+        labels: number of labels.
+    """
 
     said: float
     ones: float
@@ -119,9 +125,13 @@ class Tenth(NamedTuple):
 
 
 def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Tenth, ...]:
-    """Compares predictions with labels [P]; ``one`` [P] has the predicted P(label = 1). The labels
-    are sorted by their predictions and divided into ten groups of equal size, or into one group for
-    each label if there are fewer than ten labels."""
+    """Compares predictions with labels, in ten groups of equal size: the labels are sorted by their
+    predictions and then divided. Fewer than ten labels give one group for each label.
+
+    Args:
+        one: [P] predicted P(label = 1).
+        label: [P] the labels.
+    """
     from scipy.stats import binomtest
 
     found = []
@@ -166,11 +176,18 @@ class HeldOut:
 def predict_held_out(
     dataset: Dataset, finder: TypeFinder, trainer: LabelerTrainer, seed: int
 ) -> HeldOut:
-    """Predicts labels that the finder of types did not receive.
+    """Measures how well labels are predicted from the other labels.
 
-    A share (``trainer.holdout``) of the distinct pairs (transition, message set) is held out. If
-    the data have no messages, this share of the labels is held out instead, because the questions
-    are then independent items. At least one label is held out, and at least one is kept.
+    Some labels are held out, and types are found in the rest. The held-out labels are a share
+    (``trainer.holdout``) of the distinct pairs (transition, message set), with all labels of a
+    pair. If the data have no messages, this share of the labels is drawn instead, because the
+    questions are then independent items. At least one label is held out, and at least one is kept.
+
+    Args:
+        dataset: all labels.
+        finder: finds the types.
+        trainer: fits the labeler for all observers, with which the types are compared.
+        seed: seed of every draw.
     """
     if dataset.message_set.any():
         test = split(dataset, trainer.holdout, derive_seed(seed, "held out"))
@@ -219,8 +236,16 @@ def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:
 
 
 def _predict_by_means(dataset: Dataset, test: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Computes [P] log P of the labels ``test``, by the mean of the other answers to the same
-    question, with one pseudo-answer 0 and one pseudo-answer 1."""
+    """Computes log P of the held-out labels. P(label = 1) is the mean of the other answers to the
+    same question, with one pseudo-answer 0 and one pseudo-answer 1.
+
+    Args:
+        dataset: all labels.
+        test: for each label, True if it is held out.
+
+    Returns:
+        One value for each held-out label.
+    """
     query = query_index(dataset)
     count = int(query.max()) + 1
     ones = np.bincount(query[~test], dataset.label[~test], count)

@@ -95,8 +95,8 @@ class TraceTables(NamedTuple):
 
 
 def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:
-    """Returns the table, or None if it is too large. (A labeler for all observers tests the
-    messages of every type, and few runs need its table.)"""
+    """Returns the table that ``make`` returns, or None if it raises TooLargeError. (A labeler for
+    all observers tests the messages of every type, and few runs need its table.)"""
     try:
         return make()
     except TooLargeError:
@@ -137,7 +137,8 @@ class KnownTypes:
 
 
 def shares_of(drawn: ArrayLike) -> dict[int, float]:
-    """Computes P(number of types = k) by k, from drawn numbers of types."""
+    """Computes the share of each value among sampled numbers of types: {k: P(number of types =
+    k)}."""
     number, times = np.unique(drawn, return_counts=True)
     return dict(zip(number.tolist(), (times / times.sum()).tolist(), strict=True))
 

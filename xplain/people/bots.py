@@ -1,7 +1,7 @@
 """Simulated people, who use a running server (``study bots``).
 
-Bots use HTTP and invitations of the stream "bot", so their data is always marked. They read the
-plan from the server's export, so the server may run anywhere.
+Bots use HTTP and invitations for bots, so their data is always marked. They read the plan from the
+server's export, so the server may run anywhere.
 """
 
 from __future__ import annotations
@@ -329,8 +329,12 @@ class Researcher:
         self.token = Page.of_html(html).hidden["token"]
 
     def invite(self, count: int, stream_name: str = "bot") -> list[str]:
-        """Creates ``count`` invitations for a stream of the data: people, pilots or bots.
-        Returns their tokens."""
+        """Creates invitations, and returns their tokens.
+
+        Args:
+            count: number of invitations.
+            stream_name: kind of the invited participants: "person", "pilot" or "bot".
+        """
         fields = [("token", self.token), ("count", str(count)), ("stream", stream_name)]
         _, html = self.browser.post("/researcher/invitations", fields)
         return re.findall(r"\?invitation=([\w-]+)", html)

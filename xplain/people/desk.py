@@ -30,8 +30,8 @@ MOST_BATCHES = 20
 
 
 def require_login(visit: Visiting) -> Visit:
-    """Checks that a logged-in researcher sent the request, with a valid form token. Returns the
-    request's visit.
+    """Checks that a logged-in researcher sent the request, with a valid form token. Returns
+    ``visit``, which describes the request.
 
     Raises:
         HTTPException: the request is not valid.

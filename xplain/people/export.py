@@ -95,9 +95,13 @@ def defuse(cell: Any) -> Any:
 
 
 def measure_seconds(first: Event, last: Event) -> tuple[float | None, str]:
-    """Measures the time from an event to a later event. Also returns the name of the server's
-    clock: the monotonic clock, or the wall clock if the machine restarted in between. The time is
-    None if the wall clock was set back."""
+    """Measures the time from an event to a later event, by the server's monotonic clock, or by its
+    wall clock if the machine restarted in between.
+
+    Returns:
+        The seconds and the name of the clock, "monotonic" or "wall". If the wall clock was set
+        back, (None, "impossible").
+    """
     clock = "monotonic" if first.boot == last.boot else "wall"
     took = getattr(last, clock) - getattr(first, clock)
     return (took, clock) if took >= 0 else (None, "impossible")

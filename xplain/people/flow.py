@@ -416,7 +416,8 @@ class Consent(Stage[F, S]):
     """The consent to the current text."""
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
-        """Reads the decision, and the hash of the text that was shown."""
+        """Reads the decision (``agree``: 1 or 0), and the hash of the text that was shown
+        (``text``)."""
         return {"agree": small(form.get("agree")), "text": form.get("text", "")[:64]}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
@@ -433,7 +434,8 @@ class Briefing(Stage[F, S]):
     """Screens to read: the task, a few facts on each screen, and the participants' job."""
 
     def facts(self, flow: F, state: S) -> Mapping[str, Sequence[str]]:
-        """Returns the sentences of the briefing, by the key of their heading."""
+        """Returns the sentences of the briefing: {key of a heading: the sentences below this
+        heading}."""
         return {}
 
     def screens(self, flow: F, state: S) -> list[tuple[str, tuple[str, ...]]]:

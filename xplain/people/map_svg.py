@@ -54,7 +54,8 @@ def picture(plan: Any, path: Path | None, steps: int, gone: Sequence[str] = ()) 
 
 
 def legend(plan: Any, way: bool = False) -> list[tuple[str, Markup]]:
-    """Lists (name, small SVG) of everything on the map, and of the robot's way if pages show it."""
+    """Lists (name, small SVG) pairs for everything on the map and, if ``way`` is True, for the
+    robot's way."""
     if plan.scene is None:
         return []
     words = plan.texts.words
@@ -83,8 +84,8 @@ def about(plan: Any, sentence: str) -> Markup:
 
 
 def _list_looks(plan: Any) -> list[tuple[Item, str | None, str]]:
-    """Lists each item of the map with its colour, and with its icon if the configuration has an
-    icon."""
+    """Lists (item, icon, colour) for each item of the map. The icon is None if the configuration
+    has no icon for the item."""
     return [
         (item, plan.icons.get(item.name), COLOURS[index % len(COLOURS)])
         for index, item in enumerate(plan.scene.items)

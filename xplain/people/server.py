@@ -36,7 +36,7 @@ class RateLimit:
     _buckets: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
 
     def allows(self, key: str) -> bool:
-        """Takes a token, if there is one."""
+        """Takes a token of this key. Returns False if the key has no token left."""
         now = self.clock()
         tokens, last = self._buckets.pop(key, (self.burst, now))
         tokens = min(self.burst, tokens + (now - last) * self.per_second)
@@ -76,8 +76,8 @@ class Keys:
             return None
 
     def form(self, who: str) -> str:
-        """Makes the token in every form of a participant, visitor or researcher: a signature
-        without the id."""
+        """Makes the token that is in every form of a participant, visitor or researcher ``who``: a
+        signature of ``who``, which does not contain ``who``."""
         return self._make_signer(_FORM).get_signature(who).decode()
 
     def owns_form(self, who: str, token: str) -> bool:
@@ -238,13 +238,15 @@ class Server:
             raise InputError("server.ids", self.ids, f"a file of ids ({error})") from None
 
     def lets_in(self, ids: Sequence[str]) -> bool:
-        """True if a person with these values of ``id_names`` may take part."""
+        """True if a person may take part; ``ids`` are the person's values of the parameters
+        ``id_names``."""
         whole = bool(ids) and all(0 < len(one) <= 100 and one.isprintable() for one in ids)
         of_study = not self.studies or ids[1] in self.studies
         return whole and of_study and (not self.ids or ids[0] in self.read_ids())
 
     def verify(self, token: str) -> dict[str, str]:
-        """Reads the ids in a signed token that has not expired; none if the token is not genuine.
+        """Reads the ids in a signed token, by the names in ``id_names``; empty if the token has
+        expired or is not genuine.
 
         Raises:
             InputError: the file with the key cannot be used.

@@ -175,8 +175,8 @@ class KnownTransitions:
         return cls(hypotheses, distinct, share, unwritten)
 
     def grow(self, answers: Answers) -> KnownTransitions:
-        """Adds the neighbours (one further fact) of each candidate that the answers of one type
-        make likely, until every neighbour of a likely candidate is a candidate."""
+        """Adds all neighbours (sets with one further fact) of each candidate that is likely given
+        the answers of one type, until every neighbour of a likely candidate is a candidate."""
         found = grow(self.hypotheses, lambda known: self._compute_posterior(known, answers))
         return self if found is self.hypotheses else KnownTransitions.of(found)
 

@@ -65,15 +65,14 @@ SUBSET = 0.5
 
 
 class SortedLabels(NamedTuple):
-    """The labels of a dataset, sorted by observer, then by transition.
-
-    P labels by O observers on T transitions.
+    """P labels by O observers on T transitions, sorted by observer, then by transition.
 
     Attributes:
-        start: [O + 1] int64 first row of each observer.
-        transition, message_set, label, owner: [P] int64; ``owner`` is the observer.
-        rows: [P] int64 all rows, sorted by transition.
-        transition_start: [T + 1] int64 first index of each transition in ``rows``.
+        start: [O + 1] int64 index of each observer's first label.
+        transition, message_set, label: [P] int64.
+        owner: [P] int64 the observer who gave each label.
+        rows: [P] int64 indices of all labels, sorted by transition.
+        transition_start: [T + 1] int64 index in ``rows`` at which each transition's labels begin.
         n_messages: n.
     """
 
@@ -109,18 +108,20 @@ class SortedLabels(NamedTuple):
 class Prior(NamedTuple):
     """Tables for the prior of f, S and ε.
 
-    Z subsets of at most ``depth`` facts, E levels of noise.
+    Z is the number of subsets of at most ``depth`` facts, E the number of error rates ε. A cell's
+    ones − zeros is between −REACH and REACH.
 
     Attributes:
         subsets: [Z, depth] int64 facts of each possible S_τ, padded with −1.
         size: [Z] int64 number of facts in each subset.
-        members: [Z] int64 the same facts as a bitmask.
+        members: [Z] int64 facts of each subset as a bitmask.
         log_subset: [Z] log prior of each subset.
-        log_block: [depth + 1] log P(a drawn block of facts | S_τ), by the size of S_τ. The next
-            S_τ is a subset of the block.
-        predictive: [2, E, 2 · REACH + 1, 2] log P(next label | whether M ∩ S is empty, ε, ones −
-            zeros).
-        marginal: [2, E, 2 · REACH + 1] log marginal likelihood of a cell, relative to f = 1.
+        log_block: [depth + 1] log P(a random block of facts is drawn | S_τ), by the size of S_τ.
+            The next S_τ is a subset of the drawn block.
+        predictive: [2, E, 2 · REACH + 1, 2] log P(next label), by: whether M ∩ S is empty; ε; ones
+            − zeros; and the next label.
+        marginal: [2, E, 2 · REACH + 1] log of P(labels of a cell) / P(these labels | f = 1), by:
+            whether M ∩ S is empty; ε; and ones − zeros.
         log_flip: [E, 2] log(1 − ε) and log ε.
     """
 
@@ -268,8 +269,12 @@ def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> Chain
 
 
 def _log_restaurant(members: NDArray[np.int64], log_new: float) -> float:
-    """Computes log P(partition of the observers, and each type's fact set) for types with
-    ``members`` [K]."""
+    """Computes, up to a constant, log P(partition of the observers, and each type's fact set).
+
+    Args:
+        members: [K] number of observers in each of the K types.
+        log_new: log weight of an unused fact set in the Chinese restaurant process.
+    """
     return sum(log_new + lgamma(size) for size in members.tolist())
 
 

@@ -46,10 +46,10 @@ class AskedClip:
 
     Attributes:
         purpose: QUESTION, REPEAT, ATTENTION (no transitions, one label), or a purpose in HEEDED.
-        transitions: rows of the hypotheses.
+        transitions: indices of transitions of the hypotheses.
         told: bitmask of the messages shown.
         labels: one for each transition, possibly CANNOT_TELL; empty before the answer.
-        bits: expected information of a question's answer.
+        bits: expected information of the answer to a question, in bits.
     """
 
     purpose: str
@@ -132,8 +132,13 @@ class CollectState(core.State):
 
 
 class ClipTask(NamedTuple):
-    """The purpose of one clip: a question, a repetition of question number ``again``, an attention
-    check, or a test of message number ``again`` that stays valid."""
+    """The purpose of one clip.
+
+    Attributes:
+        purpose: as in :class:`AskedClip`.
+        again: for REPEAT, the index of the question that is asked again; for a purpose in HEEDED, a
+            number from 0 for each message that stays valid; otherwise −1.
+    """
 
     purpose: str
     again: int = -1
@@ -181,8 +186,8 @@ def prior(plan: CollectPlan, others: Mapping[str, float]) -> NDArray[np.float64]
 
 
 def belief(asking: Questionnaire) -> dict[str, float]:
-    """Returns the posterior {fact set, or "none": probability}, without fact sets below KEPT. One
-    fact set represents all candidates that no question separates."""
+    """Returns the posterior {fact set, or "none": probability}, without fact sets whose posterior
+    is below KEPT. One fact set represents all candidates that no question separates."""
     known = asking.hypotheses
     facts, first = np.unique(known.classes, return_index=True)
     weight = asking.classes
@@ -199,8 +204,8 @@ def questions_of(plan: CollectPlan) -> int:
 def clip(
     plan: CollectPlan, state: CollectState, tasks: Sequence[ClipTask], asking: Questionnaire
 ) -> AskedClip:
-    """Chooses the clip for the next task, given all answers. If other steps are possible, two
-    consecutive clips never show the same step."""
+    """Chooses the clip for the next of the ``tasks``, given all answers so far. If other steps are
+    possible, two consecutive clips never show the same step."""
     step, questions = len(state.answered), state.questions()
     task, following = tasks[step], tasks[step + 1 : step + 2]
     if task.purpose == REPEAT:
@@ -234,9 +239,9 @@ def clip(
 def _vary_question(
     plan: CollectPlan, before: Sequence[AskedClip], near: set[int], asking: Questionnaire
 ) -> tuple[int, int]:
-    """Chooses the best question about a step that was not shown before, if this question is about
-    as informative as the best question of all. Otherwise chooses the best question about a step
-    that the neighbouring clips do not show."""
+    """Chooses the most informative question about a step that was not shown before, if it gives at
+    least the share AS_MUCH of the information of the best question. Otherwise chooses the most
+    informative question about a step that the neighbouring clips do not show."""
     phrases, every = plan.hypotheses.phrases, asking.alternatives(ALTERNATIVES)
     unknown = _list_unknown(before)
     found = [one for one in every if ((one[0],), one[1]) not in unknown] or every
@@ -255,9 +260,9 @@ def _list_unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int
 
 
 def _choose_lasting(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:
-    """Chooses a message that stays valid on later pages, and a step that most likely makes sense
-    only with this message. If the purpose is LATER or AGAIN, repeats the step of the earlier clip
-    whose purpose was TOLD."""
+    """Chooses a message that stays valid on later pages, and a step that probably makes sense only
+    with this message. For the purposes LATER and AGAIN, repeats the step of the earlier clip
+    (purpose TOLD) with the same ``task.again``."""
     before = [clip for clip in state.answered if clip.purpose == TOLD]
     if task.purpose != TOLD:
         first = before[task.again]

@@ -70,7 +70,7 @@ class FoundType:
 
     Attributes:
         wrong: names of the facts that the type believes incorrectly.
-        members: positions of the type's people.
+        members: indices of the people who have the type.
         posterior: mean probability that a member, judged alone, believes exactly these facts
             incorrectly.
     """
@@ -87,7 +87,7 @@ class KnownSoFar:
     Attributes:
         types: the types, largest first.
         error: learned share of wrong answers.
-        unsure: number of people without a fact set above SURE.
+        unsure: number of people whose most likely fact set has a posterior of at most SURE.
         unlike: mean probability that no hypothesis fits a person.
         evidence: how well hypotheses predicted the answers.
         new_types: expected number of new types in another ten people.
