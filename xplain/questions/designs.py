@@ -1,10 +1,10 @@
 """Query designs that use hypotheses of incorrect beliefs: one list for everybody that separates all
 candidates, or a questionnaire for each person (docs/what-to-ask.md).
 
-A question separates two candidates if they give it different labels. The list is a greedy cover:
-its questions separate each pair of candidates with different behaviour at least ``redundancy``
-times, so that the list tolerates errors. Greedy covers are near-optimal, because the number of
-covered pairs is submodular.
+A question separates two candidates if they give it different labels. Candidates that no question
+separates form a class. The list is a greedy cover: its questions separate each pair of classes at
+least ``redundancy`` times, so that the list tolerates errors. Greedy covers are near-optimal,
+because the number of covered pairs is submodular.
 """
 
 from __future__ import annotations
@@ -36,17 +36,20 @@ QuestionList = tuple[NDArray[np.int64], NDArray[np.int64]]
 def battery(
     hypotheses: Hypotheses, redundancy: int = 1, seed: int = 0, at_least: int = 0
 ) -> QuestionList:
-    """Chooses one list of questions for everybody. Questions that separate most pairs come first.
-    Among questions that separate the same pairs, questions about new transitions with few messages
-    come first.
+    """Chooses one list of questions for everybody. Questions that separate most pairs of candidates
+    come first. Among questions that separate the same pairs, questions about new transitions with
+    few messages come first.
 
     Args:
         hypotheses: the candidates.
         redundancy: minimum number of questions that separate each pair. A question may occur twice
             if no other question separates the pair.
         seed: breaks ties between questions.
-        at_least: minimum number of questions; a shorter list is extended as if ``redundancy`` were
-            larger.
+        at_least: minimum number of questions. If the list is shorter, ``redundancy`` is raised
+            until the list is long enough.
+
+    Returns:
+        The transition of each question, and its message set.
 
     Raises:
         InputError: redundancy < 1.
@@ -81,12 +84,14 @@ def battery(
 def distinct_questions(
     hypotheses: Hypotheses,
 ) -> tuple[list[NDArray[np.int64]], NDArray[np.bool_]]:
-    """Groups questions that separate the same classes of candidates.
+    """Groups the questions that separate the same candidates. Candidates that behave alike form a
+    class, and a question gives each class one label.
 
     Returns:
-        D groups of questions, as arrays [·, 2] of transition and message set (only messages that
-        matter); and [D, classes], True for each class whose label differs from the label of the
-        first class.
+        D groups of questions: for each group an array [·, 2] with the transition and the message
+        set of each question. The sets have only messages that matter for the transition.
+        [D, classes] True for each class to which the questions of the group give another label than
+        to class 0.
 
     Raises:
         TooLargeError: questions × classes > MAX_CELLS.
@@ -125,7 +130,7 @@ Posterior = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64]:
-    """Returns [T, 3] the transitions of the hypotheses as (s, a, s').
+    """Returns [T, 3] the state, action and next state of each transition of the hypotheses.
 
     Raises:
         InputError: the hypotheses are about another task.
@@ -162,7 +167,8 @@ class Battery:
 
     Attributes:
         redundancy: minimum number of questions that separate each pair of candidates.
-        hypotheses: an ``.npz`` file; None: those of the domain.
+        hypotheses: path of an ``.npz`` file with the hypotheses; None takes the hypotheses of the
+            domain.
     """
 
     redundancy: Count = 2
@@ -171,8 +177,8 @@ class Battery:
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Asks observer o the first ``sizes[o]`` questions of one list, which has the length of the
-        largest size."""
+        """Asks each observer o the first ``sizes[o]`` questions of one list, which has at least
+        ``max(sizes)`` questions."""
         known = hypotheses_of(setting.domain, self.hypotheses).drop_indistinguishable()
         chosen, told = battery(
             known, self.redundancy, derive_seed(seed, "queries"), int(sizes.max())
@@ -183,25 +189,26 @@ class Battery:
 @checks("queries")
 @dataclass(frozen=True)
 class Adaptive:
-    """A questionnaire for each observer. Half of a person's prior comes from earlier persons.
+    """A questionnaire for each observer. A part of an observer's prior comes from other observers.
 
-    Each person gives the agreed number of labels. Once their incorrect beliefs are known, the
-    remaining questions still have maximum information: they confirm the result and find errors of
-    the hypotheses.
+    Each observer gives a fixed number of labels. Once the observer's incorrect beliefs are known,
+    the remaining questions still have maximum information: they confirm the result and find errors
+    of the hypotheses.
 
     Attributes:
         error: expected share of wrong answers; above 0, because people make errors.
-        clip: number of transitions in a question.
+        clip: number of consecutive transitions (a clip) in a question.
         misread: share of clips that are misunderstood as a whole.
-        none: probability that no hypothesis fits a person.
-        from_others: weight of earlier observers in the prior of the next one.
-        check: share of check questions, once a person's incorrect beliefs are known. A check
-            question gives the messages about all known facts and asks about a frequent transition
-            of the robot. The answer 0 means that there are further incorrect beliefs.
-        in_turn: True asks one question of each person in turn, as if people answered at the same
-            time; each prior comes from all other people so far. False asks one person after the
-            other.
-        hypotheses: an ``.npz`` file; None: those of the domain.
+        none: probability that no hypothesis fits an observer.
+        from_others: weight of the other observers' answers in an observer's prior.
+        check: share of check questions, once an observer's incorrect beliefs are known. A check
+            question gives the messages about all facts of the hypotheses and asks about a frequent
+            transition of the robot. The answer 0 means that there are further incorrect beliefs.
+        in_turn: True asks one question of each observer in turn, as if all answered at the same
+            time; each prior comes from all other observers so far. False asks one observer after
+            the other.
+        hypotheses: path of an ``.npz`` file with the hypotheses; None takes the hypotheses of the
+            domain.
     """
 
     error: Annotated[float, Range(1e-3, NONE_ERROR, "[)")] = 0.05
@@ -216,7 +223,8 @@ class Adaptive:
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Asks observer o for exactly ``sizes[o]`` labels; the last clip is cut to fit."""
+        """Asks each observer o for exactly ``sizes[o]`` labels; the last clip of an observer is
+        shortened if necessary."""
         known = hypotheses_of(setting.domain, self.hypotheses).drop_indistinguishable()
         transitions = transitions_of(known, setting)
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
@@ -243,7 +251,8 @@ class Adaptive:
         return [_collect_answers(asked[o], transitions, found[o][0]) for o in range(len(sizes))]
 
     def _plan_turns(self, sizes: list[int]) -> list[tuple[int, int]]:
-        """Returns (observer, number of labels) of each turn."""
+        """Returns the turns in order, as pairs (observer, number of labels). ``sizes`` has the
+        total number of labels of each observer."""
         if not self.in_turn:
             return list(enumerate(sizes))
         return [
@@ -254,15 +263,16 @@ class Adaptive:
         ]
 
     def _update_prior(self, before: Questionnaire, others: list[Posterior]) -> Questionnaire:
-        """Returns a person's questionnaire, with a prior from the posteriors of all other people so
-        far."""
+        """Returns an observer's questionnaire ``before``, with a prior from the posteriors of
+        the other observers so far."""
         listed = before.hypotheses
         if others:
             listed = listed.with_sets(np.concatenate([facts for facts, _ in others]))
         return before.replace_hypotheses(listed, self._compute_prior(listed, others))
 
     def _compute_prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
-        """Computes [C] the prior before the first question, from the earlier observers."""
+        """Computes [C] the prior of the candidates before an observer's first question. It is
+        the prior of the hypotheses, mixed with the posteriors of the other observers."""
         share = self.from_others if others else 0.0
         asked = np.zeros(len(known.facts))
         for facts, posterior in others:
@@ -270,7 +280,7 @@ class Adaptive:
         return (1 - share) * known.prior + share * asked / max(len(others), 1)
 
     def _add_candidates(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
-        """Adds the candidates that the answers made likely."""
+        """Returns the questionnaire with further candidates, which the answers made likely."""
 
         def replace_candidates(known: Hypotheses) -> Questionnaire:
             if known is questions.hypotheses:
@@ -286,14 +296,14 @@ class Adaptive:
 
 @dataclass(frozen=True)
 class _Checks:
-    """Check questions. All hypotheses predict the same answer, because the messages about all facts
-    of the hypotheses are given.
+    """Check questions. With the messages about all facts of the hypotheses, all candidates predict
+    the same label of a transition.
 
     Attributes:
-        told: the facts of all hypotheses.
-        weight: [T] expected visits of each transition, 0 if it is inexplicable despite these
-            messages; reduced after each check of the transition.
-        rng: random stream.
+        told: message set about all facts of the hypotheses.
+        weight: [T] expected visits of each transition; 0 if the transition is inexplicable with
+            these messages. Each check of a transition reduces its weight.
+        rng: random generator.
     """
 
     told: int
@@ -322,8 +332,8 @@ class _Checks:
 
 
 def _find_likely(questions: Questionnaire) -> Posterior:
-    """Returns the posterior of a person. If the list of candidates may grow, only likely candidates
-    are kept."""
+    """Returns the candidates with their probabilities, after all answers of an observer. If
+    further candidates can be added to the hypotheses, unlikely candidates are left out."""
     known, posterior = questions.hypotheses, questions.posterior / questions.posterior.sum()
     kept = posterior >= (0.0 if known.further is None else KEPT)
     return known.facts[kept], posterior[kept] / posterior[kept].sum()

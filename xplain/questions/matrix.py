@@ -1,13 +1,18 @@
 r"""The information of questions: all questions as one matrix of labels, and their mutual
 information with the beliefs of a person.
 
-A question is a transition τ and messages H. With weights w over the candidates R (and variants)::
+A candidate R is a set of facts that a person may believe incorrectly. The person believes each of
+these facts at an inaccurate value: the assumed values, or one of V variants (half the value, double
+the value, …). A question is a transition τ with a set H of messages. The label function f_τ maps
+the set of facts that are still believed incorrectly to the label of τ. With weights w over the
+candidates, and for one variant::
 
     P(label 1 | τ, H) = Σ_R w(R) f_τ(R \ H)
 
-If H has the messages about all facts except K, this is a sum over the sets R ∩ K, which are
-candidates too: the weights of all R with the same R ∩ K are added and multiplied by the matrix of
-labels. A question has more information if its P(label 1) is closer to ½.
+With variants, this is also summed over the variants. If H has the messages about all facts except
+K, then R \ H = R ∩ K, which is a candidate too. So the weights of all R with the same R ∩ K are
+added, and multiplied by the matrix of labels. A question has more information if its P(label 1) is
+closer to ½.
 
 With few facts, every K is evaluated. Otherwise random sets K are evaluated for the label functions
 in random order, until P(label 1) of a question is near enough to ½. (If the most probable candidate
@@ -41,12 +46,13 @@ PRODUCTS = 1 << 26
 
 
 class Nearest(NamedTuple):
-    """P questions with P(label 1) near a value.
+    """P questions whose P(label 1) is near a target value.
 
     Attributes:
-        off: [P] distance of P(label 1) from the value.
-        function: [P] index of the label function.
-        told: [P] message sets, restricted to the facts of the function.
+        off: [P] distance of each question's P(label 1) from the target value.
+        function: [P] index of each question's label function.
+        told: [P] message set of each question; it has only messages about facts on which the label
+            function depends.
     """
 
     off: NDArray[np.float64]
@@ -56,16 +62,20 @@ class Nearest(NamedTuple):
 
 @dataclass(frozen=True)
 class QuestionMatrix:
-    """All questions about T transitions. Transitions with equal labels have one of G label
-    functions; a question is such a function with a message set.
+    """All questions about T transitions. A label function gives the labels of a transition by
+    candidate and variant (see the module). Transitions with equal labels share one of G label
+    functions; a question is a label function with a message set.
 
     Attributes:
-        hypotheses: C candidates.
-        labels: [G, (1 + V) · C] uint8, by function, variant and candidate.
-        facts: [G] facts that a function depends on, as a bitmask.
+        hypotheses: C candidates, with V variants of the inaccurate values.
+        labels: [G, (1 + V) · C] uint8, labels of each label function. Columns 0 … C − 1 are the
+            candidates at the assumed values, and the next C columns are the candidates of the first
+            variant.
+        facts: [G] bitmask of the facts on which each label function depends.
         transitions: [P] transitions whose label depends on some fact.
-        function: [P] label function of each transition.
-        sets: [M] all sets of the facts that matter; None if there are too many.
+        function: [P] index of the label function of each of these transitions.
+        sets: [M] all sets of the facts on which some label depends; None if there are too many
+            sets.
     """
 
     hypotheses: Hypotheses
@@ -89,19 +99,22 @@ class QuestionMatrix:
         return cls(hypotheses, labels, facts, own, which.ravel(), sets)
 
     def having(self, function: int) -> NDArray[np.int64]:
-        """Returns the transitions with this label function."""
+        """Returns the transitions that have this label function."""
         return self.transitions[self.function == function]
 
     def probability(
         self, functions: NDArray[np.int64], kept: NDArray[np.int64], weight: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Computes [g, M] P(label 1) for g label functions and M sets K, if the messages about all
-        facts except K are given.
+        """Computes P(label 1) of g · M questions: each of g label functions, with the messages
+        about all facts except each of M sets K.
 
         Args:
             functions: [g] indices of the label functions.
-            kept: [M] the sets K.
-            weight: [1 + V, C].
+            kept: [M] the sets K, as bitmasks.
+            weight: [1 + V, C] weight of each candidate, at the assumed values and in each variant.
+
+        Returns:
+            [g, M] sum of the weights whose label is 1. This is P(label 1) if all weights sum to 1.
         """
         layers, count = weight.shape
         rows = self.hypotheses.row(self.hypotheses.facts & kept[:, None])
@@ -117,10 +130,19 @@ class QuestionMatrix:
         count: int,
         rng: np.random.Generator,
     ) -> Nearest:
-        """Finds the ``count`` questions whose P(label 1) is nearest to ``middle``, if the
-        candidates have the weights [1 + V, C]. Also returns all questions that tie with the last
-        one, and possibly further questions. The search is exact if ``sets`` has all sets of
-        facts."""
+        """Finds the ``count`` questions whose P(label 1) is nearest to a target value. The search
+        is exact if ``sets`` is not None.
+
+        Args:
+            weight: [1 + V, C] weight of each candidate, at the assumed values and in each variant.
+            middle: the target value.
+            count: number of questions.
+            rng: random generator of the search.
+
+        Returns:
+            The questions, all questions that tie with the last of them, and possibly further
+            questions.
+        """
         # In each question, the most probable candidate has label 1 or label 0.
         enough = max(float(weight.max()) - middle, 0.0) + CLOSE
         n, best = self.hypotheses.n_messages, np.inf
@@ -141,14 +163,14 @@ class QuestionMatrix:
             kept = own[off.argmin()] ^ (1 << np.arange(n))
 
     def _draw_sets(self, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Draws random sets of facts of all sizes."""
+        """Draws SETS random sets of facts, small and large, as bitmasks."""
         n = self.hypotheses.n_messages
         bits = rng.random((SETS, n)) < rng.random((SETS, 1))
         return np.asarray(bits @ (1 << np.arange(n)), dtype=np.int64)
 
     def _split_functions(self, sets: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
-        """Splits the label functions, in random order, into groups that fit into memory; makes one
-        group if there are few facts."""
+        """Returns groups of label functions, in random order, such that a group and ``sets``
+        sets K fit into memory. If all sets of facts can be listed, there is only one group."""
         every = np.arange(len(self.facts))
         if self.sets is not None:
             return [every]
@@ -163,8 +185,22 @@ class QuestionMatrix:
         middle: float,
         count: int,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-        """Finds the questions with P(label 1) nearest to ``middle``. Returns their distances, their
-        functions, and the sets K."""
+        """Selects the questions whose P(label 1) is nearest to a target value. The candidates for
+        selection are all pairs of a label function and a set K. Such a question gives the messages
+        about all facts except K.
+
+        Args:
+            functions: indices of the label functions.
+            kept: the sets K, as bitmasks.
+            weight: [1 + V, C] weight of each candidate, at the assumed values and in each variant.
+            middle: the target value.
+            count: minimum number of questions, if there are so many; ties with the last one are
+                added.
+
+        Returns:
+            The distance from the target value, the label function, and the set K of each selected
+            question.
+        """
         off = np.abs(self.probability(functions, kept, weight) - middle)
         # A fact without influence on a function makes no other question.
         other = self.sets is None or (kept & ~self.facts[functions, None]) == 0
@@ -182,16 +218,19 @@ number."""
 
 @dataclass(frozen=True)
 class Posterior:
-    """What is known about a person after some answers. The layers are the assumed values, V
-    variants, and "no hypothesis fits".
+    """What is known about a person after some answers.
+
+    The posterior has 2 + V layers. In layer 0, the person's incorrect beliefs have the assumed
+    values. In layers 1 … V, they have the values of one variant of the hypotheses. In the last
+    layer, no hypothesis fits the person.
 
     Attributes:
-        hypotheses: C candidates.
-        weight: [2 + V, C] posterior; sums to 1.
-        error: [2 + V] probability that an answer is flipped.
-        misread: probability that a clip is misread.
-        rates: [2, T] slip, P(0 | f = 1), and guess, P(1 | f = 0), of each transition, before the
-            flip; None: no slips or guesses.
+        hypotheses: C candidates, with V variants.
+        weight: [2 + V, C] posterior of each layer and candidate; sums to 1.
+        error: [2 + V] probability that an answer is flipped, in each layer.
+        misread: probability that a clip (a question about several transitions) is misread.
+        rates: [2, T] slip, P(0 | label 1), and guess, P(1 | label 0), of each transition, before an
+            answer is flipped; None: no slips or guesses.
     """
 
     hypotheses: Hypotheses
@@ -201,16 +240,21 @@ class Posterior:
     rates: NDArray[np.float64] | None = None
 
     def labels(self, transitions: ArrayLike, told: int) -> NDArray[np.int64]:
-        """Returns [2 + V, C, Q] the labels by layer and candidate; the layer "no hypothesis fits"
-        has the labels at the assumed values."""
+        """Returns [2 + V, C, Q] the labels of Q transitions, by layer and candidate. The last
+        layer, "no hypothesis fits", has the labels of layer 0."""
         labels = self.hypotheses.label(transitions, told).astype(np.int64)
         return np.concatenate([labels, labels[:1]])
 
     def likelihood(
         self, transitions: Sequence[int], told: int, answers: Sequence[int]
     ) -> NDArray[np.float64]:
-        """Computes [2 + V, C] P(answers | layer, candidate) of one question, with one answer for
-        each transition."""
+        """Computes [2 + V, C] P(answers | layer, candidate) of one question.
+
+        Args:
+            transitions: the transitions of the question.
+            told: its message set.
+            answers: one answer for each transition.
+        """
         labels, given = self.labels(transitions, told), np.array(answers)
         one = self._predict_answers(labels, np.asarray(transitions))
         each = np.where(given == 1, one, 1 - one).prod(axis=2)
@@ -219,7 +263,7 @@ class Posterior:
     def _predict_answers(
         self, labels: NDArray[np.int64], transitions: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Computes [2 + V, C, Q] P(answer 1) given the labels [2 + V, C, Q]."""
+        """Computes [2 + V, C, Q] P(answer 1) of Q transitions whose labels are [2 + V, C, Q]."""
         one = labels.astype(np.float64)
         if self.rates is not None:
             slip, guess = self.rates[:, transitions]
@@ -228,8 +272,8 @@ class Posterior:
         return np.asarray((1 - error) * one + error * (1 - one))
 
     def gains(self, transitions: NDArray[np.int64], told: int) -> NDArray[np.float64]:
-        """Computes [Q] the information, in bits, of the answers to Q questions about one transition
-        each."""
+        """Computes [Q] the information, in bits, of the answer to each of Q questions about one
+        transition. All have the message set ``told``."""
         one = self._predict_answers(self.labels(transitions, told), transitions)
         one = (1 - self.misread) * one + self.misread / 2
         weight = self.weight[:, :, None]
@@ -242,8 +286,8 @@ class Posterior:
     def best_of(
         self, questions: Sequence[tuple[int, int]], rng: np.random.Generator
     ) -> tuple[int, int]:
-        """Returns the most informative of these questions about one transition; ties are broken at
-        random."""
+        """Returns the most informative of the listed questions. Each is about one transition:
+        (transition, message set). Ties are broken at random."""
         asked = np.array(questions, dtype=np.int64)
         value = np.empty(len(asked))
         for told in np.unique(asked[:, 1]).tolist():
@@ -256,8 +300,9 @@ class Posterior:
     def best_questions(
         self, questions: QuestionMatrix, count: int, seen: list[int], rng: np.random.Generator
     ) -> list[tuple[int, int]]:
-        """Returns the ``count`` most informative questions about one transition, best first. Among
-        ties, questions about new transitions come first; other ties are broken at random.
+        """Returns the ``count`` most informative questions about one transition, best first, as
+        (transition, message set). Among ties, questions about transitions that are not in ``seen``
+        come first; other ties are broken at random.
 
         All errors flip labels 0 and 1 equally often, so a question has more information if its
         P(label 1) is closer to ½.
@@ -280,8 +325,9 @@ class Posterior:
     def best_near_even(
         self, questions: QuestionMatrix, count: int, rng: np.random.Generator
     ) -> tuple[int, int]:
-        """Returns the best question about one transition. The candidates are the ``count`` or more
-        questions whose P(label 1), without slips and guesses, is nearest to ½."""
+        """Returns the most informative question about one transition, as (transition, message
+        set). Only some questions are compared: the ``count`` or more whose P(label 1), without
+        slips and guesses, is nearest to ½."""
         found = self._find_nearest(questions, count, rng)
         pairs = zip(found.function.tolist(), found.told.tolist(), strict=True)
         every = {(int(t), told) for at, told in pairs for t in questions.having(at)}
@@ -298,8 +344,18 @@ class Posterior:
     def best_clip(
         self, starts: list[tuple[int, int]], length: int, rng: np.random.Generator
     ) -> tuple[list[int], int]:
-        """Grows a clip from each start: adds the most informative transition, one at a time.
-        Returns the best clip, with its message set."""
+        """Returns the most informative clip (a question about several transitions) that the search
+        finds. A clip grows from each start: the most informative transition is added, one at a
+        time.
+
+        Args:
+            starts: (first transition, message set) of each clip.
+            length: maximum number of transitions.
+            rng: breaks ties.
+
+        Returns:
+            The transitions of the clip, and its message set.
+        """
         best, most = ([starts[0][0]], starts[0][1]), -1.0
         every = np.arange(self.hypotheses.n_transitions)
         gains = {told: self.gains(every, told) for told in {told for _, told in starts}}

@@ -117,9 +117,12 @@ def read_transitions(path: str | Path) -> OwnTransitions:
 def read_known_facts(
     transitions: str | Path | None, hypotheses: str | None, domain: Domain | None
 ) -> tuple[Hypotheses | None, tuple[str, ...], dict[str, str]]:
-    """Reads the hypotheses of a table of transitions, of a file, or of a domain; None if none of
-    these is given. Also returns the images of the transitions and the sentences of messages, if
-    known.
+    """Reads the hypotheses from the one given source: a table of transitions, a file of hypotheses,
+    or a domain.
+
+    Returns:
+        The hypotheses (None without a source); the images of the transitions; and the sentences of
+        the messages, if known.
 
     Raises:
         InputError: both a table and a file are given, or one of these cannot be used.

@@ -57,12 +57,14 @@ class Asked:
 class Questionnaire:
     r"""A questionnaire that finds out what one person believes incorrectly.
 
-    A person of candidate R gives the label f_τ(R \ H), flipped with probability ``error``,
-    independently. With probability ``misread`` a whole clip is misunderstood, and its labels are
-    random. :data:`NONE_ERROR` describes a person whom no hypothesis fits.
+    The model of the answers: a person who believes the facts R incorrectly and receives the
+    messages H still believes R \ H incorrectly. The person labels a transition as the hypotheses
+    predict for R \ H. Each answer is flipped with probability ``error``, independently. With
+    probability ``misread``, all labels of a clip (a question about several transitions) are random
+    instead. :data:`NONE_ERROR` describes a person whom no hypothesis fits.
 
     Args:
-        hypotheses: the candidates; or a table [2^n, T] of their labels 0 and 1.
+        hypotheses: the candidates R; or a table [2^n, T] of their labels 0 and 1.
         error: probability of a wrong label, in [0, ⅓).
         prior: [C] prior of the candidates; None: the prior of the hypotheses, or a uniform prior
             for a table.
@@ -230,7 +232,7 @@ class Questionnaire:
 
     @property
     def posterior(self) -> NDArray[np.float64]:
-        """[C] P(candidate | answers); with :attr:`none` it sums to 1."""
+        """[C] P(candidate | answers). The sum of all C values and of :attr:`none` is 1."""
         return np.asarray(self._weight[:-1].sum(axis=0))
 
     @property
@@ -240,7 +242,8 @@ class Questionnaire:
 
     @property
     def answers(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
-        """The transitions, message sets and labels so far, [P] each."""
+        """[P] transitions, [P] message sets and [P] labels of all answers so far; a clip counts
+        as several answers."""
         told = [one.message_set for one in self.asked for _ in one.transitions]
         labels = [label for one in self.asked for label in one.labels]
         return np.array(self._seen, np.int64), np.array(told, np.int64), np.array(labels, np.uint8)
@@ -253,7 +256,8 @@ class Questionnaire:
 
     @property
     def best(self) -> int:
-        """The facts (bitmask) of the most likely class, without facts that no question reveals."""
+        """Bitmask of the facts that the most likely class of candidates believes incorrectly,
+        without facts that no question reveals."""
         return int(self.hypotheses.essential[self.hypotheses.classes == self.classes.argmax()][0])
 
     @property
@@ -354,7 +358,11 @@ class Questionnaire:
 def _read_rates(
     slip: ArrayLike | None, guess: ArrayLike | None, transitions: int
 ) -> NDArray[np.float64] | None:
-    """Checks slips and guesses. Returns them as [2, T]; None if neither is given."""
+    """Returns the slips and guesses as [2, T] probabilities; None if neither is given.
+
+    Raises:
+        InputError: a value is no probability, or slip + guess ≥ 1.
+    """
     if slip is None and guess is None:
         return None
     given = [0.0 if one is None else one for one in (slip, guess)]

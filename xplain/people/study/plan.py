@@ -24,7 +24,8 @@ PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
 
 @dataclass(frozen=True)
 class Known:
-    """A true sentence that everybody is told and believes, and a false sentence for the quiz."""
+    """A fact that everybody is told and believes: its true sentence ``right``, and a false
+    sentence ``wrong`` for the quiz."""
 
     right: str
     wrong: str
@@ -54,10 +55,12 @@ class StudyRole:
 
     Attributes:
         name: name of the user type.
-        wrong: positions of the facts that this type believes incorrectly.
-        briefing: one sentence for each fact, as this type believes it; none without a briefing.
-        eligibility: one question for each fact, with this type's answer; none without a briefing.
-        quiz: the statements of the last test, true statements first.
+        wrong: positions, in the plan's facts, of the facts that this type believes incorrectly.
+        briefing: one sentence for each fact, as this type believes it; empty in a study without a
+            briefing.
+        eligibility: one question for each fact, with the answer that is right for this type; empty
+            in a study without a briefing.
+        quiz: the statements of the quiz, true statements first.
     """
 
     name: str
@@ -98,24 +101,29 @@ class StudyRules:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyPlan(StoredPlan):
-    """The plan of a study with N types, a trace of m transitions, and n facts with a message each.
+    """The plan of a study. Its trace has m transitions, and each of its n facts has a message.
+
+    A study with a briefing has N user types, and the briefing of each type is a role. A study
+    without a briefing has one role (N = 1); its simulated participants are of M kinds, which differ
+    in the facts that they believe incorrectly. With a briefing the M kinds are the N types.
 
     Attributes:
         training: the practice.
         rules: numbers of the protocol.
         known: facts that everybody is told.
         before: questions before the briefing.
-        roles: [N] briefing and tests of each type.
-        kinds: [M] the facts that each kind of simulated people believes incorrectly, in a study
-            without a briefing; such a study has one role. Empty for other studies.
-        shown: [m + Q] the trace, then the transitions that the condition ASKING may ask about.
-        taken: [m + 1] names of the items that are no longer on the map after 0 … m steps; or none.
-        problem: label probabilities and costs of the policies, with the questions that the
-            condition ASKING may ask.
-        clip_labels: answers of the M kinds to the questions, as in ``true_labels``; None without
-            questions.
-        true_labels: [M, m, 2^n] uint8, labels of a faultless participant of each of the M = N
-            roles, or of each kind.
+        roles: [N] the roles.
+        kinds: [M] positions of the facts that each kind believes incorrectly; empty in a study with
+            a briefing.
+        shown: [m + Q] the trace's transitions, then the Q transitions that the policy of the
+            condition ASKING may ask about.
+        taken: [m + 1] names of the items that are no longer on the map after 0 … m steps; empty
+            without items.
+        problem: the problem of explaining the trace, with the Q questions.
+        clip_labels: labels that a faultless participant of each kind gives to the Q transitions;
+            None without questions.
+        true_labels: [M, m, 2^n] uint8, labels that a faultless participant of each kind gives to
+            the trace's transitions, by message set.
         conditions: {condition: configuration of its solver}.
         belief: configuration of the belief update.
     """
@@ -137,17 +145,17 @@ class StudyPlan(StoredPlan):
 
     @property
     def trace(self) -> tuple[str, ...]:
-        """[m] the robot's actions, as phrases."""
+        """[m] the robot's action in each transition of the trace, as a phrase."""
         return tuple(clip.phrase for clip in self.shown[: self.n_steps])
 
     @property
     def clips(self) -> tuple[Clip, ...]:
-        """[Q] the transitions of the questions."""
+        """[Q] the transitions that the condition ASKING may ask about."""
         return self.shown[self.n_steps :]
 
     @property
     def path(self) -> Way | None:
-        """[m] the robot's way on the map; None without a map."""
+        """[m] the cells before and after each transition of the trace; None without a map."""
         way = tuple(move for clip in self.shown[: self.n_steps] for move in clip.way)
         return way if len(way) == self.n_steps else None
 
@@ -162,7 +170,8 @@ class StudyPlan(StoredPlan):
         return (*self.before, *self.asked)
 
     def problem_of(self, condition: str) -> Problem:
-        """Returns the problem that a condition's policy plans for. Only ASKING has questions."""
+        """Returns the problem that a condition's policy solves. Only the problem of the
+        condition ASKING has questions."""
         return self.problem if condition == ASKING else replace(self.problem, questions=Questions())
 
     @property
@@ -172,10 +181,12 @@ class StudyPlan(StoredPlan):
 
     @property
     def wrong(self) -> tuple[tuple[int, ...], ...]:
-        """[M] positions of the facts that people of each role, or kind, believe incorrectly."""
+        """[M] positions of the facts that each kind of people believes incorrectly; with a
+        briefing, the kinds are the user types."""
         return self.kinds or tuple(role.wrong for role in self.roles)
 
     @property
     def cells(self) -> tuple[tuple[int, str], ...]:
-        """All pairs (type, condition); places are balanced over these pairs."""
+        """All pairs (index of a role, condition). The study needs equally many participants for
+        each pair."""
         return tuple((t, c) for t in range(len(self.roles)) for c in self.conditions)

@@ -64,12 +64,14 @@ def roles_of(
     Args:
         facts: [n] facts of the plan.
         types: N user types.
-        labels: [N, m, 2^n] true labels of the trace for each type.
-        wording: texts of the study. ``rewards`` has a phrase for the action of each parameter that
-            is the reward of an action. About such a parameter the eligibility test asks the paper's
-            question (is the reward ≥ 0?). About other parameters the test asks which of two
-            sentences was in the briefing. ``known`` has the facts that everybody is told, and
-            ``words`` has the texts of the questions.
+        labels: [N, m, 2^n] true labels of the trace's m transitions, by type and message set.
+        wording: texts of the study, with these keys among others:
+        * ``rewards``: {name of a parameter: phrase for an action}, for each parameter that is the
+          reward of an action. About these parameters, the eligibility test asks the paper's
+          question (is the reward ≥ 0?). About other parameters, it asks which of two sentences was
+          in the briefing.
+        * ``known``: the facts that everybody is told.
+        * ``words``: texts of the questions.
     """
     known = tuple(Known(**one) for one in wording["known"])
     roles = []
@@ -90,12 +92,14 @@ def roles_of(
 def natural_role(
     facts: Sequence[Parameter], known: Sequence[Known], labels: NDArray[np.uint8]
 ) -> StudyRole:
-    """Makes the only role of a study without a briefing. Its quiz is about facts that simulated
-    people need.
+    """Makes the only role of a study without a briefing. Its quiz is about the facts that some kind
+    of simulated people must be told to understand the trace.
 
     Args:
-        facts, known: the facts of the plan, and the facts that everybody is told.
-        labels: [M, m, 2^n] true labels of the trace, for each kind of simulated people.
+        facts: the facts of the plan.
+        known: the facts that everybody is told.
+        labels: [M, m, 2^n] true labels of the trace's m transitions, by kind of simulated people
+            and message set.
     """
     need = int(np.bitwise_or.reduce([find_needed(of_kind) for of_kind in labels]))
     return StudyRole(NATURAL, (), (), (), _make_quiz(facts, known, (), need, 0))
@@ -106,7 +110,7 @@ def _make_eligibility(
     user_type: UserType,
     wording: Mapping[str, Any],
 ) -> tuple[QuizQuestion, ...]:
-    """Makes a question for each fact; the right answer is in this type's briefing."""
+    """Makes a question for each fact; the right answer is what this type's briefing says."""
     words, rewards, questions = wording["words"], wording["rewards"], []
     for fact in facts:
         value = user_type.inaccurate.get(fact.name, fact.accurate)
@@ -130,20 +134,22 @@ def _make_quiz(
     need: int,
     number: int,
 ) -> tuple[Statement, ...]:
-    """Makes the quiz of a type: two statements about facts that the type needed, and two about
-    other facts.
+    """Makes the quiz of a type: two statements about facts that the type needs, and two about other
+    facts. A type needs a fact if the fact's message is in the smallest message set with which the
+    type finds the trace explicable.
 
-    If fewer than two facts were needed, the type's other incorrect facts follow, then any facts.
-    The other statements are about facts that everybody is told, or that the type believes
-    correctly. In each pair, one statement is true. The true sentences of ``known`` are about limits
-    and losses, unlike the messages. So the tone of a sentence does not reveal that it is true or
-    false.
+    If the type needs fewer than two facts, the first two statements are also about other facts that
+    the type believes incorrectly, and then about any facts. The last two statements are about facts
+    that everybody is told, or that the type believes correctly. Of each two statements, one is
+    true. The true sentences of ``known`` are about limits and losses, unlike the messages. So the
+    tone of a sentence does not reveal if it is true.
 
     Args:
-        facts, known: the facts of the plan, and the facts that everybody is told.
-        wrong: facts that the type believes incorrectly.
-        need: bitmask of the facts that the type needed.
-        number: index of the type; decides which statement of a pair is true.
+        facts: the facts of the plan.
+        known: the facts that everybody is told.
+        wrong: positions of the facts that the type believes incorrectly.
+        need: bitmask of the facts that the type needs.
+        number: index of the type; decides which of two statements is true.
     """
     order = list(dict.fromkeys([*indices(need), *wrong, *range(len(facts))]))
     about = [(facts[j].name, facts[j].message, facts[j].belief) for j in order]
@@ -277,7 +283,13 @@ def _make_material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
 
 
 def make_learned_table(material: Material, types: LearnedTypes, rows: Transitions) -> LabelTable:
-    """Computes the labelers' table of some transitions."""
+    """Returns the label table of transitions, computed by the labelers of learned types.
+
+    Args:
+        material: the task.
+        types: the learned types.
+        rows: indices of the transitions in the task.
+    """
     made = None if material.transitions is None else material.transitions[rows]
     columns = [material.feature_names.index(name) for name in types.feature_names]
     return label_table(types.labelers, material.features[rows][:, columns], made)
@@ -286,7 +298,17 @@ def make_learned_table(material: Material, types: LearnedTypes, rows: Transition
 def facts_of_types(
     material: Material, types: LearnedTypes | None, trace: Transitions, asked: Transitions
 ) -> Facts | None:
-    """Returns the facts that people may believe incorrectly; None if unknown."""
+    """Computes what the belief update needs about the facts that people may believe incorrectly.
+
+    Args:
+        material: the task.
+        types: the learned types; None if the plan uses the types of the task.
+        trace, asked: indices of the transitions of the trace, and of the transitions of the
+            questions.
+
+    Returns:
+        None if it is unknown which facts each learned type believes incorrectly.
+    """
     if types is None or types.wrong is None:
         return None
     columns = [material.feature_names.index(name) for name in types.feature_names]
@@ -308,13 +330,20 @@ def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: 
 def traces_of(
     material: Material, rules: Mapping[str, Any], max_steps: int, seed: int
 ) -> list[Transitions]:
-    """Finds distinct traces that every participant can evaluate, best first. A domain gives
-    ``candidates`` random traces from ``start`` (a cell of the map, or None for any). A table gives
-    the traces in ``rows``, as lists of rows of the table, counted from 1.
+    """Returns distinct traces that participants can evaluate, best first.
 
-    Traces for which the types need the most messages come first, and shorter traces before longer
-    traces. A trace that most types understand without messages would measure nothing, and a trace
-    of two or three steps very little.
+    Traces for which the types need more messages come first; among equals, shorter traces come
+    first. A trace that most types understand without messages would measure nothing, and a trace of
+    two or three steps very little.
+
+    Args:
+        material: the task: a domain, or a lab's table of transitions.
+        rules: how traces are found (``trace`` in conf/study.yaml). In a domain, ``candidates``
+            random traces begin at the map's cell ``start`` (None: at any start). In a table,
+            ``rows`` lists the traces, each as a list of rows, counted from 1. ``min_steps`` is the
+            minimum length.
+        max_steps: maximum length; a longer trace is cut after this step.
+        seed: seed of the random traces.
 
     Raises:
         InputError: no trace meets ``rules``.
@@ -381,12 +410,12 @@ def make_draft(
 
     Args:
         material: the task.
-        trace: [m] the transitions of the evaluation.
-        table: the labelers' table.
+        trace: [m] indices of the trace's transitions.
+        table: the label table of the trace.
         config: the study's resolved configuration (the keys of conf/study.yaml).
-        learned: names and shares of the types of the table; None takes the types of the task.
-        asks: transitions that the condition ASKING may ask about, with the labelers' table of these
-            transitions; or None.
+        learned: the learned types of the table; None if the table has the types of the task.
+        asks: indices of the transitions that the condition ASKING may ask about, and their label
+            table; None without questions.
 
     Raises:
         XplainError: two arguments contradict each other.
@@ -438,9 +467,15 @@ def make_draft(
 def _choose_texts(
     wording: Mapping[str, Any], natural: bool, table: bool, asks: bool
 ) -> Mapping[str, Any]:
-    """Chooses the texts of a study: with or without a briefing, for a domain or a lab's own table
-    (where each step is a whole sentence), and with a description of the questions if the study has
-    any."""
+    """Returns the texts of one kind of study.
+
+    Args:
+        wording: the texts of all kinds of studies.
+        natural: True for a study without a briefing.
+        table: True for a lab's own table of transitions, where each step is a whole sentence; False
+            for a domain.
+        asks: True if questions are asked; their description is then part of the texts.
+    """
     if table:
         words, example = wording["words"], wording["training"]
         said = {**example, "action": words["robot_does"].format(phrase=example["action"])}

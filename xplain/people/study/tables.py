@@ -1,5 +1,5 @@
-"""The tables of a study (``study export``), and the messages and labels from which people's habits
-are learned (``study habits``)."""
+"""The tables of a study (``study export``), and the messages and labels from which listening and
+answering habits are learned (``study habits``)."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -58,8 +58,8 @@ def glance(study: Study, people: People) -> dict[str, Any]:
 
 
 def fit_of(plan: StudyPlan, state: StudyState) -> float | None:
-    """Computes P(the participant has a found type and the assumed habits). None before the
-    evaluation, or if the belief has only found types."""
+    """Computes P(the participant has one of the found types and the assumed habits). Returns
+    None before the evaluation, or if the belief allows only found types."""
     if not state.belief or plan.problem.as_found.all():
         return None
     return plan.problem.fit(np.array(state.belief))
@@ -250,15 +250,20 @@ def _list_quiz(plan: StudyPlan, one: Person) -> Iterator[Row]:
 
 
 def interaction(events: Sequence[Event]) -> Row:
-    """Measures the duration of one participant's evaluation, as columns of the participants' table.
-
-    The server measures ``interaction_time_s`` from the first rendering of the first step to the
-    last accepted label; ``clock`` names the clock (:func:`xplain.people.export.measure_seconds`).
-    The time is None if it is unknown. ``visible_time_s``, the secondary measure, is None without
-    the browser's events (no scripts).
+    """Measures the duration of one participant's evaluation.
 
     Args:
         events: the participant's events, in order; may be empty.
+
+    Returns:
+        Columns of the participants' table. Each is None if it is unknown.
+        * ``interaction_time_s``: seconds from the first rendering of the first step to the last
+          accepted label, measured by the server.
+        * ``clock``: the server's clock that measured this time
+          (:func:`xplain.people.export.measure_seconds`).
+        * ``hidden_s``: seconds in which no page was visible; unknown if the browser runs no
+          scripts.
+        * ``visible_time_s``: the difference of these times, a secondary measure.
     """
     took = clock = away = None
     evaluated = [e for e in events if e.kind == "shown" and e.payload["stage"] in EVALUATING]
@@ -339,20 +344,26 @@ def measure_hidden(events: Sequence[Event]) -> float | None:
 
 
 def _measure_passed(first: Event, last: Event) -> tuple[float, float]:
-    """Measures the seconds between two reports, by the page's own clock and the device's clock."""
+    """Returns the seconds between two reports of one page, first by the page's own clock, then
+    by the device's wall clock."""
     own = (last.browser or 0.0) - (first.browser or 0.0)
     return own / 1000, (last.payload["at"] - first.payload["at"]) / 1000
 
 
 def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
-    """Collects the messages and labels of each participant of a stream so far (``study habits``).
+    """Reads what participants were told and how they labelled (``study habits``).
 
     Args:
         database: a study's database that no server has open, or a snapshot.
-        stream: "person", "pilot" or "bot"; never mixed.
+        stream: kind of participants: "person", "pilot" or "bot"; kinds are never mixed.
+
+    Returns:
+        For each participant with labels: the problem, and the new messages and the labels of each
+        step.
 
     Raises:
-        InputError: the file is not a study's database, or the stream does not exist.
+        InputError: the file is not a study's database, the kind does not exist, or it has no
+            labels.
     """
     one_of("stream", stream, STREAMS)
     plan, everybody = read(database, StudyPlan, StudyState)
