@@ -31,7 +31,8 @@ SOLVERS: dict[str, tuple[Solver, float]] = {
 def main() -> None:
     """Prints the table."""
     sessions = 3 if "--quick" in sys.argv[1:] else 30
-    print(f"{STEPS} steps, {TYPES} types, {sessions} sessions; milliseconds: median (95th percentile)\n")
+    print(f"{STEPS} steps, {TYPES} types, {sessions} sessions")
+    print("milliseconds: median (95th percentile)\n")
     head = ("solver", "messages", "first decision", "decision", "goal", "growing", "observe")
     print("".join(f"{name:>18}" for name in head))
     for n in (6, 10):
