@@ -32,11 +32,11 @@ class StateSpace:
     """S states, and the E edges between them that exist in at least one belief.
 
     An action may have different effects in different beliefs. Each version of an action is a
-    *variant*.
+    *variant*; there are V.
 
     Attributes:
-        n_states, n_actions: S and A.
-        action: [V] the action of each variant.
+        n_states, n_actions: S and the number A of actions.
+        action: [V] index of each variant's action.
         source: [E] start state of each edge, ascending.
         variant: [E] variant of each edge.
         successor: [E] end state of each edge.
@@ -51,7 +51,7 @@ class StateSpace:
 
     @cached_property
     def backwards(self) -> NDArray[np.int64]:
-        """[E] the edges, sorted by their end state."""
+        """[E] indices of the edges, sorted by their end state."""
         return np.argsort(self.successor, kind="stable")
 
     def shortest(
@@ -110,7 +110,7 @@ class GoalTask(TaskModel):
 
     @cached_property
     def to_go(self) -> NDArray[np.float64]:
-        """[S] the cost of the cheapest plan, exact up to rounding; ∞ in dead ends."""
+        """[S] the cost of the cheapest plan from each state, exact up to rounding; ∞ in dead ends."""
         found = self.space.shortest(self._edge_cost, np.flatnonzero(self.terminal), True)
         return np.where(found < self.dead_end_cost, found, np.inf)
 
@@ -138,8 +138,11 @@ class GoalTask(TaskModel):
         return np.flatnonzero(self._compute_gaps() <= TIE)
 
     def on_policy(self, starts: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-        """Returns [T, 3] every transition on a cheapest plan from one of these states, or from any
-        state if ``starts`` is None."""
+        """Returns [T, 3] all transitions on cheapest plans.
+
+        Args:
+            starts: states where the plans begin; None: all states.
+        """
         space, best = self.space, self._best
         if starts is not None:
             length = np.full(len(space.source), np.inf)
@@ -174,7 +177,7 @@ class GoalTask(TaskModel):
 
     @cached_property
     def optimal(self) -> NDArray[np.bool_]:  # type: ignore[override]
-        """[S, A] the actions on a cheapest plan from each true state."""
+        """[S, A] True for actions on a cheapest plan from each state of ``space``."""
         result = np.zeros((self.n_states, self.n_actions), dtype=bool)
         s, a, _ = self.on_policy().T
         result[s, a] = True
@@ -197,7 +200,12 @@ class GoalTask(TaskModel):
         return -self._make_table(self._edge_cost, np.float64)
 
     def _make_table(self, of_edges: NDArray[Any], kind: type) -> NDArray[Any]:
-        """Returns [S, A, 1] the values of this belief's edges; 0 elsewhere."""
+        """Converts values of edges to a table [S, A, 1]; 0 where this belief has no edge.
+
+        Args:
+            of_edges: [E] the values.
+            kind: type of the table's numbers.
+        """
         result: NDArray[Any] = np.zeros((self.n_states, self.n_actions, 1), dtype=kind)
         own = np.isfinite(self._edge_cost)
         action = self.space.action[self.space.variant[own]]
@@ -233,8 +241,8 @@ class GoalTask(TaskModel):
 
     @staticmethod
     def solve(models: Sequence[GoalTask], names: Sequence[str]) -> tuple[GoalTask, ...]:
-        """Checks all models (:meth:`require_solution`). Each model computes its solution at first
-        use."""
+        """Checks all models by :meth:`require_solution`, and returns them. Each model computes its
+        solution at first use."""
         for model, name in zip(models, names, strict=True):
             model.require_solution(name)
         return tuple(models)

@@ -121,9 +121,17 @@ class PDDL:
     def _find_differences(
         self, file: str, problem: str, believed: Any
     ) -> tuple[Mapping[str, Items], Items]:
-        """Finds the differences between the robot's task and people's belief. Returns the
-        differences by name, and the items of the believed task. Adds to the robot's task the
-        predicates and functions that only the belief has."""
+        """Finds the differences between the robot's task and people's belief. Adds to the robot's
+        task the predicates and functions that exist only in the believed task.
+
+        Args:
+            file, problem: the robot's files.
+            believed: as the class describes it.
+
+        Returns:
+            The changes of each difference, by its name; and the items of the believed task. Both
+            are empty if ``believed`` is None.
+        """
         if believed is None:
             return {}, {}
         both = {"file": believed} if isinstance(believed, str) else believed
@@ -142,8 +150,17 @@ class PDDL:
     def _read_facts(
         self, given: Mapping[str, Any], found: Mapping[str, Items], other: Items
     ) -> Iterator[tuple[Parameter, Items]]:
-        """Yields the facts found as differences, then the facts from the configuration, each with
-        its changes. The robot's value of a fact is "no change"."""
+        """Yields each fact as a parameter, with the changes that lead from the robot's task to the
+        believed one. Differences come first, then the facts of the configuration. A difference that
+        is joined into a fact of the configuration is not yielded itself.
+
+        The robot's value of each parameter is "no change".
+
+        Args:
+            given: the facts of the configuration, by name.
+            found: the differences between the robot's task and people's belief, by name.
+            other: items of the believed task.
+        """
         joined = {name for fields in given.values() for name in _read_join(fields)}
         for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
             key, fields = f"domain.facts.{fact}", given.get(fact, {})
@@ -184,7 +201,8 @@ class PDDL:
         return self._model(frozenset(np.flatnonzero([*wrong]).tolist()))
 
     def _read_patterns(self, name: object, given: Any) -> Condition:
-        """Reads the variables and the literals of a feature."""
+        """Reads the patterns of a feature. Returns their variables, and one literal for each
+        pattern."""
         key, patterns = f"domain.features.{name}", [given] if isinstance(given, str) else given
         if not isinstance(patterns, Sequence) or not patterns:
             raise InputError(key, given, "an atom such as (on ?x b), or a list of them")
@@ -247,7 +265,7 @@ class PDDL:
         return self.words.changes(*(self._list_atoms(int(state)) for state in transition[[0, 2]]))
 
     def state(self, number: int) -> tuple[str, ...]:
-        """Returns the changeable atoms that hold in a state, in PDDL."""
+        """Returns the atoms that hold in a state, in PDDL, without atoms that no action can change."""
         return tuple(f"({' '.join(atom)})" for atom in self._list_atoms(number))
 
     def _list_atoms(self, state: int) -> list[tuple[str, ...]]:
@@ -263,6 +281,11 @@ class PDDL:
 
 
 def _read_join(fields: Any) -> list[str]:
-    """Returns the names of the differences that a fact joins."""
+    """Reads the field ``join`` of a fact: one name, or a list of names, of differences between the
+    robot's task and people's belief. Returns the names as a list; [] without this field.
+
+    Args:
+        fields: the fact's fields from the configuration.
+    """
     given = fields.get("join", []) if isinstance(fields, Mapping) else []
     return list(given) if isinstance(given, list) else [given]

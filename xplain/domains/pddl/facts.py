@@ -58,13 +58,20 @@ class Words:
                     raise InputError(key, template, allowed)
 
     def _fill(self, name: str, arguments: Sequence[str]) -> str | None:
-        """Fills a name's template with these arguments; None if the name has no template."""
+        """Fills the template of a predicate, function or action with arguments. Returns None if
+        there is no template for this name."""
         values = dict(zip(self._names.get(name, ()), arguments, strict=False))
         template = self._given.get(name)
         return template and re.sub(r"\{(.*?)\}", lambda match: values[match[1]], template)
 
     def atom(self, atom: Atom, action: str = "") -> str:
-        """Describes an atom, such as "a on b"; parameters of an action are named by their types."""
+        """Describes an atom, such as "a on b".
+
+        Args:
+            atom: (predicate, argument, …).
+            action: name of the action that the atom is part of, if any. The action's parameters are
+                described by their types, such as "the block on b".
+        """
         name, *arguments = atom
         words = [self._describe_argument(argument, action) for argument in arguments]
         infix = len(words) == 2 and name in INFIX
@@ -72,8 +79,13 @@ class Words:
         return self._fill(name, words) or " ".join(plainly)
 
     def literal(self, text: str, action: str = "") -> str:
-        """Describes a literal as :meth:`atom` does, with "not" before a negated literal. The
-        conditions of a conditional effect are described after the effect, in parentheses."""
+        """Describes a literal or a conditional effect, such as "not a on b (if holding c)": a
+        negated literal begins with "not", and the conditions of an effect follow in parentheses.
+
+        Args:
+            text: the literal or the effect in PDDL.
+            action: name of the action that it is part of, as in :meth:`atom`.
+        """
         words = []
         for negation, atom in re.findall(r"(\(not )?\(([^?()][^()]*)\)", text):
             name, *arguments = atom.split()
@@ -89,7 +101,17 @@ class Words:
         return last + (f" (if {' and '.join(conditions)})" if conditions else "")
 
     def describe(self, item: Item, robots: Any, believed: Any) -> tuple[str, str]:
-        """Describes the robot's and people's version of an item, as two sentences."""
+        """Describes the difference between two tasks in one item.
+
+        Args:
+            item: the item.
+            robots: value of the item in the robot's task; None if the task does not have the item.
+            believed: value of the item in the believed task; None if the task does not have the
+                item.
+
+        Returns:
+            A sentence about the robot's task, and a sentence about the believed task.
+        """
         kind, action, text = item
         subject = f"The action {plain(action)}" if action else "The goal"
         if kind in ("cost", "function"):
@@ -118,8 +140,12 @@ class Words:
         return self._fill(name, [*map(plain, arguments)]) or typed
 
     def changes(self, before: Iterable[Atom], after: Iterable[Atom]) -> tuple[str, ...]:
-        """Describes the atoms that became true, then the atoms that became false: "now holding a",
-        "no longer clear a"."""
+        """Describes the effects of a transition: first each atom that became true ("now holding
+        a"), then each atom that became false ("no longer clear a").
+
+        Args:
+            before, after: the atoms that hold before and after the transition.
+        """
         first, second = set(before), set(after)
         return (
             *(f"now {self.atom(atom)}" for atom in sorted(second - first)),
@@ -127,8 +153,8 @@ class Words:
         )
 
     def _describe_argument(self, argument: str, action: str) -> str:
-        """Describes an object by its name; a parameter as "the block", or "block x" if several
-        parameters are blocks."""
+        """Describes an argument of an atom: an object by its name; a parameter of the action by its
+        type, as "the block", or as "block x" if several parameters have this type."""
         kinds = dict(self._task.items.get(Item("action", action), ()))
         kind = kinds.get(argument, "object")
         if kind == "object":
@@ -168,13 +194,16 @@ of these kinds."""
 
 
 def read_changes(key: str, value: Any, task: Task, other: Items) -> Items:
-    """Applies the changes of a fact: one change, or a list of changes. Returns the changed items of
-    the task.
+    """Reads the changes of a fact from the configuration.
 
     Args:
-        key, value: from the configuration.
+        key: the configuration key, for errors.
+        value: one change, or a list of changes.
         task: the robot's task.
         other: items of a believed task, whose actions ``add_action`` may name.
+
+    Returns:
+        The items that differ from the robot's task, with their believed values (None: removed).
 
     Raises:
         InputError: a change has an invalid form, or does not fit the task.
@@ -199,7 +228,16 @@ def read_changes(key: str, value: Any, task: Task, other: Items) -> Items:
 
 
 def _read_change(key: str, kind: str, change: Change, task: Task, other: Items) -> Items:
-    """Applies one change. Returns the changed items of the task."""
+    """Reads one change of the task. Returns the items that the change adds, replaces or removes,
+    with their new values (None: removed).
+
+    Args:
+        key: the configuration key, for errors.
+        kind: kind of change, such as ``drop_precondition``.
+        change: the change.
+        task: the task before this change.
+        other: items of a believed task, whose actions ``add_action`` may name.
+    """
     source = Source(f"{key}.{kind}", change[kind], str(change[kind]).lower())
     owner = str(change.get("action", "")).lower()
     if owner:
@@ -237,12 +275,23 @@ def _list_actions(items: Items) -> list[str]:
 
 
 def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Items]:
-    """Finds the items in which two tasks differ. Returns the believed version of each difference,
-    by a unique name such as pick_up_needs_handempty.
+    """Finds the differences between the robot's task and a believed task.
 
-    If only one task has a predicate, all items with it are one difference. If only one task has a
-    value of a function, and only this task has an initial atom with the same arguments, then the
-    value and the atom are one difference.
+    Usually each item that differs is one difference. Several items are one difference in three
+    cases:
+
+    - the items of an action that only one of the tasks has;
+    - the items that contain a predicate that only one of the tasks has;
+    - a value of a function and an initial atom with the same arguments, if only one of the tasks
+      has the value and only this task has the atom.
+
+    Args:
+        robot, believed: the two tasks.
+        key: the configuration key of the believed task, for errors.
+
+    Returns:
+        For each difference, by a unique name such as pick_up_needs_handempty: its items with their
+        believed values (None: the believed task does not have the item).
 
     Raises:
         InputError: the tasks differ in objects, types, or the parameters of an action.
@@ -281,7 +330,7 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
 
 
 def _make_name(item: Item, taken: Mapping[str, Any]) -> str:
-    """Makes a unique name for a difference."""
+    """Makes a name for the difference in an item. A number is appended if the name is in ``taken``."""
     parts = (re.sub(r"[^a-z0-9]+", "_", text).strip("_") for text in (item.owner, item.text))
     owner, text = parts
     name = NAMES[item.kind].format(owner, text.removeprefix("when_"))
@@ -290,7 +339,16 @@ def _make_name(item: Item, taken: Mapping[str, Any]) -> str:
 
 
 def describe(task: Task, fact: Items, words: Words) -> tuple[str, str]:
-    """Describes a fact by two texts: its true version, and its believed version."""
+    """Describes a fact in words.
+
+    Args:
+        task: the robot's task.
+        fact: the items that the fact changes, with their believed values.
+        words: describes each item.
+
+    Returns:
+        A text that is true in the robot's task, and a text that is true in the believed task.
+    """
     pairs = [
         words.describe(item, task.items.get(item), value)
         for item, value in fact.items()

@@ -50,12 +50,14 @@ log = logging.getLogger(__name__)
 
 
 def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -> Any:
-    """Merges all beliefs into one task of the translator.
+    """Merges the robot's task and all believed tasks into one task of the translator.
 
     Args:
         task: the robot's task.
         facts: the changes of each fact.
-        conditions: condition i becomes the precondition of an action holds@i.
+        conditions: conditions whose instances are needed. For condition i the merged task has an
+            action holds@i with this precondition, so that grounding the actions finds the
+            instances.
 
     Raises:
         TooLargeError: more than MOST_FACTS facts affect one action's preconditions and effects.
@@ -72,7 +74,8 @@ def merge(task: Task, facts: Sequence[Items], conditions: Iterable[Condition]) -
             every.setdefault(item, value)
 
     def guard(item: Item) -> Any:
-        """Returns the condition under which a person's task has an item."""
+        """Returns a condition on the atoms fact@j: it holds for exactly the people whose task has
+        the item."""
         own = [(flag, fact[item]) for flag, fact in zip(flags, facts, strict=True) if item in fact]
         if item in robots:
             return lifted.Conjunction([flag.negate() for flag, value in own if value is None])
@@ -117,8 +120,8 @@ class Grounding:
     """A task and its facts, grounded once. Actions that no belief reaches are left out.
 
     A set of literals is an integer with one bit for each literal: first the atoms that actions can
-    change, then the atoms that differ between beliefs, then the negations of all these atoms, in
-    the same order.
+    change, then the *belief atoms*, which no action changes and which differ between beliefs, then
+    the negations of all these atoms, in the same order.
 
     Args:
         task: the robot's task.
@@ -127,14 +130,15 @@ class Grounding:
 
     Attributes:
         atoms: atoms that actions can change.
-        beliefs: literals that differ between beliefs.
-        start: atoms that hold at the start.
-        starts: for each fact, the atoms whose values differ in the believed start, and which of
-            these atoms hold in that start.
+        beliefs: set of the belief atoms and their negations.
+        start: set of the atoms that hold at the start of the robot's task.
+        starts: two sets of atoms for each fact j: the atoms that the fact changes at the start,
+            including fact@j; and the atoms in this first set that hold in the believed start.
         actions: (name, object, …) of each ground action, in the order of the files.
-        variants: the distinct forms of actions in all beliefs: index of the action, precondition,
-            and effects.
-        instances: for each condition, the literals of each of its instances.
+        variants: V forms of ground actions. A ground action has several forms if its precondition
+            or effects differ between beliefs. Each form is (index of the ground action,
+            precondition, effects), without literals about belief atoms.
+        instances: for each condition by name, the set of literals of each of its instances.
 
     Raises:
         TooLargeError: more than MOST_FACTS facts affect one action's preconditions and effects.
@@ -184,8 +188,14 @@ class Grounding:
         return sum(self._bits[x] for x in {*literals})
 
     def _instantiate(self, found: Any, model: Any) -> Iterator[tuple[Any, int, Effects]]:
-        """Yields the forms of ground actions: (name, object, …), the precondition, and the
-        effects."""
+        """Yields each ground action of the merged task as ((name, object, …), precondition,
+        effects). The precondition and the conditions of effects may contain literals about belief
+        atoms (:class:`Grounding`).
+
+        Args:
+            found: the merged task.
+            model: the atoms and ground actions that it reaches.
+        """
         objects = instantiate.get_objects_by_type(found.objects, found.types)
         initial = {x for x in found.init if isinstance(x, lifted.Atom)}
         for schema, arguments in ((x.predicate, x.args) for x in model):
@@ -203,8 +213,17 @@ class Grounding:
                 yield action, self._make_mask(made.precondition), done
 
     def _resolve(self, asked: int, effects: Effects) -> Iterator[tuple[int, Effects]]:
-        """Finds the forms of a ground action whose effects depend on beliefs. Yields, for each
-        form, the literals that a belief with this form contains, and the effects."""
+        """Yields the forms of a ground action, one for each combination of truth values of the
+        belief atoms (:class:`Grounding`) in the conditions of its effects.
+
+        Args:
+            asked: precondition, with literals about belief atoms.
+            effects: effects, with literals about belief atoms in their conditions.
+
+        Returns:
+            For each form (one at a time): the set of the literals about belief atoms that must all
+            be true in a belief that has this form; and the effects without these literals.
+        """
         about = 0
         for condition, *_ in effects:
             about |= condition & self.beliefs
@@ -219,28 +238,46 @@ class Grounding:
             yield asked & self.beliefs | known, tuple(done)
 
     def complete(self, atoms: int, among: int | None = None) -> int:
-        """Returns the literals that are true if exactly these atoms hold: literals about all atoms,
-        or only about the atoms of ``among``."""
+        """Adds the negative literals to a set of atoms.
+
+        Args:
+            atoms: set of the atoms that hold.
+            among: set of the atoms that the result is about; None: all atoms.
+
+        Returns:
+            The set with each atom in ``among`` that holds, and the negation of each that does not
+            hold.
+        """
         among = self._every if among is None else among
         return atoms & among | (~atoms & among) << self._every.bit_length()
 
     def believe(self, wrong: Wrong) -> int:
-        """Returns all literals that differ between beliefs and are true in this belief."""
+        """Returns the set of the literals about belief atoms (:class:`Grounding`) that are true for
+        a person who believes the facts in ``wrong`` incorrectly."""
         atoms = self.start
         for differing, held in (self.starts[j] for j in wrong):
             atoms = atoms & ~differing | held
         return self.complete(atoms) & self.beliefs
 
     def imagine(self, state: int, wrong: Wrong) -> int:
-        """Returns the state as people who believe in another start imagine it. Atoms that differ in
-        that start have their believed values until the robot changes one of them."""
+        """Returns the state that a person imagines instead of the true state.
+
+        A fact may be about the values of some atoms at the start. While all of these atoms have the
+        values of the robot's start, people who believe the fact incorrectly imagine the believed
+        values instead.
+
+        Args:
+            state: set of the atoms that hold in the true state.
+            wrong: the facts that the person believes incorrectly.
+        """
         for differing, held in (self.starts[j] for j in sorted(wrong)):
             if not (state ^ self.start) & differing & ~self.beliefs:
                 state = state & ~differing | held & ~self.beliefs
         return state
 
     def choose(self, wrong: Wrong) -> NDArray[np.bool_]:
-        """Returns [V] True for the variants that this belief has."""
+        """Returns [V] True for the variants that exist for a person who believes the facts in
+        ``wrong`` incorrectly."""
         result, believed = np.zeros(len(self.variants), dtype=bool), self.believe(wrong)
         for guard, own in self._guards.items():
             result[own] |= not guard & ~believed
@@ -255,13 +292,14 @@ class BelievedTask:
         facts: the changes of each fact.
         dead_end_cost: cost of a state without a plan.
         max_states: maximum number of states.
-        counts: conditions to count in states, by name.
+        counts: conditions by name, for :meth:`count`.
 
     Attributes:
-        atoms: atoms that can change.
-        states: S sets of atoms. First come the states that the robot reaches, beginning with the
-            initial one. Then come these states as people who believe in another start imagine them.
-            Last come all other states that actions of any belief reach from these states.
+        atoms: atoms that actions can change.
+        states: S states, each a set of the atoms that hold. First come the states that the robot
+            reaches, beginning with the initial state. Then come the states that people with an
+            incorrect belief about the start imagine instead of these. Last come all other states
+            that actions of any belief reach from the states before.
         table: [S, atoms] True if an atom holds in a state.
         actions: A ground actions, (name, object, …), that occur between these states.
 
@@ -320,19 +358,19 @@ class BelievedTask:
         goal: Sequence[Sequence[int]],
         believed: int,
     ) -> tuple[list[int], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-        """Finds all states that are reached from the seeds, breadth first. The seeds come first, in
-        order.
+        """Finds all states that actions reach from the seeds, breadth first.
 
         Args:
-            seeds: distinct states.
-            allowed: the variants to use, ascending.
-            goal: instances of each literal of the goal; a state in which one instance of each
-                literal holds has no edges.
-            believed: literals of the belief, which hold in all states.
+            seeds: distinct states, where the search begins.
+            allowed: indices of the variants to use, ascending.
+            goal: for each literal of the goal, its instances. The goal holds in a state if one
+                instance of each literal holds; such a state has no edges.
+            believed: set of the literals that are true in all states, because they are about belief
+                atoms (:class:`Grounding`).
 
         Returns:
-            The states, and their edges, ascending by state and variant: [E] source, variant,
-                successor.
+            The states, beginning with the seeds in their order; and three arrays [E], the source,
+            variant and successor of each edge. Edges are sorted by source, then by variant.
 
         Raises:
             TooLargeError: more than ``max_states`` states.
@@ -378,7 +416,12 @@ class BelievedTask:
         return apply_changes(self._task.items, *(self._facts[j] for j in sorted(wrong)))
 
     def count(self, condition: str, wrong: Wrong) -> NDArray[np.int64]:
-        """Counts [S] the instances of a condition that hold in each state in this belief."""
+        """Computes [S] the number of instances of a condition that hold in each state.
+
+        Args:
+            condition: name of the condition.
+            wrong: the facts that a person believes incorrectly; the instances hold for this person.
+        """
         result = np.zeros(len(self.states), dtype=np.int64)
         known, atoms = self._ground.believe(wrong), self._ground.complete(0).bit_length() // 2
         for asked in self._ground.instances[condition]:
@@ -389,8 +432,8 @@ class BelievedTask:
         return result
 
     def _compute_costs(self, wrong: Wrong) -> NDArray[np.float64]:
-        """Computes [V] the cost of each variant in this belief; ∞ if the belief does not have the
-        variant, or the variant has no cost."""
+        """Computes [V] the cost of each variant for a person who believes the facts in ``wrong``
+        incorrectly; ∞ if the variant does not exist for this person, or has no cost."""
         items, cost = self._list_items(wrong), []
         for name, *objects in self._ground.actions:
             signature = items.get(Item("action", name))
@@ -404,8 +447,12 @@ class BelievedTask:
         return np.where(self._ground.choose(wrong), np.array(cost, dtype=float)[action], np.inf)
 
     def _imagine_all(self, wrong: Wrong) -> NDArray[np.int64] | None:
-        """Returns [S] the state that people imagine instead of each state. A state that the robot
-        never reaches is imagined as it is."""
+        """Returns [S] for each state, the index of the state that a person imagines instead of it.
+        States that the robot never reaches are imagined as they are. None if ``wrong`` is empty.
+
+        Args:
+            wrong: the facts about the start that the person believes incorrectly.
+        """
         if not wrong:
             return None
         number = {state: s for s, state in enumerate(self.states)}
@@ -413,7 +460,7 @@ class BelievedTask:
         return np.array([*seen, *range(self._n_robot, len(self.states))])
 
     def model(self, wrong: Wrong) -> GoalTask:
-        """Makes the task of a person who believes these facts incorrectly."""
+        """Makes the task of a person who believes the facts in ``wrong`` incorrectly."""
         goal = [self.count(text, wrong) > 0 for text in texts(self._list_items(wrong), "goal")]
         return GoalTask(
             space=self._space,

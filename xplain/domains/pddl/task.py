@@ -56,9 +56,9 @@ class Task:
     """A domain and a problem.
 
     Attributes:
-        found: the translator's task.
-        objects: objects, including constants.
-        predicates, functions: the parameters of each.
+        found: the task as the translator represents it.
+        objects: name and type of each object and constant.
+        predicates, functions: for each name, the signature of its parameters.
         items: all statements except types and objects.
     """
 
@@ -78,7 +78,13 @@ def apply_changes(items: Items, *changes: Items) -> dict[Item, Any]:
 
 
 def texts(items: Items, kind: str, owner: str = "") -> Iterator[str]:
-    """Yields the texts of all items of a kind, of one action or (without ``owner``) the problem."""
+    """Yields the text of each item of one kind.
+
+    Args:
+        items: the items.
+        kind: the kind.
+        owner: name of the action that has the items; "" for items of the problem.
+    """
     for item, value in items.items():
         if item[:2] == (kind, owner) and value is not None:
             yield item.text
@@ -90,7 +96,7 @@ def sign(typed: Any) -> Signature:
 
 
 def declare(signature: Signature) -> str:
-    """Writes the signature in PDDL, such as ?x - block."""
+    """Writes the variables or objects of a signature with their types in PDDL, such as ?x - block."""
     kinds = ((x, f"(either {' '.join(y)})" if isinstance(y, list) else y) for x, y in signature)
     return " ".join(f"{name} - {kind}" for name, kind in kinds)
 
@@ -150,8 +156,17 @@ class Source:
         return cls(key, path, re.sub(";[^\n]*", "", text.lower()))
 
     def find(self, text: str, action: str = "") -> int:
-        """Finds the position of an expression; with ``action``, the first one after the start of
-        this action."""
+        """Finds an expression in the text.
+
+        Args:
+            text: the expression.
+            action: name of an action; the search begins at this action. "" searches the whole text.
+
+        Returns:
+            The position of the expression's first character; if it is not found, the position where
+            the
+            search began.
+        """
         start = re.search(rf":action\s+{re.escape(action)}\s", self.text) if action else None
         begin = start.start() if start else 0
         tokens = map(re.escape, re.findall(r"[()]|\?*[^\s()?]+", text))
@@ -185,12 +200,16 @@ class Source:
 
     @contextmanager
     def translate_errors(self, known: str = "", problem: Source | None = None) -> Iterator[None]:
-        """Converts errors of the translator into errors about this text, or about ``problem`` if
-        the error is in the problem file. Appends ``known`` to the errors' texts.
+        """Opens a context in which the translator is called. Errors of the translator become errors
+        about this text.
+
+        Args:
+            known: is appended to the errors' texts.
+            problem: text of the problem file, if it is read too; errors in it name this file.
 
         Raises:
             XplainError: the translator is not installed.
-            InputError: the translator refuses the text.
+            InputError: the translator refuses a text.
         """
         if lifted is None:
             raise XplainError(
@@ -292,8 +311,13 @@ def _refuse_universal(condition: Any, source: Source, action: str = "") -> None:
 
 
 def _replace_decimals(node: Any, numbers: dict[int, float]) -> Any:
-    """Replaces decimals by integers that represent them, because the translator reads only
-    integers."""
+    """Replaces each decimal in a parsed text by an integer, because the translator reads only
+    integers. Returns the new text.
+
+    Args:
+        node: the text as nested lists.
+        numbers: receives the decimal that each new integer represents.
+    """
     if isinstance(node, str):
         return node
     if len(node) == 3 and isinstance(node[1], list) and re.fullmatch(r"\d+\.\d*", str(node[2])):
@@ -304,7 +328,13 @@ def _replace_decimals(node: Any, numbers: dict[int, float]) -> Any:
 
 
 def _read_cost(expression: Any, numbers: Mapping[int, float]) -> float | str:
-    """Converts a cost to a number, or to the text of a function; a missing cost is 0."""
+    """Converts a cost of the translator to a number, or to a function in PDDL such as (distance
+    ?x); a missing cost is 0.
+
+    Args:
+        expression: the cost.
+        numbers: the decimals that integers represent (:func:`_replace_decimals`).
+    """
     if isinstance(expression, lifted.PrimitiveNumericExpression):
         return f"({' '.join([expression.symbol, *expression.args])})"
     return float(numbers.get(expression.value, expression.value)) if expression else 0.0

@@ -87,22 +87,25 @@ ARRAYS = ("labels", "facts", "messages", "prior", "variants", "features", "state
 class Hypotheses:
     """C candidates for incorrect beliefs, and their labels of T transitions.
 
+    The assumed value of a fact is the domain's inaccurate value of this parameter. A variant gives
+    some facts other inaccurate values (half, double, …), because people may believe these, too.
+
     Attributes:
-        labels: [C, T] uint8, labels of a person who believes exactly ``facts[c]`` incorrectly.
+        labels: [C, T] uint8, labels of a person who believes exactly the facts in ``facts[c]``
+            incorrectly, at the assumed values.
         facts: [C] int64 bitmasks, ascending; all subsets of a candidate are candidates too.
-        messages: n names; bit j of a set is fact j, which message j corrects.
+        messages: n names; bit j of a bitmask is fact j, which message j corrects.
         prior: [C] probabilities of the candidates; sums to 1.
         features: [T, F] float64 features of the transitions; None if unknown.
         feature_names: F names.
         phrases: T descriptions for people; may be empty.
         states: [T, 2] int64 start and end state of each transition, for clips of consecutive
             transitions; None if unknown.
-        variants: [V, C, T] uint8 labels at other inaccurate values (half, double, …), which people
-            may also believe; V may be 0.
-        variant_weight: [V] prior probabilities of the variants. None: they are equal, and their sum
-            is below the prior of the assumed values.
-        further: computes labels of sets that are not yet candidates, for :meth:`with_sets`; None if
-            these labels are unknown.
+        variants: [V, C, T] uint8, the labels in each variant; V may be 0.
+        variant_weight: [V] prior probability of each variant; the assumed values have the rest.
+            None: the variants are equally likely, and together less likely than the assumed values.
+        further: computes labels of sets of facts that are not candidates, for :meth:`with_sets`;
+            None if these labels are unknown.
     """
 
     labels: NDArray[np.uint8]
@@ -130,10 +133,11 @@ class Hypotheses:
 
         Args:
             labels: [2^n, T] of 0 and 1, or [C, T] with ``facts``.
-            facts: [C] bitmasks of the rows, in any order; None: all 2^n in order.
+            facts: [C] bitmask of each row's facts; the rows may have any order. None: row i has the
+                bitmask i.
             messages: n names; None: fact_0, fact_1, …
             prior: [C] prior of the rows; None is uniform.
-            about: the other attributes.
+            about: any other attributes, as keyword arguments.
 
         Raises:
             InputError: an argument contradicts its description, or no question separates two
@@ -166,8 +170,7 @@ class Hypotheses:
     def of_domain(
         cls, domain: Domain, most: int | None = None, scales: Sequence[float] = (0.5, 2.0)
     ) -> Hypotheses:
-        """Makes the hypotheses of a domain: all sets of at most ``most`` parameters, at their
-        inaccurate values.
+        """Makes the hypotheses of a domain: each set of at most ``most`` parameters is a candidate.
 
         The transitions are those of the robot's optimal policies from any start.
 
@@ -175,7 +178,8 @@ class Hypotheses:
             domain: the robot's task.
             most: maximum number of parameters believed incorrectly together; None: the most that
                 MAX_MODELS allows.
-            scales: scales of the variants (:meth:`FactLabels.variants`).
+            scales: factors of the inaccurate values. Each factor gives one variant; further
+                variants are described in :meth:`FactLabels.variants`.
 
         Raises:
             DomainError: ties of a model at the assumed values are ambiguous.
@@ -243,8 +247,11 @@ class Hypotheses:
             np.savez_compressed(file, **arrays)
 
     def with_sets(self, facts: NDArray[np.int64]) -> Hypotheses:
-        """Adds these sets and all of their subsets as candidates. The new prior comes from
+        """Returns hypotheses with more candidates. Their prior comes from
         :func:`~xplain.domains.users.inaccurate_values.few`.
+
+        Args:
+            facts: bitmasks of sets of facts. These sets and all of their subsets become candidates.
 
         Raises:
             DomainError: ties of a model are ambiguous.
@@ -278,26 +285,39 @@ class Hypotheses:
         return int(self.labels.shape[1])
 
     def row(self, held: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Returns the index of each candidate's row in :attr:`labels`. ``held`` contains the
-        candidates' bitmasks, in any shape."""
+        """Finds candidates in :attr:`labels`.
+
+        Args:
+            held: bitmasks of candidates' facts, an array of any shape.
+
+        Returns:
+            The row of each candidate, in the same shape.
+        """
         every = len(self.facts) > self.facts[-1]  # then a set's bitmask is its row
         return held if every else np.searchsorted(self.facts, held)
 
     def label(self, transitions: ArrayLike, message_sets: ArrayLike) -> NDArray[np.uint8]:
-        r"""Returns [1 + V, C, Q] the labels f_τ(R \ H) of Q questions, by variant and candidate.
-        ``transitions`` is [Q]; ``message_sets`` is [Q], or one set for all questions."""
+        r"""Returns the labels in Q questions, [1 + V, C, Q]: first at the assumed values, then in
+        each variant. In question (τ, H), a person of candidate R was given the messages H, and
+        labels transition τ like a person who believes R \ H incorrectly.
+
+        Args:
+            transitions: [Q] the index τ of each question's transition.
+            message_sets: [Q] bitmask H of each question's messages, or one bitmask for all
+                questions.
+        """
         held = self.facts[:, None] & ~np.asarray(message_sets, dtype=np.int64)
         return np.asarray(self.tables[:, self.row(held), np.asarray(transitions)])
 
     @cached_property
     def tables(self) -> NDArray[np.uint8]:
-        """[1 + V, C, T] labels at the assumed values, then those of the variants."""
+        """[1 + V, C, T] all labels: first at the assumed values, then in each variant."""
         variants = self.variants if len(self.variants) else self.labels[None][:0]
         return np.concatenate([self.labels[None], variants])
 
     @cached_property
     def variant_prior(self) -> NDArray[np.float64]:
-        """[1 + V] prior probability of the assumed values, then of each variant."""
+        """[1 + V] prior probabilities: first of the assumed values, then of each variant."""
         count = len(self.variants)
         weight = np.full(count, (1 - AS_ASSUMED) / max(count, 1))
         weight = weight if self.variant_weight is None else self.variant_weight
@@ -305,16 +325,23 @@ class Hypotheses:
 
     @cached_property
     def sizes(self) -> NDArray[np.bool_]:
-        """[1 + V] True for the assumed values, and for variants with values on the same side of the
-        robot's values as the assumed ones. Variants on the other side have a prior below half of
-        the largest variant's prior."""
+        """[1 + V] True for the assumed values, and for each variant that differs from the assumed
+        values only in size: all values are on the same side of the robot's values as the assumed
+        values are.
+
+        A variant with a value on the other side is recognised by its prior, which is below half of
+        the largest variant's prior.
+        """
         weight = self.variant_prior[1:]
         return np.append(True, weight >= weight.max(initial=0) / 2)
 
     def drop_indistinguishable(self) -> Hypotheses:
-        """Leaves out transitions with equal features and different labels: an answer about one of
-        them gives no information if only features are known. Keeps all transitions if the remaining
-        ones separate fewer candidates."""
+        """Returns hypotheses without transitions that have equal features and different labels. If
+        only the features are known, an answer about such a transition gives no information.
+
+        Returns these hypotheses unchanged if fewer candidates could be separated without these
+        transitions.
+        """
         if self.features is None:
             return self
         which = np.unique(self.features, axis=0, return_inverse=True)[1].ravel()
@@ -335,7 +362,7 @@ class Hypotheses:
 
     @cached_property
     def matters(self) -> NDArray[np.int64]:
-        """[T] the facts that a transition's label depends on, as a bitmask."""
+        """[T] for each transition, the bitmask of the facts that its label depends on."""
         found = np.zeros(self.n_transitions, dtype=np.int64)
         for j, more, less in self.pairs:
             differ = self.tables[:, more] != self.tables[:, less]
@@ -344,8 +371,8 @@ class Hypotheses:
 
     @cached_property
     def pairs(self) -> list[tuple[int, NDArray[np.int64], NDArray[np.int64]]]:
-        """A triple for each fact: its index, the rows of the candidates that contain the fact, and
-        the rows of the same candidates without the fact."""
+        r"""For each fact j, the triple (j, rows of the candidates R that contain j, rows of the
+        candidates R \ j). Both arrays of rows have the order of R."""
         found = []
         for j in range(self.n_messages):
             more = np.flatnonzero(self.facts >> j & 1)
@@ -354,13 +381,16 @@ class Hypotheses:
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        r"""[C] bitmask of each candidate's facts that some question reveals, at the assumed values.
-        Two candidates behave alike if and only if their bitmasks here are equal.
+        r"""[C] for each candidate, the bitmask of its essential facts, at the assumed values. Two
+        candidates behave alike if and only if these bitmasks are equal.
+
+        Fact j of a candidate R is essential if there is a set K ⊆ R \ j such that people who
+        believe K ∪ j incorrectly and people who believe K incorrectly differ in a label. A question
+        with the messages R \ (K ∪ j) then separates the candidates R and R \ j.
 
         If two candidates behave alike, their intersection behaves like them, too (consider messages
         about all other facts). So each class of candidates that behave alike has one smallest
-        member. This member contains fact j unless, for every K ⊆ R \ j, people who believe K ∪ j
-        incorrectly label everything like people who believe K incorrectly.
+        member, which contains exactly the essential facts.
         """
         found = np.zeros_like(self.facts)
         for j, more, less in self.pairs:
@@ -372,7 +402,7 @@ class Hypotheses:
 
     @cached_property
     def classes(self) -> NDArray[np.int64]:
-        """[C] class of each candidate; no question separates candidates of one class."""
+        """[C] number of each candidate's class; no question separates candidates of one class."""
         return np.unique(self.essential, return_inverse=True)[1].ravel()
 
     def _check_attributes(self) -> None:

@@ -1,4 +1,5 @@
-"""Labels of people who believe a domain's inaccurate values, or multiples of these values."""
+"""Labels of people who believe the inaccurate values of a domain's parameters, or other values
+(half, double, …)."""
 
 from __future__ import annotations
 
@@ -33,14 +34,15 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class FactLabels:
-    """Computes labels of people who believe sets of facts incorrectly. The models of each set are
-    solved only once.
+    """Computes labels of people who believe sets of facts incorrectly. :meth:`of` solves the models
+    of each set only once.
 
     Attributes:
         domain: the domain of the models.
         transitions: [T, 3].
-        values: [1 + V] the assumed values, then those of the variants.
-        columns: [K] the transitions to label; None: all.
+        values: 1 + V mappings: first the assumed values, which are the domain's inaccurate values;
+            then the values of each variant, which people may believe instead.
+        columns: [K] indices of the transitions that :meth:`of` labels; None: all, so K = T.
     """
 
     domain: Domain
@@ -50,12 +52,19 @@ class FactLabels:
     _known: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     def take(self, columns: NDArray[np.int64]) -> FactLabels:
-        """Restricts the labels to some transitions. The result shares the labels that are already
-        known."""
+        """Restricts :meth:`of` to fewer transitions. Labels that are already computed are not
+        computed again.
+
+        Args:
+            columns: indices of the transitions to keep, among the present K.
+        """
         return replace(self, columns=columns if self.columns is None else self.columns[columns])
 
     def of(self, facts: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Computes [1 + V, C, K] the labels of people who believe these sets [C] incorrectly.
+        """Computes [1 + V, C, K] labels: first at the assumed values, then in each variant.
+
+        Args:
+            facts: [C] bitmasks of the facts that people believe incorrectly.
 
         Raises:
             DomainError: ties of a model are ambiguous.
@@ -68,8 +77,11 @@ class FactLabels:
         return np.stack([self._known[one][:, columns] for one in facts.tolist()], axis=1)
 
     def at(self, values: Values, facts: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Computes [C, T] the labels of people who believe these sets [C] incorrectly, with these
-        values.
+        """Computes [C, T] labels at the given values.
+
+        Args:
+            values: the inaccurate value of each parameter.
+            facts: [C] bitmasks of the facts that people believe incorrectly.
 
         Raises:
             DomainError: ties of a model are ambiguous.
@@ -87,13 +99,19 @@ class FactLabels:
     def without_ties(
         self, wanted: Values, facts: NDArray[np.int64]
     ) -> tuple[Values, NDArray[np.uint8]]:
-        """Finds values near the wanted values without ambiguous ties. Returns them with the labels
-        [C, T] of people who believe these sets [C] incorrectly.
+        """Finds inaccurate values without ambiguous ties, equal or close to the wanted values.
 
-        If ties are ambiguous, the parameters change one after the other from the assumed values.
-        Each parameter gets its wanted value, times the first of :data:`NUDGES` without ambiguous
-        ties. If every factor fails, the parameter keeps its assumed value and a warning names the
-        parameter.
+        If ties are ambiguous at the wanted values, the search starts from the assumed values and
+        changes one parameter after the other. A parameter gets its wanted value, multiplied by the
+        first factor of :data:`NUDGES` that leaves no ambiguous ties. If no factor does, the
+        parameter keeps its assumed value, and a warning names it.
+
+        Args:
+            wanted: the wanted inaccurate value of each parameter.
+            facts: [C] bitmasks of the facts that people believe incorrectly.
+
+        Returns:
+            The values, and the labels [C, T] at these values.
         """
         try:
             return dict(wanted), self.at(wanted, facts)
@@ -120,19 +138,25 @@ class FactLabels:
     def variants(
         self, facts: NDArray[np.int64], scales: Sequence[float]
     ) -> list[tuple[Values, NDArray[np.uint8], float]]:
-        """Finds values that people may believe instead of the assumed values, with the labels [C,
-        T] of people who believe these sets [C] incorrectly, and their prior probability.
+        """Makes the variants: values that people may believe instead of the assumed values.
 
-        If the domain refuses a value, the assumed value is used. :meth:`without_ties` resolves
-        ambiguous ties. If all values equal the assumed values, there is no variant.
+        There are three kinds of variant:
+
+        - for each scale: all numeric inaccurate values are multiplied by the scale;
+        - all inaccurate values are moved to the other side of the robot's value, at the same
+          distance, because people may also believe that a dangerous fire is a bonus;
+        - if there are at most EACH facts, for each fact: only its value is moved to the other side.
+
+        If the domain refuses a value, the assumed value is used. :meth:`without_ties` removes
+        ambiguous ties. A variant whose values all equal the assumed values is left out.
 
         Args:
-            facts: the sets.
-            scales: one variant for each scale: all numeric inaccurate values are multiplied by the
-                scale. In a further variant, all values are on the other side of the robot's value,
-                because people may also believe that a dangerous fire is a bonus. If there are at
-                most EACH facts, each fact also has a variant in which only its value is on the
-                other side.
+            facts: [C] bitmasks of the facts that people believe incorrectly.
+            scales: factors of the inaccurate values.
+
+        Returns:
+            For each variant: its values, the labels [C, T] at these values, and its prior
+            probability.
         """
         assumed = {one.name: one.inaccurate for one in self.domain.parameters}
         opposite = other_values(self.domain, lambda right, wrong: 2 * right - wrong)
@@ -150,9 +174,16 @@ class FactLabels:
 
 
 def other_values(domain: Domain, other: Callable[[float, float], float]) -> dict[str, Any]:
-    """Computes another inaccurate value of each parameter: ``other(robot's value, inaccurate
-    value)`` if both are numbers and the domain accepts the result; otherwise the inaccurate value
-    itself."""
+    """Computes another inaccurate value of each parameter.
+
+    Args:
+        domain: has the parameters.
+        other: computes the new value from the robot's value and the inaccurate value.
+
+    Returns:
+        The new value of each parameter by name. The domain's inaccurate value stays if it or the
+        robot's value is not a number, or if the domain refuses the new value.
+    """
     accurate = {one.name: one.accurate for one in domain.parameters}
     values = {one.name: one.inaccurate for one in domain.parameters}
     for name, wrong in values.items():
@@ -167,8 +198,8 @@ def other_values(domain: Domain, other: Callable[[float, float], float]) -> dict
 
 
 def scaled_values(domain: Domain, scale: float) -> dict[str, Any]:
-    """Multiplies the inaccurate values by ``scale``. A value that is no number, or whose multiple
-    the domain refuses, stays unchanged."""
+    """Returns the inaccurate value of each parameter, multiplied by ``scale``. A value stays
+    unchanged if it is not a number, or if the domain refuses the product."""
     return other_values(domain, lambda _, wrong: scale * wrong)
 
 
@@ -177,13 +208,23 @@ def _is_number(value: Any) -> bool:
 
 
 def few(facts: NDArray[np.int64], n: int, share: float) -> NDArray[np.float64]:
-    """Computes [C] the probabilities of the sets, if each of n facts is believed incorrectly with
-    probability ``share``, independently, and no other set is possible."""
+    """Computes [C] the prior of candidates: each fact is believed incorrectly with probability
+    ``share``, independently of other facts; the probabilities are divided by their sum.
+
+    Args:
+        facts: [C] bitmasks of the candidates' facts.
+        n: number of facts.
+        share: probability that a fact is believed incorrectly.
+    """
     size = np.bitwise_count(facts).astype(np.float64)
     weight = share**size * (1 - share) ** (n - size)
     return np.asarray(weight / weight.sum())
 
 
 def with_subsets(facts: Sequence[int]) -> NDArray[np.int64]:
-    """Returns these sets and all of their subsets, ascending."""
+    """Returns the bitmasks of some sets of facts and of all of their subsets, ascending.
+
+    Args:
+        facts: bitmasks of the sets.
+    """
     return np.unique(np.concatenate([subsets(indices(one)) for one in facts]))

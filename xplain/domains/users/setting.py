@@ -37,8 +37,12 @@ class UserType:
     backlash: bool = False
 
     def after(self, names: Sequence[str], told: Collection[str]) -> list[str]:
-        """Returns the parameters among ``names`` that these people believe incorrectly after the
-        messages ``told``."""
+        """Returns the parameters that these people believe incorrectly after some messages.
+
+        Args:
+            names: all parameters that may be in the result.
+            told: names of the parameters that the messages are about.
+        """
         if self.backlash:
             return [name for name in names if (name in self.inaccurate) != (name in told)]
         return [name for name in names if name in self.inaccurate and name not in told]
@@ -51,8 +55,10 @@ class Setting:
     Attributes:
         domain, types: the domain and the types.
         models: the distinct models, solved; the first is the robot's.
-        bits: for each type, the positions of the messages that change its beliefs.
-        table: for each type, [2^len(bits)] index of its model after each set of these messages.
+        bits: for each type, the indices of the messages that change its beliefs, ascending.
+        table: for each type, an array [2^r] with r = len(bits) for this type. Entry i is the index
+            in ``models`` of the type's model after the messages in the bitmask i. Bit k of i is
+            message ``bits[k]``.
     """
 
     domain: Domain
@@ -133,20 +139,31 @@ class Setting:
         return np.array([[name in one.inaccurate for name in names] for one in self.types], float)
 
     def model_index(self, user_type: int, message_sets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Returns [P] the index of a type's model after each of these message sets [P]."""
+        """Returns [P] the index in :attr:`models` of a type's model after each of P message sets.
+
+        Args:
+            user_type: number of the type.
+            message_sets: [P] bitmasks.
+        """
         local = np.zeros_like(message_sets)
         for i, j in enumerate(self.bits[user_type]):
             local |= (message_sets >> j & 1) << i
         return self.table[user_type][local]
 
     def label_by_model(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Computes [B, T] the labels of transitions [T, 3] under every distinct model."""
+        """Computes [B, T] the labels of transitions [T, 3] under each of the B distinct models."""
         return np.array([model.labels(transitions) for model in self.models])
 
     def labels(
         self, user_type: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """Computes [P] the true labels of a type for each (transition [P, 3], message set [P])."""
+        """Computes [P] the true labels of one type for P pairs of a transition and a message set.
+
+        Args:
+            user_type: number of the type.
+            transitions: [P, 3].
+            message_sets: [P] bitmasks.
+        """
         by_model = self.label_by_model(transitions)
         return by_model[self.model_index(user_type, message_sets), np.arange(len(transitions))]
 
@@ -159,16 +176,17 @@ class Setting:
         return self.labels_by_type(transitions).array(self.n_messages).astype(np.uint8)
 
     def labels_by_type(self, transitions: NDArray[np.int64]) -> LabelTable:
-        """Computes the true labels of all types. Each type's table has only the messages that
-        change the type's beliefs."""
+        """Computes the true labels of all types for transitions [T, 3]. For each type, the table
+        distinguishes only the messages that change the type's beliefs."""
         by_model = self.label_by_model(transitions)
         return LabelTable.join_types(
             self.bits, [by_model[row].T.astype(np.float64) for row in self.table]
         )
 
     def true_labels(self, transitions: NDArray[np.int64]) -> LabelTable:
-        """Computes the true labels of all types, in the form that solvers and simulated users
-        need."""
+        """Computes the true labels of all types for transitions [T, 3]. The table is dense if
+        messages are few; otherwise it distinguishes only the messages that change some label
+        (:meth:`LabelTable.compact`)."""
         return self.labels_by_type(transitions).compact(self.n_messages)
 
     @cached_property
@@ -185,8 +203,8 @@ class Setting:
 
     @cached_property
     def distinct(self) -> NDArray[np.int64]:
-        """[N] a number for each type, equal for types that behave alike: their labels are the same
-        for every reachable (transition, message set)."""
+        """[N] a number for each type. Two types have the same number if they behave alike: their
+        labels are equal for every reachable transition and every message set."""
         labels = self.labels_by_type(self.reachable)
         first: dict[tuple[tuple[int, ...], bytes], int] = {}
         found = []

@@ -133,7 +133,8 @@ def first_distinct(
     Args:
         domain: has the parameters that the types believe incorrectly.
         count: number of types.
-        draws: the facts of all types, for each draw.
+        draws: the draws in order. A draw has one list for each type: the indices of the facts that
+            the type believes incorrectly.
         distinct: False accepts the first draw.
 
     Raises:
