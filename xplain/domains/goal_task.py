@@ -110,7 +110,7 @@ class GoalTask(TaskModel):
 
     @cached_property
     def to_go(self) -> NDArray[np.float64]:
-        """[S] the cost of the cheapest plan from each state, exact up to rounding; ∞ in dead ends."""
+        """[S] cost of the cheapest plan from each state, exact up to rounding; ∞ in dead ends."""
         found = self.space.shortest(self._edge_cost, np.flatnonzero(self.terminal), True)
         return np.where(found < self.dead_end_cost, found, np.inf)
 

@@ -265,7 +265,8 @@ class PDDL:
         return self.words.changes(*(self._list_atoms(int(state)) for state in transition[[0, 2]]))
 
     def state(self, number: int) -> tuple[str, ...]:
-        """Returns the atoms that hold in a state, in PDDL, without atoms that no action can change."""
+        """Returns the atoms that hold in a state, in PDDL. Atoms that no action can change are left
+        out."""
         return tuple(f"({' '.join(atom)})" for atom in self._list_atoms(number))
 
     def _list_atoms(self, state: int) -> list[tuple[str, ...]]:

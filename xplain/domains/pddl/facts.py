@@ -330,7 +330,7 @@ def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Item
 
 
 def _make_name(item: Item, taken: Mapping[str, Any]) -> str:
-    """Makes a name for the difference in an item. A number is appended if the name is in ``taken``."""
+    """Makes a name for the difference in an item. A number is added if the name is in ``taken``."""
     parts = (re.sub(r"[^a-z0-9]+", "_", text).strip("_") for text in (item.owner, item.text))
     owner, text = parts
     name = NAMES[item.kind].format(owner, text.removeprefix("when_"))

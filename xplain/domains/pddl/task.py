@@ -96,7 +96,7 @@ def sign(typed: Any) -> Signature:
 
 
 def declare(signature: Signature) -> str:
-    """Writes the variables or objects of a signature with their types in PDDL, such as ?x - block."""
+    """Writes the variables or objects of a signature with types in PDDL, such as ?x - block."""
     kinds = ((x, f"(either {' '.join(y)})" if isinstance(y, list) else y) for x, y in signature)
     return " ".join(f"{name} - {kind}" for name, kind in kinds)
 
