@@ -82,16 +82,17 @@ def draw_trace(
     sentences: Mapping[str, str],
     types: Sequence[str] = (),
 ) -> Figure:
-    """Draws the map with the path on the left, and the labels on the right, with a row for each
-    transition and a column for each step. The belief is below the labels, and the robot's messages
-    are at the bottom. Without a map, a row also names the effects of its transition.
+    """Draws an episode. The map with the path is on the left. The labels are on the right, with a
+    row for each transition and a column for each step. The belief is below the labels, and the
+    robot's messages are at the bottom. Without a map, a row also names the effects of its
+    transition.
 
     Args:
         scene: the map, or None.
         story: the episode.
         caption: text below the title.
         sentences: texts of the messages, by name.
-        types: names of the learned types in the belief.
+        types: names of the learned types, in the order of the belief.
     """
     m, said = len(story["transitions"]), list_said(story, sentences)
     names = [f"{i}. {phrase}" for i, phrase in enumerate(story["transitions"], 1)]
@@ -123,7 +124,8 @@ def draw_trace(
 
 
 def list_said(story: Story, sentences: Mapping[str, str]) -> str:
-    """Lists the robot's messages and questions with their steps, in lines."""
+    """Returns a text with a line for each of the robot's first messages and questions, and their
+    steps."""
     found = []
     for k, step in enumerate(story["steps"], 1):
         for one in step.get("questions", ()):
@@ -224,7 +226,8 @@ CORNER: dict[str, Any] = {"xycoords": "axes fraction", "fontsize": 9.5, "annotat
 
 
 def _draw_belief(axes: Axes, story: Story, types: Sequence[str]) -> None:
-    """Draws a line for each learned type, from the prior to the last step."""
+    """Draws the belief in each learned type as a line, from the prior to the last step. Draws at
+    most TYPES types: the most likely types at the end."""
     beliefs = [story["prior"], *(step["belief"] for step in story["steps"])]
     shown = sorted(range(len(types)), key=lambda t: (-beliefs[-1][t], t))[:TYPES]
     for index, t in enumerate(sorted(shown)):

@@ -121,14 +121,15 @@ class Sweep:
 
     @property
     def runs(self) -> list[Run]:
-        """The runs of the finished jobs, in order."""
+        """The runs of the finished jobs, in the order of the sweep's list of jobs."""
         return [Run(self.summary.folder.address(job)) for job, _ in self.summary.results]
 
     def frame(self, rows: str = "jobs") -> pd.DataFrame:
         """Makes a table of the swept values and the results.
 
         Args:
-            rows: ``jobs``, with means over episodes, or ``episodes``.
+            rows: ``jobs`` makes a row for each job, with means over its episodes; ``episodes``
+                makes a row for each episode.
 
         Raises:
             InputError: ``rows`` is another word.
@@ -175,8 +176,8 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
     Args:
         overrides: texts ``key=value``, as on the command line.
         config_dir: a folder with your own choices.
-        keys: the same keys; ``trade_off`` is λ, ``users_count`` is ``users.count``. A component may
-            be an object of its class instead of a name.
+        keys: keys and values as keyword arguments; ``trade_off`` is λ, ``users_count`` is
+            ``users.count``. A component may be an object of its class instead of a name.
 
     Raises:
         XplainError: a key or value is not allowed; the text is one line.
@@ -287,8 +288,14 @@ Asked = tuple[list[str], dict[str, list[Any]], Compose]
 def _compose_request(
     overrides: Sequence[str], keys: Mapping[str, Any], config_dir: str | None, of: str = "config"
 ) -> Iterator[Asked]:
-    """Reads the arguments of a call. Errors that the caller can correct become one line. Progress
-    is logged to standard error, unless the program configures logging itself."""
+    """Prepares a block that composes configurations for a call of this module. Errors of the block
+    that the caller can correct become an XplainError of one line. Progress is logged to standard
+    error, unless the program configures logging itself.
+
+    Yields:
+        The overrides; ``{key: Python values}`` of the other keywords (:func:`_split`); and a
+        function that composes a configuration from overrides.
+    """
     own = logging.getLogger("xplain")
     quiet = bool(logging.getLogger().handlers or own.handlers)
     handler, level = logging.StreamHandler(sys.stderr), own.level
@@ -349,7 +356,12 @@ def _require_single(given: Mapping[str, list[Any]]) -> dict[str, Any]:
 
 
 def _split(keys: Mapping[str, Any], known: Sequence[str]) -> tuple[list[str], dict[str, list[Any]]]:
-    """Splits keywords into overrides for chosen components, and ``{key: Python values}``."""
+    """Splits the keywords of a call.
+
+    Returns:
+        Overrides that choose components by their names, such as ``solver=qmdp``; and for all other
+        keywords ``{configuration key: list of Python values}``.
+    """
     words, given = list[str](), dict[str, list[Any]]()
     for name, own in keys.items():
         key = _find_key(name, known)

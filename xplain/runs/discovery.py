@@ -44,8 +44,8 @@ class Discovery:
         types: the types.
         held_out: how well held-out labels are predicted; None if not measured.
         sentences: text of each message, if known.
-        answers: a table of questions with ``p``, the probability of the answer 1; None without
-            questions.
+        answers: the table of questions whose answers are predicted, with the column ``p``, the
+            probability of the answer 1; None if there is no such table.
         seconds: duration.
     """
 

@@ -20,10 +20,11 @@ log = logging.getLogger(__name__)
 
 @contextmanager
 def attempt(otherwise: str) -> Iterator[None]:
-    """Runs work after the results are saved. If the work fails, a warning says what is missing.
+    """Runs a block of work after the results are saved. If the block fails, its error is logged as
+    a warning and not raised.
 
     Args:
-        otherwise: text of the warning.
+        otherwise: beginning of the warning, which says what is missing now.
     """
     try:
         yield
@@ -102,8 +103,8 @@ def newest_sweep(outputs: Path) -> Path:
 
 
 def find_unlisted_results(outputs: Path) -> dict[Path, int]:
-    """Finds ``{folder: bytes}`` of the results that belong to no run or sweep in the outputs
-    folder.
+    """Finds the results that belong to no run or sweep in the outputs folder. Returns
+    ``{folder of the result: its size in bytes}``.
 
     Raises:
         InputError: the list of a sweep cannot be read, so its results are unknown.

@@ -112,8 +112,8 @@ class Job:
 
         Args:
             progress: receives the progress.
-            save: receives the results and the text of the episodes before the certificates, which
-                may take as long as the results.
+            save: receives the results and the text of the episodes before certificates are
+                computed, because certificates may take as long as the results.
         """
         if (known := self.find_result()) is not None:
             log.info("the result exists already: %s", os.path.relpath(self.address))
@@ -231,7 +231,8 @@ def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:
     Args:
         job: the job.
         folder: the job's folder inside the sweep's folder.
-        listed: the fingerprint in the sweep's list.
+        listed: the job's fingerprint in the sweep's list. The job's own fingerprint differs from it
+            if this worker has other code, libraries or data than the process that began the sweep.
     """
     regret = None
     with failing_into(folder):
@@ -243,8 +244,8 @@ def run_in_sweep(job: Job, folder: Path, listed: str) -> float | None:
 
 @contextmanager
 def failing_into(folder: Path) -> Iterator[None]:
-    """Writes an error of the block into the folder. The error is not raised, because a failed job
-    does not stop a sweep."""
+    """Runs a block. If it raises an error, writes the error into the folder. The error is not
+    raised again, because a failed job does not stop a sweep."""
     try:
         yield
     except SystemExit as error:

@@ -180,9 +180,9 @@ class _Store:
         Args:
             folder, results: the finished run's folder and results.
             label: label of the job in a sweep; "" for a single run.
-            swept: keys of the sweep with this run's values.
+            swept: swept keys with this run's values.
             known_by: tags that distinguish the run from other runs of the same result.
-            among: candidate runs; None searches for them.
+            among: runs in MLflow that may be this run already; None searches for them.
         """
         end = results.started + sum(results.seconds.values())
         times = int(1000 * results.started), int(1000 * end)
@@ -200,7 +200,8 @@ class _Store:
         return self._write_run(folder, name, "FINISHED", times, known_by, about, among, *figured)
 
     def send_sweep(self, sweep: SweepFolder) -> str:
-        """Sends the ended jobs, the report and a view of a sweep. Returns the view's key."""
+        """Sends the ended jobs and the report of a sweep, and its view (:func:`view`). Returns the
+        key under which MLflow stores the view."""
         summary, name = Summary(sweep.path), sweep.path.name
         began, now = int(1000 * summary.about["started"]), int(1000 * time.time())
         tags = {SWEEP_TAG: name, **SOURCE}
@@ -244,16 +245,17 @@ class _Store:
         metrics: Sequence[Metric] = (),
         params: Sequence[Param] = (),
     ) -> str:
-        """Writes an ended run unless it exists. Returns its id. Existing runs with another status
-        or start come from earlier attempts or from interrupted senders, and are deleted.
+        """Writes an ended run unless it exists. Returns its id. Existing runs that have the tags
+        ``known_by`` but another status or start come from earlier attempts or from interrupted
+        senders, and are deleted.
 
         Args:
-            folder: artifacts of the run.
+            folder: folder whose files become the run's artifacts.
             name, status: the run's name and status.
             times: start and end of the run, in milliseconds since 1970.
             known_by: tags that distinguish the run from all other runs.
             tags: further tags.
-            among: candidate runs.
+            among: runs in MLflow that may be this run already.
             metrics, params: the run's metrics and parameters.
         """
         kept = None
@@ -279,8 +281,8 @@ class _Store:
 
 
 def figures(results: Results) -> dict[str, float]:
-    """Returns ``{name in MLflow: number}``: means, ends of intervals, figures of the learned types,
-    and seconds."""
+    """Returns ``{name in MLflow: number}`` for the means of the metrics, the ends of their
+    confidence intervals, the figures of the learned types, and the seconds."""
     known = {FIGURES[key]: own for key, own in results.metrics.items() if key in FIGURES}
     compared = [name for name in known if name in MEASURES.values()]
     every = {

@@ -51,10 +51,10 @@ class Plan:
     Attributes:
         folder: folder of the sweep.
         jobs: its list of jobs.
-        todo: the job of each fingerprint that has to run.
+        todo: ``{fingerprint: job}`` of the jobs that have to run.
         finished: fingerprints of the jobs with results.
         config: configuration of the planning process, with the ``hydra`` node.
-        about: further contents of the sweep's file.
+        about: contents of the sweep's file besides the jobs, such as the sweep's name.
     """
 
     folder: SweepFolder
@@ -76,9 +76,10 @@ class Plan:
 
         Args:
             config: configuration of the planning process, with the ``hydra`` node.
-            words: overrides, swept (``choice``, ``range``, commas) or single.
-            given: Python values by key.
-            compose: makes a job's configuration.
+            words: overrides; an override may have several values (``choice``, ``range``, commas).
+            given: ``{key: Python values}``. The sweep has a job for each combination of these
+                values and the values in ``words``.
+            compose: composes a job's configuration from overrides.
 
         Raises:
             XplainError, HydraException, OmegaConfBaseException: the configuration of a job is
@@ -120,9 +121,12 @@ class Plan:
         return cls(folder, label_jobs([*rows.values()]), todo, finished, config, about)
 
     def batches(self) -> list[list[Job]]:
-        """Groups the jobs to run, a batch for each call of a worker. Jobs of one data set are in
-        the same batch, because these jobs wait until the first of them has made the data. The
-        first batches of all data sets come before their second batches."""
+        """Groups the jobs to run into batches; a worker runs a batch at each call.
+
+        All jobs of a batch use the same data set, because jobs of one data set wait until the first
+        of them has made the data. The first batch of each data set comes before any second batch of
+        a data set.
+        """
         by_data: dict[str, list[Job]] = {}
         for job in self.todo.values():
             by_data.setdefault(job.source, []).append(job)
@@ -149,8 +153,9 @@ class _File:
 
 
 def label_jobs(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
-    """Reduces the values and labels of jobs to the swept keys: keys that differ between jobs, or
-    that some jobs lack."""
+    """Returns the jobs with labels made from the swept keys, and with only these keys in
+    ``values``. A key is swept if its value differs between jobs, or if some jobs lack the key. If
+    no key is swept, domain, solver and λ are used instead."""
     keys = dict.fromkeys(key for job in jobs for key in job.values)
     varying = [key for key in keys if len({job.values.get(key) for job in jobs}) > 1]
     varying = varying or [key for key in ("domain", "solver", "lambda") if key in keys]
@@ -183,8 +188,8 @@ def _get_value(node: Any, key: str) -> Any:
 
 
 def set_values(cfg: DictConfig, values: Mapping[str, Any]) -> dict[str, str]:
-    """Sets Python values in a configuration. Returns the names of the components among them, by
-    group.
+    """Sets Python values in a configuration. Returns ``{group: name}`` of those values that are
+    components.
 
     Raises:
         OmegaConfBaseException: the key does not exist, or does not accept the value.
@@ -228,7 +233,7 @@ def _make_overrides(values: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _parse(overrides: Sequence[str]) -> dict[str, list[str]]:
-    """Parses overrides to ``{key: values}``, in their order."""
+    """Parses overrides to ``{key: values}``, in the order of the overrides."""
     parsed: dict[str, list[str]] = {}
     for override in OverridesParser.create().parse_overrides([*overrides]):
         key = override.get_key_element()
@@ -245,7 +250,8 @@ def _parse(overrides: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _format_values(value: Any) -> str:
-    """Formats the values of a key in a sweep's file, as an override."""
+    """Formats the value or values of a key in a sweep's file as the right side of an override:
+    ``0.5,1``."""
     return ",".join(map(_format_value, value)) if isinstance(value, list) else _format_value(value)
 
 
@@ -263,8 +269,8 @@ class _Composer:
     errors.
 
     Args:
-        load: Hydra's composition.
-        config: the configuration of the planning process, with its own choices.
+        load: composes a configuration from overrides by Hydra.
+        config: configuration of the planning process, with the components that it has chosen.
     """
 
     def __init__(self, load: Compose, config: DictConfig) -> None:
@@ -288,10 +294,10 @@ class _Composer:
             return self.compose(values)
 
     def require_known(self, jobs: Sequence[Listed]) -> None:
-        """Reports which choices lack a swept key.
+        """Logs the chosen components that lack a swept key.
 
         Raises:
-            ConfigCompositionException: no choice has the key.
+            ConfigCompositionException: none of the jobs' components has the key.
         """
         for key, (error, choices) in self._lacking.items():
             if not any(key in job.values for job in jobs):
@@ -324,7 +330,7 @@ class _Composer:
         return plain and scalar and key not in self._choices and key.partition(".")[0] != "hydra"
 
     def _is_chosen(self, override: Override) -> bool:
-        """True if the planning process has made this choice."""
+        """True if the planning process has chosen the same component as the override."""
         key = override.key_or_group
         return override.input_line == f"{key}={self._choices.get(key)}"
 

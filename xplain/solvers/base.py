@@ -97,8 +97,8 @@ class PolicyValue:
 
 
 def best_of(sets: NDArray[np.int64], values: NDArray[np.float64]) -> int:
-    """Chooses the set of messages with the largest value; ties are decided by fewest messages, then
-    by message order."""
+    """Chooses the set of messages with the largest value. If several sets have this value, the sets
+    with fewest messages remain, and of these the set with the smallest bitmask is chosen."""
     first = values.argmax()
     best = values[first]
     equal = values >= best - TIE * (1 + abs(best))
@@ -116,9 +116,9 @@ def messages_of(action: Action) -> int:
 
 
 def best_action(values: Mapping[Action, float]) -> Action:
-    """Returns the action with the largest value. A question needs a larger value than all messages.
-    Among equal questions the first is chosen; among equal sets of messages, the set of
-    :func:`best_of`."""
+    """Returns the action with the largest value. A question is chosen only if its value is larger
+    than the values of *explain* and of all sets of messages. Of several questions with the largest
+    value, the first is chosen; of several sets of messages, the set of :func:`best_of`."""
     asked = {a.question: v for a, v in values.items() if isinstance(a, AskQuestion)}
     said = {messages_of(a): v for a, v in values.items() if not isinstance(a, AskQuestion)}
     most, best = max(said.values()), max(asked.values(), default=-np.inf)

@@ -225,8 +225,8 @@ class FixedBelief:
 
 
 def certain_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Checks the belief for a policy that needs a known type. If the belief in a type is 1, QMDP's
-    value is the optimal value of this type.
+    """Returns the belief unchanged, if it is certain of one type. QMDP's value is then the optimal
+    value of this type.
 
     Raises:
         InputError: the belief is not certain of one type.

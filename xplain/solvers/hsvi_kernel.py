@@ -284,9 +284,10 @@ def make_plans(known, explain, cost, price, discounts, plans):  # type: ignore[n
 
 @part
 def _run_trial(tables, store, scratch, gap, tail_gap):  # type: ignore[no-untyped-def]
-    """Runs one trial from the root. At each node, the trial takes the action with the best upper
-    bound, then the answer whose gap exceeds the allowed gap most, weighted by probability. Returns
-    the last visited level."""
+    """Runs one trial: a path of nodes from the root. At each node, the trial takes the action with
+    the best upper bound, and goes to the node after one of its answers: the node with the largest
+    product of the answer's weight and the node's gap minus the allowed gap. Returns the last
+    position in ``scratch.path``."""
     level, index, allowed = 0, ROOT, gap
     while True:
         node = store.nodes[index]

@@ -72,7 +72,7 @@ def _list_candidates(process: Process) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class QHRPolicy:
-    """Maximises QHR's closed form. Ties: fewest messages first, then message order.
+    """Maximises QHR's closed form. Ties are decided as in :func:`xplain.solvers.base.best_of`.
 
     Attributes:
         process: the model.

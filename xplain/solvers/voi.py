@@ -132,9 +132,12 @@ class VoiPolicy:
 def _choose_states(
     belief: NDArray[np.float64], rolls: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], list[int]]:
-    """Chooses the states to simulate, their weights, and the numbers of their random streams. Every
-    likely state is simulated equally often. If there are more states than simulations, the
-    simulated states are spread evenly over the belief."""
+    """Chooses the state of each simulation. Every likely state is simulated equally often. If there
+    are more likely states than simulations, the simulated states are spread evenly over the belief.
+
+    Returns:
+        The state, the weight and the number of the random stream of each simulation.
+    """
     likely = np.flatnonzero(belief > FAINT)
     if rolls > 1 and len(likely) > rolls:
         at = (np.arange(rolls) + 0.5) / rolls

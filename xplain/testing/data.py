@@ -22,8 +22,8 @@ def rule_data(
     Args:
         rng: draws the questions.
         needs: for each type, the messages that it needs.
-        per_type: observers of each type.
-        points: labels of each observer.
+        per_type: number of observers of each type.
+        points: number of labels of each observer.
     """
     truth = np.repeat(np.arange(len(needs)), per_type)
     place, given = rng.integers(10, size=points), rng.integers(16, size=points)

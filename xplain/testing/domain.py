@@ -110,9 +110,10 @@ class DomainConformance(Conformance):
 
 
 def _make_setting(domain: Domain) -> Setting:
-    """Makes a setting with one type that believes every parameter incorrectly, so that it has every
-    model that a type can have. If there are too many models, there is one type for each parameter,
-    which believes only this parameter incorrectly.
+    """Makes a setting with one type, which believes every parameter incorrectly. Messages correct
+    these beliefs, so the setting contains the model of each set of incorrect parameters. If these
+    are too many models, the setting has one type for each parameter, and each type believes only
+    its own parameter incorrectly.
 
     Raises:
         AssertionError: a model is not valid, or its ties are ambiguous.

@@ -4,10 +4,10 @@ solvers with it.
 States are ⟨k, L, E_given, E_next, t⟩, with three corrections (docs/choices.md, "Slips in the
 paper's text"): given or pending messages are not actions; label probabilities use E_given ∪ E_next
 and depend on τ_i; label 0 has the cost. Messages that change no label and no answer of any type are
-not actions, either. If users make errors or miss messages, L are their answers, t is a hidden type,
-and the state has the facts that they have learned from messages and not forgotten. The code does
-not use the reduction to (k, H, belief). Optimal values come from the definition, by trying every
-action and every observation.
+not actions, either. If users make errors or miss messages, L are the users' answers, t is a hidden
+type, and the state also has the known facts: those that the user has learned from messages and not
+forgotten. The code does not use the reduction to (k, H, belief). Optimal values come from the
+definition, by trying every action and every observation.
 """
 
 from collections.abc import Iterator
@@ -25,8 +25,17 @@ EXPLAIN = -1
 
 
 class LiteralState(NamedTuple):
-    """⟨k, L, E_given, E_next, t⟩, with K if messages may be missed or forgotten, and the asked
-    questions."""
+    """⟨k, L, E_given, E_next, t⟩, extended by known facts and asked questions.
+
+    Attributes:
+        step: k.
+        labels: L, the labels or answers of the last *explain*.
+        given: E_given, the messages given before the last *explain*.
+        pending: E_next, the messages given since then.
+        user_type: t.
+        known: the facts that the user has learned from messages and not forgotten.
+        asked: the questions that were asked.
+    """
 
     step: int
     labels: tuple[int, ...]
@@ -72,9 +81,9 @@ class LiteralPOMDP:
         return free
 
     def _list_questions(self, state: LiteralState) -> list[int]:
-        """Returns the questions that may be asked: among equal questions, only the first that was
-        not asked. Questions are equal if label 1 is likelier for the same types; if users'
-        knowledge is hidden, for the same types and knowledge."""
+        """Returns the questions that may be asked. Questions are equal if their label 1 is likelier
+        than label 0 for the same types (for the same types and known facts, if users' knowledge is
+        hidden). Of several equal questions, only the first that was not yet asked is returned."""
         questions, table = self.problem.questions, self.problem.questions.table
         labels, answers, given = table.p, table.answered, 0
         if self.problem.messages_land:
@@ -143,7 +152,8 @@ class LiteralPOMDP:
                 yield probability, after, (answer,), -questions.limits.cost
 
     def _forget_facts(self, state: LiteralState) -> Iterator[tuple[float, frozenset[int]]]:
-        """Yields the subsets of K that may remain after a step, with their probabilities."""
+        """Yields each set of known facts that may remain after a step, as (its probability, the
+        set)."""
         forget = float(self.problem.forget[state.user_type])
         if not forget:
             yield 1.0, state.known

@@ -27,9 +27,9 @@ class SolverConformance(Conformance):
     The quality of decisions is tested only on three problems whose best decision is obvious.
 
     Attributes:
-        problems: number of random problems.
-        weighs_costs: False skips these three problems, for solvers that do not plan, such as
-            silence.
+        problems: number of random problems for the other tests.
+        weighs_costs: False omits the tests of the quality of decisions, for solvers that do not
+            plan, such as silence.
     """
 
     problems = 12
