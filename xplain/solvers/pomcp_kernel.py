@@ -96,7 +96,7 @@ class Tree(NamedTuple):
     """The memory of one search of R simulations. Each simulation adds at most one node.
 
     There are n messages, m steps, S states and Q questions; at most B questions are tried at a
-    node. The arrays with lengths "..." have a slot for each stored observation (``likelihoods``)
+    node. The arrays with lengths ".." have a slot for each stored observation (``likelihoods``)
     or message set (``labels`` and ``columns``).
 
     Attributes:
