@@ -266,8 +266,8 @@ class LabelTable:
         return self.select_messages([range(n)] * self.n_types).p.transpose(2, 0, 1)
 
     def compact(self, n: int) -> LabelTable:
-        """Converts the table to the form in which tables are stored: dense if messages are few,
-        otherwise with only the messages that change some label or answer."""
+        """Converts the table to the form in which tables are stored: dense if there are at most
+        DENSE messages, otherwise with only the messages that change some label or answer."""
         return self.select_messages([range(n)] * self.n_types if n <= DENSE else self.effective())
 
     def of_types(self, types: Sequence[int]) -> LabelTable:

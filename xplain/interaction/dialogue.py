@@ -197,7 +197,7 @@ class Dialogue:
         return self.policy.decide(visible, self.state.belief)
 
     def values(self) -> Mapping[Action, float]:
-        """Returns the values behind the policy's action."""
+        """Returns the policy's estimated value of each action that the policy compared."""
         return self.policy.values(self.visible, self.state.belief)
 
     @property

@@ -123,12 +123,14 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
 
 
 def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
-    """Computes means at each step over the "solver" episodes with this step: [steps + 1] or
-    [steps].
+    """Computes means over the "solver" episodes at each step. An episode counts at a step only if
+    it has this step.
 
-    ``belief_in_true_type`` starts with the prior. ``messages_given``, ``inexplicable_labels_shown``
-    and ``questions_asked`` are counts of one step. ``questions_asked`` is left out without
-    questions. ``episodes`` is the number of episodes with this number of steps.
+    Returns:
+        ``belief_in_true_type``: [steps + 1] belief before the first step and after each step.
+        ``messages_given``, ``inexplicable_labels_shown``, ``questions_asked``: [steps] counts at
+        each step. ``questions_asked`` is left out if no question was asked.
+        ``episodes``: [steps + 1] number of episodes with at least 0, 1, … steps.
     """
     own = [record for record in records if record.solver == "solver"]
     series = {

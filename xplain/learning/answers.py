@@ -113,14 +113,29 @@ def predict_answers(slip: NDArray[np.float64], guess: NDArray[np.float64]) -> ND
 def truth(
     one: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Computes P(f = 1) from ``one``, P(y = 1). ``low`` is P(y = 1 | f = 0), and ``high`` is
-    P(y = 1 | f = 1). This converts an accuracy measured on answers to an accuracy about f."""
+    """Converts the share of answers 1 to the share of labels f = 1, such as an accuracy measured on
+    answers to an accuracy about labels.
+
+    Args:
+        one: P(y = 1).
+        low: P(y = 1 | f = 0).
+        high: P(y = 1 | f = 1).
+
+    Returns:
+        P(f = 1).
+    """
     return np.asarray(((one - low) / (high - low)).clip(0.0, 1.0))
 
 
 class CellAnswers(NamedTuple):
-    """P answers: ``cell`` [P], ``question`` [P], ``person`` [P] and ``label`` [P] (0 or 1). All
-    answers of a cell have the same f."""
+    """P answers. A cell is a group of answers that have the same f.
+
+    Attributes:
+        cell: [P] index of the answer's cell.
+        question: [P] index of the question.
+        person: [P] index of the person.
+        label: [P] the answer y, 0 or 1.
+    """
 
     cell: NDArray[np.int64]
     question: NDArray[np.int64]
@@ -143,7 +158,7 @@ def learn_answers(
     cells.
 
     Args:
-        answers: P answers.
+        answers: P answers in C cells.
         prior: [C] P(f = 1) of each cell before any answer.
         questions, people: T and O, including questions and people without answers.
         start: initial model, or initial slip and guess.
@@ -181,7 +196,16 @@ def learn_answers(
 def sum_by_group(
     values: NDArray[np.float64], group: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
-    """Computes [count, …] the sums of ``values`` [N, …] by group [N]."""
+    """Computes the sum of each group of rows.
+
+    Args:
+        values: [N, …].
+        group: [N] index of the group of each row.
+        count: number of groups.
+
+    Returns:
+        [count, …] the sums.
+    """
     columns = values.reshape(len(values), prod(values.shape[1:])).T
     total = np.stack([np.bincount(group, column, count) for column in columns], axis=1)
     return np.asarray(total.reshape(count, *values.shape[1:]))
@@ -190,12 +214,29 @@ def sum_by_group(
 def _sum_others(
     values: NDArray[np.float64], group: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
-    """Computes [P, K] for each row the sum of the other rows of its group."""
+    """Computes for each row the sum of all other rows of the same group.
+
+    Args:
+        values: [P, K].
+        group: [P] index of the group of each row.
+        count: number of groups.
+
+    Returns:
+        [P, K] the sums.
+    """
     return np.asarray(sum_by_group(values, group, count)[group] - values)
 
 
 def _estimate_population(person: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Estimates [E] the distribution of error rates over people; 0 is the most likely rate."""
+    """Estimates the distribution of error rates over people. The share of the rate 0 is raised to
+    the largest share.
+
+    Args:
+        person: [O, E] posterior of each person's error rate.
+
+    Returns:
+        [E] the probability of each rate.
+    """
     share = (person.sum(axis=0) + PEOPLE * RATE_PRIOR) / (len(person) + PEOPLE)
     share[0] = share.max()
     return np.asarray(share / share.sum())
@@ -207,9 +248,17 @@ def _estimate_slips(
     weight: NDArray[np.float64],
     answers: CellAnswers,
 ) -> NDArray[np.float64]:
-    """Estimates [2, T + 1] slips and guesses from ``weight`` [P, 2, E], the posterior P(f, error
-    rate) of each answer. Errors that the person's error rate explains do not count as slips or
-    guesses."""
+    """Estimates the slips and guesses of all questions. Errors that a person's error rate explains
+    do not count as slips or guesses.
+
+    Args:
+        slip, guess: [T + 1] the previous estimates.
+        weight: [P, 2, E] posterior of (f, error rate) for each answer.
+        answers: P answers.
+
+    Returns:
+        [2, T + 1] slips, and guesses.
+    """
     question, counts = answers.question, np.zeros((2, 2, len(slip) - 1))
     for f, before in ((1, slip), (0, guess)):
         unlike = (answers.label != f)[:, None]

@@ -34,11 +34,12 @@ Predict = Callable[[Dataset, Dataset], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Evidence:
-    """Predictions of Q answers by observers of N types.
+    """Predictions of Q answers by observers of N types. Each answer was predicted by hypotheses,
+    and by a labeler that learned from labels alone.
 
     Attributes:
-        hypotheses: [Q] log P of each answer by the hypotheses.
-        labels: [Q] log P of each answer by labels alone.
+        hypotheses: [Q] log of the probability that the hypotheses gave to the observed answer.
+        labels: [Q] log of the probability that the labeler without hypotheses gave to the answer.
         of_type: [Q] type of the observer who gave the answer.
         doubt: [N] P(people of a type disagree with the hypotheses at one transition in twenty, or
             more).
@@ -53,24 +54,26 @@ class Evidence:
 
     @property
     def nats(self) -> tuple[float, float]:
-        """Mean −log P of an answer by hypotheses, and by labels alone; log 2 if no answer was
-        predicted."""
+        """The mean of −log P(answer) by hypotheses, and the mean of −log P(answer) by labels alone.
+        Both are log 2 if no answer was predicted."""
         if not len(self.of_type):
             return COIN, COIN
         return -float(self.hypotheses.mean()), -float(self.labels.mean())
 
     @property
     def trust(self) -> NDArray[np.float64]:
-        """[N] weight of the hypotheses of each type; labels alone have the remaining weight. It is
-        1, or the weight of :func:`stacking_weight` if the hypotheses are doubted."""
+        """[N] weight of the hypotheses in predictions for each type; labels alone have the
+        remaining weight. The weight is 1 unless the type's hypotheses are doubted (DOUBTED); then
+        it is :func:`stacking_weight`."""
         types = (np.flatnonzero(self.of_type == t) for t in range(len(self.doubt)))
         weight = [stacking_weight(self.hypotheses[own], self.labels[own]) for own in types]
         return np.where(self.doubt > DOUBTED, weight, 1.0)
 
     @property
     def against(self) -> float:
-        """Log evidence against the hypotheses, compared with labels alone or with a fair coin,
-        whichever predicts better."""
+        """The log evidence against the hypotheses: the log probability that they gave to all
+        answers, subtracted from the log probability by labels alone or by a fair coin, whichever is
+        larger."""
         own, others = self.nats
         return (own - min(others, COIN)) * len(self.of_type)
 
@@ -112,9 +115,16 @@ class Evidence:
 
 
 def stacking_weight(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Computes the weight w in [LEAST, 1] that maximises Σ log(w P₁ + (1 − w) P₂) + BEFORE log w.
-    ``first`` and ``second`` [Q] are log P₁ and log P₂ of the answers (Yao et al. 2018, "Using
-    stacking to average Bayesian predictive distributions")."""
+    """Computes the weight w in [LEAST, 1] of the first of two prediction methods in a weighted
+    mean.
+
+    The weight maximises Σ log(w P₁ + (1 − w) P₂) + BEFORE log w, where P₁ and P₂ are the
+    probabilities that the methods gave to an answer (Yao et al. 2018, "Using stacking to average
+    Bayesian predictive distributions").
+
+    Args:
+        first, second: [Q] log P₁ and log P₂ of each answer.
+    """
     from scipy.optimize import brentq
 
     ratio = np.exp(np.clip(second - first, -50, 50))
@@ -130,15 +140,18 @@ def stacking_weight(first: NDArray[np.float64], second: NDArray[np.float64]) -> 
 def predict_in_order(
     dataset: Dataset, assignment: NDArray[np.int64], ways: tuple[Predict, ...]
 ) -> tuple[NDArray[Any], ...]:
-    """Predicts the answers of a dataset, one type at a time.
+    """Predicts the answers of a dataset, one type at a time. Each quarter of the answers is
+    predicted from the earlier quarters.
 
     Args:
         dataset: answers of O observers, in the order in which each observer gave them.
-        assignment: [O] types.
-        ways: prediction methods; each predicts from the earlier answers of one type.
+        assignment: [O] type of each observer.
+        ways: prediction methods. A method receives earlier answers of one type, and the answers of
+            this type to predict.
 
     Returns:
-        The rows of the predicted answers [Q], and their log P [Q] by each method.
+        The indices [Q] of the predicted answers in the dataset; then, for each method, [Q] the log
+        of the probability that the method gave to each answer.
     """
     part, kind = number_parts(dataset.observer), assignment[dataset.observer]
     found: list[tuple[NDArray[Any], ...]] = [(np.zeros(0, np.int64), *[np.zeros(0)] * len(ways))]
@@ -154,7 +167,8 @@ def predict_in_order(
 
 
 def number_parts(observer: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns [P] the quarter of its observer's answers that each answer is in, 0 to PARTS − 1."""
+    """Returns [P] the part of each answer. The answers of an observer, in order, are split into
+    PARTS parts of nearly equal size, 0 to PARTS − 1."""
     order, count = np.argsort(observer, kind="stable"), np.bincount(observer)
     rank = np.empty(len(observer), dtype=np.int64)
     rank[order] = np.arange(len(observer)) - (np.cumsum(count) - count)[observer[order]]

@@ -44,9 +44,9 @@ class Labeler(Protocol):
 
     Attributes:
         n_messages: number n of messages in training.
-        confidence: P(label = prediction), (right + 1) / (tested + 2) on held-out questions,
-            strictly between 0 and 1; NaN if not measured.
-        accuracy: right / tested; NaN if nothing was tested.
+        confidence: P(label = prediction), estimated from held-out questions: (correct predictions +
+            1) / (predictions + 2), strictly between 0 and 1; NaN if not measured.
+        accuracy: share of correct predictions on held-out questions; NaN if nothing was held out.
         n_train, n_test: numbers of distinct questions (transition, message set) in the training
             part and the held-out part; ``n_test`` is 0 if there were too few questions to hold any
             out.
@@ -157,8 +157,8 @@ class FittedLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """Computes the table of P(label = 1). It has all messages if these are few, otherwise the
-        messages that the classifier tests."""
+        """Computes the table of P(label = 1). Its relevant messages are all messages if there are
+        at most DENSE, otherwise the messages that the classifier tests."""
         n = self.n_messages
         relevant = range(n) if n <= DENSE else find_tested_messages(self.classifier, features, n)
         table = by_sets(self.probability, features, subsets(relevant))
@@ -191,17 +191,18 @@ class FittedLabeler(MeasuredLabeler):
 class LabelerTrainer:
     """Fits a labeler to the labels of some observers.
 
-    The labels are split by distinct (transition, message set), so that no question is in both
-    parts. The confidence is measured on the held-out part, with a classifier fitted to the training
-    part. Each question counts once, because observers who give the same answer are no further
-    evidence. If a question has both answers, the share of right predictions counts. The returned
-    labeler is fitted to all labels, so its true accuracy is at least about the measured one.
+    The labels are split by distinct questions (transition, message set), so that no question is in
+    both parts. The confidence is measured on the held-out part, with a classifier fitted to the
+    training part. Each question counts once, because observers who give the same answer are no
+    further evidence. If a question has both answers, the share of correct predictions counts. The
+    returned labeler is fitted to all labels, so its true accuracy is at least about the measured
+    one.
 
     Attributes:
         classifier: any unfitted scikit-learn classifier; it is cloned for every fit.
-        holdout: share of the distinct points that is held out, strictly between 0 and 1.
+        holdout: share of the distinct questions that is held out, strictly between 0 and 1.
         confidence: ``accuracy`` (the paper: one number for a labeler) or ``leaf`` (the classifier's
-            own probabilities, shrunk towards that number).
+            own probabilities, shrunk towards the labeler's one number).
     """
 
     classifier: Any = field(default_factory=paper_tree)
@@ -258,8 +259,9 @@ class LabelerTrainer:
         """Fits one labeler to all labels of a dataset. Equal labels in any order and an equal seed
         give an equal labeler.
 
-        A single distinct point cannot be split: then nothing is tested and the confidence is ½. The
-        same holds if ``measured`` is False, which saves half of the work and keeps the predictions.
+        If there is only one distinct question, or if ``measured`` is False, no held-out question is
+        tested, and the confidence is ½. Without the measurement a fit takes half of the time; the
+        predicted labels are the same.
 
         Raises:
             InputError: no labels.
@@ -288,7 +290,7 @@ class LabelerTrainer:
         )
 
     def fit_unmeasured(self, dataset: Dataset, seed: int) -> MeasuredLabeler:
-        """Fits a labeler to the labels of a dataset, without a measurement."""
+        """Fits a labeler to the labels of a dataset, without measuring its accuracy."""
         return FittedLabeler(
             classifier=self.fit_classifier(dataset, seed),
             n_messages=dataset.n_messages,
@@ -369,8 +371,16 @@ def by_sets(
     features: NDArray[np.float64],
     message_sets: NDArray[np.int64],
 ) -> NDArray[Any]:
-    """Computes [T, K] the results of the function ``asked`` for each transition [T, F] and each
-    message set [K]. ``asked`` takes transitions [P, F] and message sets [P]."""
+    """Calls a function for each pair of a transition and a message set.
+
+    Args:
+        asked: function of transitions [P, F] and message sets [P] that returns [P] results.
+        features: [T, F] transitions.
+        message_sets: [K] message sets.
+
+    Returns:
+        [T, K] the results.
+    """
     count = len(message_sets)
     size = max(ROWS // count, 1)
     found = [
@@ -391,10 +401,10 @@ def check_tested_messages(count: int, n_messages: int) -> None:
 
 
 def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
-    """Returns [P] True for held-out labels, which are drawn by distinct (transition, message set).
+    """Draws the distinct questions (transition, message set) to hold out. Returns [P] True for the
+    labels of these questions.
 
-    If there are several distinct (transition, message set), at least one is held out, and at least
-    one is not.
+    If there are several distinct questions, at least one is held out, and at least one is not.
     """
     query = query_index(dataset)
     count = int(query.max()) + 1
@@ -406,7 +416,15 @@ def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
 
 
 def by_question(right: NDArray[np.bool_], query: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Computes [distinct] the share of right labels [P] for each distinct question."""
+    """Computes the share of correct predictions for each distinct question.
+
+    Args:
+        right: [P] True if the prediction of a label was correct.
+        query: [P] index of the label's question.
+
+    Returns:
+        The share for each distinct question, by ascending index.
+    """
     _, number = np.unique(query, return_inverse=True)
     share: NDArray[np.float64] = np.bincount(number, right) / np.bincount(number)
     return share

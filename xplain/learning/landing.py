@@ -42,7 +42,7 @@ GRID = np.linspace(0.005, 0.995, 199)
 
 @dataclass(frozen=True)
 class Landing:
-    """The acceptance of messages, and a model of the answers before and after them: S hidden
+    """The acceptance of messages, and a model of the answers before and after messages: S hidden
     states, O people, Q queries.
 
     Attributes:
@@ -50,11 +50,13 @@ class Landing:
             hypotheses.
         mean: mean α; each message is weighted by the number of people whom it could correct.
         table: [2^n, T] P(f = 1) by the facts believed incorrectly.
-        wrong, kept: [S] bitmasks of the facts believed incorrectly before any message, and of the
-            facts among these that messages do not correct.
-        slip, guess: [Q + 1]; the last entry is for a query without answers.
+        wrong, kept: [S] bitmasks that define each hidden state: the facts believed incorrectly
+            before any message, and the facts among these that messages do not correct.
+        slip, guess: [Q + 1] slip and guess of each query; the last entry is for a query without
+            answers.
         number: index of each query (transition, message set).
-        people: [O + 1, levels · S] posterior of each person; the last row is for an unknown person.
+        people: [O + 1, levels · S] posterior over (slip level, hidden state) of each person; the
+            last row is for an unknown person.
         surprise: [O + 1, T + 1] the answer about each transition before any message, minus its
             expectation given the person's other answers; 0 without such an answer.
         repeats: weight of a surprise in the log odds of an answer after messages.
@@ -80,8 +82,8 @@ class Landing:
     def predict(
         self, who: NDArray[np.int64], transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Computes [P] P(answer 1) of people (−1: unknown person) about transitions (−1: unknown
-        transition) after the messages ``told``."""
+        """Computes [P] P(answer 1) of people about transitions after the messages ``told``. The
+        index −1 is an unknown person or an unknown transition."""
         result, both = np.empty(len(who)), np.stack([transition, told], axis=1)
         for query in np.unique(both, axis=0):
             rows = np.flatnonzero((both == query).all(axis=1))
@@ -101,10 +103,11 @@ def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landin
             unknown.
 
     Returns:
-        None if fewer than PEOPLE observers received lasting messages between their answers, if
-        other observers received messages in another way, or if there are too many hidden states.
-        Also None if ``table`` is None and observers received different messages, because their
-        answers may then differ by type instead of ability.
+        The learned model; None if it cannot be learned. This is so if fewer than PEOPLE observers
+        answered with several message sets that form a chain (:func:`_is_chain`); if any other
+        observer received messages; or if there are too many facts or hidden states. Without
+        ``table`` it is also so if the message sets of all observers together form no chain, because
+        the answers of observers may then differ by type instead of ability.
     """
     given = [
         np.unique(dataset.message_set[dataset.observer == o]) for o in range(len(dataset.observers))
@@ -186,8 +189,15 @@ def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landin
 def _compute_surprises(
     dataset: Dataset, query: NDArray[np.int64], one: NDArray[np.float64], new: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
-    """Computes ``surprise`` and ``repeats`` of :class:`Landing`, from P(answer 1) ``one`` [states,
-    Q] and log P(state) ``new``. ``repeats`` is one Newton step from 0."""
+    """Computes ``surprise`` and ``repeats`` of :class:`Landing`. ``repeats`` is one Newton step
+    from 0.
+
+    Args:
+        dataset: the answers.
+        query: [P] index of the query of each answer.
+        one: [states, Q] P(answer 1) of each query.
+        new: [states] log of the probability that the next person is in the state.
+    """
     log = np.log([1 - one, one])[dataset.label, :, query]  # [P, states]
     plain, observer = dataset.message_set == 0, dataset.observer
     about = np.zeros((len(dataset.observers), len(new)))
@@ -202,8 +212,8 @@ def _compute_surprises(
 
 
 def _is_chain(sets: NDArray[np.int64]) -> bool:
-    """True if each of these message sets is a subset of the next larger set, so that no message is
-    taken back."""
+    """True if these message sets, sorted by size, form a chain: each set contains the set before
+    it. Then no message was taken back."""
     ordered = sets[np.argsort(np.bitwise_count(sets))]
     return bool((ordered[:-1] & ~ordered[1:] == 0).all())
 
@@ -215,7 +225,16 @@ def _predict_labels(
     transition: NDArray[np.int64],
     told: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Computes [S, Q] P(f = 1) of each query, by hidden state; 1 for unknown transitions."""
+    """Computes P(f = 1) of each query in each hidden state.
+
+    Args:
+        table, wrong, kept: see :class:`Landing`.
+        transition: [Q] transition of each query; f is 1 for an unknown transition (−1).
+        told: [Q] message set of each query.
+
+    Returns:
+        [S, Q] the probabilities.
+    """
     held = (wrong[:, None] & ~told | kept[:, None] & told) & len(table) - 1
     return np.where(transition >= 0, table[held, transition], 1.0)
 
@@ -223,8 +242,12 @@ def _predict_labels(
 def _predict_answers(
     f: NDArray[np.float64], slip: NDArray[np.float64], guess: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Computes [levels, S, Q] P(answer 1) of queries by level and hidden state; ``f`` [S, Q] is P(f
-    = 1)."""
+    """Computes [levels, S, Q] P(answer 1) of each query, by slip level and hidden state.
+
+    Args:
+        f: [S, Q] P(f = 1).
+        slip, guess: [Q].
+    """
     slips = expit(logit(slip) + np.log(LEVELS)[:, None])
     return np.asarray(f * (1 - slips[:, None]) + (1 - f) * guess)
 
@@ -238,8 +261,19 @@ def _shrink_rates(count: NDArray[np.float64], total: NDArray[np.float64]) -> NDA
 def _compute_interval(
     people: NDArray[np.float64], had: NDArray[np.bool_], stays: NDArray[np.bool_], accept: float
 ) -> tuple[float, float]:
-    """Computes the 95 % interval of a message's α with all other parameters fixed. Each person's
-    likelihood is linear in α. ``people`` [O, S] is the posterior at ``accept``."""
+    """Computes the 95 % interval of a message's α, with all other parameters fixed. The likelihood
+    of each person's answers is linear in α.
+
+    Args:
+        people: [O, S] posterior over hidden states of each person who received the message,
+            computed with α = ``accept``.
+        had: [S] True if the message's fact is believed incorrectly before any message.
+        stays: [S] True if the message does not correct this belief.
+        accept: the estimate of α.
+
+    Returns:
+        The lower and the upper end.
+    """
     landed = people[:, had & ~stays].sum(axis=1) / accept
     missed = people[:, stays].sum(axis=1) / (1 - accept)
     rest = people[:, ~had].sum(axis=1)

@@ -49,11 +49,13 @@ class Dataset:
         return len(self.messages)
 
     def of(self, observers: NDArray[np.int64]) -> Dataset:
-        """Selects the labels of some observers (by index); tables of names are kept."""
+        """Returns the dataset with only the labels by these observers. Observers, features and
+        messages keep their indices."""
         return self.take(np.flatnonzero(np.isin(self.observer, observers)))
 
     def take(self, rows: NDArray[np.int64]) -> Dataset:
-        """Selects the labels ``rows`` [R], in this order; tables of names and features are kept."""
+        """Returns the dataset whose label i is label ``rows[i]`` of this dataset. Observers,
+        features and messages keep their indices."""
         return replace(
             self,
             observer=self.observer[rows],
@@ -64,14 +66,21 @@ class Dataset:
 
 
 def number_rows(rows: ArrayLike) -> dict[bytes, int]:
-    """Returns the index of each of the distinct rows [U, F], by the bytes of the row. 0 and −0 are
-    equal."""
+    """Returns a mapping from the bytes of each row to the row's index. The rows [U, F] are
+    distinct; 0 and −0 have the same bytes."""
     return {row.tobytes(): u for u, row in enumerate(np.asarray(rows, np.float64) + 0.0)}
 
 
 def places(rows: ArrayLike, known: ArrayLike | Mapping[bytes, int]) -> NDArray[np.int64]:
-    """Returns [P] the index of each row of features [P, F] among known rows [U, F] (or in a map of
-    :func:`number_rows`); −1 if missing."""
+    """Finds rows of features among known rows.
+
+    Args:
+        rows: [P, F] rows to find.
+        known: [U, F] known rows, or the mapping :func:`number_rows` of these rows.
+
+    Returns:
+        [P] index of the equal known row; −1 if there is none.
+    """
     number = known if isinstance(known, Mapping) else number_rows(known)
     found = [number.get(row.tobytes(), -1) for row in np.asarray(rows, np.float64) + 0.0]
     return np.array(found, dtype=np.int64)

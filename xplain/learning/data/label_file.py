@@ -12,7 +12,7 @@ for each value (``action=left``).
 An observer with only one label is kept, with a warning. If an observer answers the same question in
 both ways, both labels count, because people make errors. A table is refused if it has a missing
 value, a label other than 0 or 1, fewer than two observers, only equal labels, or fewer than four
-distinct (transition, message set).
+distinct questions (transition, message set).
 """
 
 from __future__ import annotations
@@ -82,14 +82,15 @@ class Column(NamedTuple):
 
     @classmethod
     def of(cls, key: str, name: str, cells: Any) -> Column:
-        """Makes a column from its cells."""
+        """Makes a column from the texts of its cells."""
         import pandas as pd
 
         code, words = pd.factorize(pd.Series(cells, dtype=object).str.strip(), sort=True)
         return cls(key, name, np.asarray(words, dtype=object), code.astype(np.int64))
 
     def different_with(self, *others: Column) -> int:
-        """Counts the distinct rows of a table that has this column and the columns ``others``."""
+        """Returns the number of distinct rows in the table of this column and the columns
+        ``others``."""
         code = self.code
         for other in others:
             code = np.unique(code * len(other.words) + other.code, return_inverse=True)[1]
@@ -187,10 +188,16 @@ def features_of(
 def put_in_order(
     features: NDArray[np.float64], names: Sequence[str], like: Sequence[str], key: str
 ) -> NDArray[np.float64]:
-    """Returns the features [..., F] with these names in the order of ``like``.
+    """Returns a table of features whose columns are sorted in the order of ``like``.
+
+    Args:
+        features: [..., F] the unsorted table.
+        names: F names of the table's columns.
+        like: F names in the required order.
+        key: the user's key, for errors.
 
     Raises:
-        InputError: a feature is missing, or is not one of ``like``; ``key`` is the user's key.
+        InputError: a feature is missing, or is not one of ``like``.
     """
     for name in names:
         one_of(key, name, like, "feature")

@@ -105,12 +105,12 @@ class Queries(Protocol):
 
         Args:
             setting: the domain, its messages, and the robot's behaviour.
-            sizes: [O] maximum number of labels of each observer.
-            answer: gives an observer's labels.
+            sizes: [O] maximum number of labels that each observer gives.
+            answer: returns an observer's labels.
             seed: seed of every draw.
 
         Returns:
-            For each observer, between 1 and ``sizes[o]`` questions with their answers.
+            For each observer o, between 1 and ``sizes[o]`` questions with their answers.
         """
         ...
 
@@ -143,7 +143,8 @@ class RandomTraces:
     def draw(
         self, setting: Setting, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Draws transitions [count, 3] and their message sets [count]; the last trace is cut."""
+        """Draws traces until they have ``count`` transitions; the last trace may be shortened.
+        Returns the transitions [count, 3] and the message set of each [count]."""
         weights = 1 << np.arange(setting.n_messages, dtype=np.int64)
         robot, starts = setting.models[0], setting.domain.starts
         traces: list[NDArray[np.int64]] = []
@@ -165,7 +166,7 @@ class Independent(RandomTraces):
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Asks observer o exactly ``sizes[o]`` questions; each observer has a random stream."""
+        """Asks observer o exactly ``sizes[o]`` questions, drawn independently for each observer."""
         asked = []
         for o, size in enumerate(sizes):
             questions = self.draw(setting, int(size), stream(seed, "queries", o))

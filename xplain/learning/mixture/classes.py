@@ -28,16 +28,17 @@ SHRINKAGE = np.array([0.5, 1, 2, 4, 8, 16, 32])
 
 
 def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: int) -> Clustering:
-    """Draws classes of observers by their answers alone, and ignores messages.
-
-    The result has the classes of the most likely draw, the expected answers over all draws, and the
-    posterior over the number of classes.
+    """Finds classes of observers by their answers alone; messages are ignored.
 
     Args:
         dataset: labels of O observers on T transitions.
         concentration: prior mean of α of the Dirichlet process; α is learned.
-        chains: independent runs.
+        chains: number of independent chains of draws.
         seed: seed of every draw.
+
+    Returns:
+        The classes of the most likely draw, the expected answers averaged over all draws, and the
+        posterior over the number of classes.
     """
     shape = len(dataset.observers), len(dataset.features)
     ones, total = np.zeros(shape), np.zeros(shape)
@@ -60,13 +61,17 @@ def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: in
 
 
 class _Chain:
-    """The state of a chain: the class of each observer (``assignment`` [O]) and the answers
-    ``expected`` [O, T], computed from the previous assignment.
+    """The state of a chain of draws.
 
     Args:
         ones, total: [O, T] number of answers 1, and of all answers.
         concentration: prior mean of α.
         rng: random stream of every draw.
+
+    Attributes:
+        assignment: [O] class of each observer.
+        expected: [O, T] probability that the observer answers 1, computed with the assignment
+            before the last sweep.
     """
 
     def __init__(
@@ -103,10 +108,13 @@ class _Chain:
         return score
 
     def _draw_shares(self, size: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Draws α given the number of classes in use (Escobar & West 1995, section 6), then the log
-        shares [K]. The shares of the classes in use, and the one share of all other classes
-        together, have a Dirichlet distribution. The last share is divided among the other classes
-        by stick breaking."""
+        """Draws α given the number of classes in use (Escobar & West 1995, section 6). Then draws
+        the shares of K classes given α, and returns their logs [K].
+
+        The shares of the classes in use, and the total share of all unused classes, have a
+        Dirichlet distribution. The total share of the unused classes is divided among them by stick
+        breaking.
+        """
         rng, n, k = self.rng, float(size.sum()), len(size)
         rate = self.rate - np.log(rng.beta(self.alpha + 1, n))
         more = rng.random() * (k + n * rate) < k
@@ -118,8 +126,8 @@ class _Chain:
         return np.asarray(np.log(np.append(drawn[:-1], drawn[-1] * stick) + 1e-300))
 
     def _draw_shrinkage(self, ones: NDArray[np.float64], zeros: NDArray[np.float64]) -> float:
-        """Draws c with P[k, q] integrated out. Returns the log-likelihood of the answers given
-        c."""
+        """Draws the strength c, with P[k, q] integrated out. Returns the log likelihood of the
+        answers given the drawn c."""
         value = np.empty(len(SHRINKAGE))
         for i, c in enumerate(SHRINKAGE):
             first, second = c * self.mean, c * (1 - self.mean)

@@ -1,13 +1,16 @@
-"""The compiled steps of the sampler.
+"""The compiled steps of the sampler (:mod:`xplain.learning.mixture.sampler`).
 
-One step draws (S_τ, ε_τ) of each transition, given the facts that each observer believes
-incorrectly. The other step draws the facts R that each observer believes incorrectly, given the
-answers of all other observers.
+One step draws (S_τ, ε_τ) of each transition τ: the few facts that matter at τ, and the probability
+that a label is flipped. It is given the facts R that each observer believes incorrectly. The other
+step draws R of each observer, given the answers of all other observers.
 
-A cell of transition τ is one value of M ∩ S_τ (see :mod:`xplain.learning.mixture.sampler`). Its
-facts are packed into the lowest bits of an integer. The kernels index arrays with all indices: if a
-row is taken out of an array, numba counts the references to the row, and this takes longer than the
-inner loops.
+M is the set of facts that an observer with messages H still believes incorrectly, R without H. All
+labels of τ with the same M ∩ S_τ are a *cell*: without errors they are equal. The index of a cell
+is M ∩ S_τ, packed into the lowest bits of an integer. Subset z is row z of
+:attr:`~xplain.learning.mixture.sampler.Prior.subsets`, the possible S_τ.
+
+The kernels index arrays with all indices: if a row is taken out of an array, numba counts the
+references to the row, and this takes longer than the inner loops.
 """
 
 import numpy as np
@@ -21,7 +24,7 @@ REACH = 64
 
 @njit(nogil=True)
 def pack(subsets, z, mask):  # type: ignore[no-untyped-def]
-    """Packs the bits of ``mask`` at the positions of subset z into the lowest bits."""
+    """Returns an integer whose bit i is the bit of ``mask`` for the i-th fact of subset z."""
     packed = 0
     for i in range(subsets.shape[1]):
         if subsets[z, i] < 0:
@@ -32,15 +35,15 @@ def pack(subsets, z, mask):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def table_row(ahead):  # type: ignore[no-untyped-def]
-    """Returns the row for ``ones − zeros`` in the tables of
-    :class:`~xplain.learning.mixture.sampler.Prior`."""
+    """Returns the row of the tables of :class:`~xplain.learning.mixture.sampler.Prior` for
+    ``ahead``, the number of labels 1 minus the number of labels 0 in a cell."""
     return min(max(ahead, -REACH), REACH) + REACH
 
 
 @part
 def log_cell_of(zeros, ones, c, e, prior):  # type: ignore[no-untyped-def]
-    """Computes :func:`~xplain.learning.mixture.likelihood.log_cell` of the labels in cell c at
-    error level e."""
+    """Computes :func:`~xplain.learning.mixture.likelihood.log_cell` for cell c with ``zeros``
+    labels 0 and ``ones`` labels 1, at level e of ε."""
     right, false, ahead = prior.log_flip[e, 0], prior.log_flip[e, 1], ones - zeros
     value = ones * right + zeros * false + prior.marginal[int(c == 0), e, table_row(ahead)]
     if ahead < -REACH:  # linear beyond the table
@@ -50,8 +53,9 @@ def log_cell_of(zeros, ones, c, e, prior):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
-    """Adds the labels of observer ``o`` to ``state.counts`` (sign 1) or removes them (sign −1),
-    given R = ``state.facts[o]``."""
+    """Adds the labels of observer ``o`` to the counts of their cells in ``state.counts``
+    (``sign`` 1), or removes them (``sign`` −1). The cells follow from ``state.facts[o]``, the
+    observer's R."""
     transition, label, given = answers.transition, answers.label, state.messages_given
     subset, subsets, count = state.subset, prior.subsets, state.counts
     facts = state.facts[o]
@@ -62,8 +66,8 @@ def count_rows(o, sign, answers, prior, state):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def draw(log_weight, size, temperature, rng):  # type: ignore[no-untyped-def]
-    """Draws an index below ``size`` with probability ∝ exp(log weight / temperature). Returns it
-    with the log of the sum of the weights at temperature 1."""
+    """Draws an index below ``size`` with probability ∝ exp(log weight / temperature). Returns the
+    index, and the log of the sum of the weights at temperature 1."""
     top = log_weight[0]
     for i in range(size):
         top = max(top, log_weight[i])
@@ -129,11 +133,12 @@ def resample_transitions(answers, prior, state, temperature, rng):  # type: igno
 
 @njit(nogil=True)
 def _count_answers(t, answers, held, block, number, wrong, times):  # type: ignore[no-untyped-def]
-    """Counts the answers about transition t by M. The counts serve all subsets of ``block``.
+    """Counts the labels of transition t by M. The counts can be used for every S_τ within
+    ``block``, a bitmask of facts.
 
-    Two M are the same if they agree on the facts of ``block``. ``wrong`` receives the distinct M;
-    ``times`` receives the numbers of labels 0 and 1 of each distinct M. Returns the number of
-    distinct M. Each entry of ``number`` is −1 before the call and after it.
+    Two sets M with the same facts of ``block`` are not distinguished. ``wrong`` receives one M of
+    each kind; ``times`` receives its numbers of labels 0 and 1. Returns the number of kinds. Each
+    entry of ``number`` is −1 before the call and after it.
     """
     rows, distinct = answers.rows, 0
     for i in range(answers.transition_start[t], answers.transition_start[t + 1]):
@@ -153,7 +158,8 @@ def _count_answers(t, answers, held, block, number, wrong, times):  # type: igno
 
 @njit(nogil=True)
 def _pack_block(block, mask, n):  # type: ignore[no-untyped-def]
-    """Packs the bits of ``mask`` at the positions of the bits of ``block`` into the lowest bits."""
+    """Returns an integer whose bit i is the bit of ``mask`` for the i-th fact of ``block``, a
+    bitmask."""
     packed, size = 0, 0
     for j in range(n):
         if block >> j & 1:
@@ -164,7 +170,7 @@ def _pack_block(block, mask, n):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _draw_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
-    """Draws WIDE facts as a bitmask: the facts of subset z and random others."""
+    """Draws a bitmask of WIDE facts: the facts of subset z, and random other facts."""
     block = prior.members[z]
     size = prior.size[z]
     while size < WIDE:
@@ -176,7 +182,8 @@ def _draw_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _list_subsets(members, block, out):  # type: ignore[no-untyped-def]
-    """Writes the subsets of the facts in ``block`` to ``out``. Returns their number."""
+    """Writes the index of each subset that has only facts of ``block`` to ``out``. Returns the
+    number of these subsets."""
     size = 0
     for z in range(len(members)):
         if members[z] & ~block == 0:
@@ -187,11 +194,11 @@ def _list_subsets(members, block, out):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _weigh_subsets(candidates, wrong, times, prior, state, cell, cells, weights):  # type: ignore[no-untyped-def]
-    """Writes the log joint probability of (S_τ, ε_τ) and the labels to ``weights``, for each
+    """Writes the log joint probability of (S_τ, ε_τ) and the labels of τ to ``weights``, for each
     candidate S_τ and each level of ε.
 
-    ``wrong`` lists the distinct M of all answers, ``times`` the numbers of their labels. ``cell``
-    [M] and ``cells`` [2^depth, 4] are overwritten.
+    ``wrong`` and ``times`` are the results of :func:`_count_answers`. ``cell`` and ``cells`` are
+    working memory and are overwritten.
     """
     subsets, sizes, levels = prior.subsets, prior.size, len(state.log_noise)
     for a in range(len(candidates)):
@@ -245,13 +252,14 @@ def resample_facts(answers, prior, state, used, members, number, log_new, temper
     """Draws R of every observer among all fact sets, and updates ``state.facts`` and
     ``state.counts``.
 
-    For more than BLOCK facts, an observer may first change to the fact set of a type in use. Then R
-    is drawn again within BLOCK random facts (``state.order``).
+    For more than BLOCK facts, an observer may first change to the fact set of a type in use. Then
+    the bits of BLOCK random facts in R are drawn again (``state.order`` has the facts in random
+    order).
 
     The first ``number`` entries of ``used`` [K + O] are the fact sets in use, the tables of the
-    Chinese restaurant process; ``members`` counts their observers. New fact sets are appended.
-    ``log_new`` is the log weight of a fact set without observers; a fact set with observers weighs
-    log(observers).
+    Chinese restaurant process; ``members`` counts the observers of each. New fact sets are
+    appended. ``log_new`` is the log weight of a fact set without observers; the log weight of a
+    fact set with observers is the log of their number.
     """
     facts, order = state.facts, state.order
     width = min(len(order), BLOCK)
@@ -286,8 +294,8 @@ def resample_facts(answers, prior, state, used, members, number, log_new, temper
 
 @njit(nogil=True)
 def _find_facts(facts, number, one):  # type: ignore[no-untyped-def]
-    """Returns the index of ``one`` among the first ``number`` facts; ``number`` if it is
-    missing."""
+    """Returns the index of the fact set ``one`` among the first ``number`` entries of ``facts``;
+    ``number`` if it is missing."""
     for k in range(number):
         if facts[k] == one:
             return k
@@ -308,8 +316,8 @@ def _draw_type(members, number, new, rng):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _list_combinations(facts, order, width, masks):  # type: ignore[no-untyped-def]
-    """Writes all 2^width combinations to ``masks`` [2^width]: each of the first ``width`` facts of
-    ``order`` is believed incorrectly or not; all other facts are as in ``facts``."""
+    """Writes 2^width fact sets to ``masks``. They are all sets that differ from the set ``facts``
+    at most in the first ``width`` facts of ``order``."""
     rest = facts
     for j in range(width):
         rest &= ~(np.int64(1) << order[j])
@@ -322,8 +330,8 @@ def _list_combinations(facts, order, width, masks):  # type: ignore[no-untyped-d
 
 @njit(nogil=True)
 def _weigh_types(masks, order, width, used, members, number, log_new, weights):  # type: ignore[no-untyped-def]
-    """Writes the log prior weight of each of ``masks`` under the Chinese restaurant process to
-    ``weights``."""
+    """Writes to ``weights`` the log prior weight of each fact set of ``masks`` under the Chinese
+    restaurant process."""
     for i in range(len(masks)):
         weights[i] = np.exp(log_new)
     for k in range(number):
@@ -339,11 +347,13 @@ def _weigh_types(masks, order, width, used, members, number, log_new, weights): 
 
 @njit(nogil=True)
 def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # type: ignore[no-untyped-def]
-    """Adds log P(labels of observer o | R = mask, the counted labels) to ``values`` [masks].
+    """Adds to ``values`` [masks] the log probability of the labels of observer ``o`` if R is the
+    fact set in ``masks``, given the labels counted in ``state.counts``.
 
-    Rows of one transition are neighbours. Their labels depend on R only through the few facts of
-    S_τ in R, so each combination of these facts is tried once. Every row is counted before the next
-    is predicted; the counts are restored at the end. ``by_cell`` [2^depth] is overwritten.
+    The labels of the observer are sorted by transition. The labels of τ depend on R only through R
+    ∩ S_τ, so each possible R ∩ S_τ is tried once. Each label is counted before the next label of τ
+    is predicted; the counts are restored at the end. ``by_cell`` is working memory and is
+    overwritten.
     """
     transition, label, messages_given = answers.transition, answers.label, state.messages_given
     subsets, predictive, count = prior.subsets, prior.predictive, state.counts
@@ -373,7 +383,7 @@ def _add_log_likelihood(o, masks, answers, prior, state, by_cell, values):  # ty
 
 @kernel
 def log_likelihood(state, prior):  # type: ignore[no-untyped-def]
-    """Computes log P(all labels | M of every answer, S, ε), with f integrated out."""
+    """Computes log P(all labels | R of every observer, S, ε), with f integrated out."""
     total, counts = 0.0, state.counts
     for t in range(len(counts)):
         for c in range(counts.shape[1]):
@@ -385,7 +395,8 @@ def log_likelihood(state, prior):  # type: ignore[no-untyped-def]
 
 @kernel
 def relabel(members, new, answers, prior, state):  # type: ignore[no-untyped-def]
-    """Gives the observers ``members`` the fact set ``new``, and updates ``state.counts``."""
+    """Changes the fact set of the observers ``members`` to ``new``, and updates
+    ``state.counts``."""
     for o in members:
         count_rows(o, -1, answers, prior, state)
         state.facts[o] = new

@@ -71,14 +71,19 @@ class HypothesisLabeler(MeasuredLabeler):
     out. The labeler :attr:`alone` predicts transitions that the hypotheses do not contain. If
     transitions are given by their states, transitions with equal features are distinguished.
 
+    A *variant* is a further table of the hypotheses' labels, for people who believe other
+    inaccurate values, for example half or double the assumed inaccurate values. δ is the
+    probability that the label of a cell differs from the hypotheses
+    (:mod:`xplain.learning.mixture.likelihood`).
+
     Attributes:
         known: the hypotheses.
         fit_alone: fits a labeler to the labels alone.
         trust: weight of the hypotheses; ``alone`` has the remaining weight. The weight is 1 if
             people agree with the hypotheses (:attr:`doubt`).
         facts: [R] likely fact sets.
-        weight: [R, 1 + V, D] posterior of fact set, variant of the hypotheses (0 is no variant) and
-            deviation δ.
+        weight: [R, 1 + V, D] joint posterior of the fact set, the variant (index 0 is no variant)
+            and the value of δ.
         cells: cells of the answers, for each fact set.
         learned: [N] P(f = 1) of each cell, times the weight of its fact set.
         level: [E] posterior of the error levels.
@@ -103,13 +108,14 @@ class HypothesisLabeler(MeasuredLabeler):
         given: NDArray[np.float64] | None = None,
         trust: float = 1.0,
     ) -> HypothesisLabeler:
-        """Computes the posterior over fact sets, variants of the hypotheses and deviations δ.
+        """Makes the labeler from answers: computes the posterior over fact sets, variants and
+        values of δ.
 
         Args:
             known, fit_alone: see the class.
             answers: P answers of people of the type.
-            given: [P, 2, E] log P(answer | f) for f = 0 and 1, by equally likely error levels;
-                None: all answers have the same error rate.
+            given: [P, 2, E] log P(answer | f) for f = 0 and 1 and each of E equally likely error
+                levels; None: all answers have the same error rate.
             trust: weight of the hypotheses.
         """
         given = by_level(answers.label) if given is None else given
@@ -138,7 +144,7 @@ class HypothesisLabeler(MeasuredLabeler):
 
     @cached_property
     def alone(self) -> Labeler:
-        """A labeler fitted to the labels alone, at its first use."""
+        """A labeler fitted to the labels alone. It is fitted when it is first used."""
         return self.fit_alone()
 
     @property
@@ -152,8 +158,8 @@ class HypothesisLabeler(MeasuredLabeler):
         return float(self.weight[(self.facts & self.known.unwritten) > 0].sum())
 
     def log_answered(self, answers: Answers) -> NDArray[np.float64]:
-        """Computes [P] log P of further answers, with the error levels of
-        :func:`~xplain.learning.mixture.likelihood.by_level`."""
+        """Computes [P] the log probability of further answers. An answer differs from the label
+        with the mean error rate of the posterior ``level``."""
         one = self.predict_known(answers.transition, answers.message_set)
         error = self.level @ ERROR
         same = np.where(answers.label == 1, one, 1 - one)
@@ -191,9 +197,10 @@ class HypothesisLabeler(MeasuredLabeler):
     def exactly(
         self, transitions: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Computes [P] P(f = 1) of transitions [P] by the hypotheses alone. Answers do not change
-        these labels, because it is unknown which of several transitions with equal features an
-        answer was about."""
+        """Computes [P] P(f = 1) of transitions [P], given the messages ``told`` [P]. The
+        hypotheses' own label of each transition is used, not the mean label of the transitions with
+        equal features. The answers do not change this label, because it is unknown which of several
+        transitions with equal features an answer was about."""
         result = np.zeros(len(transitions))
         for r, facts in enumerate(self.facts.tolist()):
             one = self.known.exactly(facts & ~told, transitions)
@@ -205,8 +212,16 @@ class HypothesisLabeler(MeasuredLabeler):
     def _weigh_with_labels(
         self, one: NDArray[np.float64], features: NDArray[Any], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Computes [P] the weighted mean of P(f = 1) by the hypotheses, ``one`` [P], and by labels
-        alone, for rows of features [P, F] and message sets [P]."""
+        """Computes the weighted mean of P(f = 1) by the hypotheses and by labels alone.
+
+        Args:
+            one: [P] P(f = 1) by the hypotheses.
+            features: [P, F] features of the transitions.
+            told: [P] message sets.
+
+        Returns:
+            [P] the mean.
+        """
         if self.trust < 1:
             alone = self.alone.probability(features, told)
             one = self.trust * one + (1 - self.trust) * alone
@@ -227,8 +242,9 @@ class HypothesisLabeler(MeasuredLabeler):
     def table(
         self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
     ) -> LabelTable:
-        """Computes the table of P(label = 1). If there are many messages, the table has only the
-        messages about facts that people of the type are likely to believe incorrectly."""
+        """Computes the table of P(label = 1). Its relevant messages are all messages if there are
+        at most DENSE, otherwise the messages about facts that people of the type are likely to
+        believe incorrectly."""
         place = self.known.find(features)
         relevant = self._find_relevant(features, place)
         sets = subsets(relevant)
@@ -243,12 +259,14 @@ class HypothesisLabeler(MeasuredLabeler):
     def _find_relevant(
         self, features: NDArray[np.float64], place: NDArray[np.int64]
     ) -> Sequence[int]:
-        """Finds the messages of the table, ascending: all messages if these are few.
+        """Finds the relevant messages of the table, ascending: all messages if there are at most
+        DENSE.
 
-        Otherwise these are the messages about facts that people of the type may believe
-        incorrectly. If not all fact sets are candidates, only facts with a probability of at least
-        RELEVANT count, and only the MOST likely of these facts. The table assumes that other
-        messages are never given.
+        Otherwise a message is relevant if people of the type may believe its fact incorrectly. If
+        not all fact sets are candidates, the probability of this must be at least RELEVANT, and the
+        fact must be one of the MOST most probable facts. For transitions that labels alone help to
+        predict, the messages that the labeler :attr:`alone` tests are relevant too. The table
+        assumes that no other message is given.
         """
         if self.n_messages <= DENSE:
             return range(self.n_messages)
@@ -263,8 +281,8 @@ class HypothesisLabeler(MeasuredLabeler):
         return sorted(found)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Returns distinct rows of features [U, F], and P(label = 1) of each row by message set [U,
-        2^n], for a file of types.
+        """Returns the arrays for a file of types: distinct rows of features [U, F], and P(label =
+        1) of each row by message set [U, 2^n].
 
         Raises:
             TooLargeError: more than MAX_TABLE numbers.
@@ -285,8 +303,8 @@ class KnownAnswers:
     Attributes:
         known: the hypotheses.
         dataset: the dataset, reduced to these answers.
-        place: [T] index among the transitions of ``known`` of each transition of the dataset; −1 if
-            missing.
+        place: [T] for each transition of the dataset, the index in ``known`` of the transition with
+            the same features; −1 if the hypotheses do not contain it.
     """
 
     known: KnownTransitions
@@ -295,8 +313,8 @@ class KnownAnswers:
 
     @classmethod
     def of(cls, known: KnownTransitions, dataset: Dataset) -> KnownAnswers:
-        """Selects the known answers of a dataset, whose features and messages must be those of the
-        hypotheses."""
+        """Selects the answers of a dataset about known transitions. The dataset must have the
+        features and messages of the hypotheses."""
         place = known.find(dataset.features)
         return cls(known, dataset.take(np.flatnonzero(place[dataset.transition] >= 0)), place)
 
@@ -353,14 +371,20 @@ class KnownAnswers:
         return Evidence(own, alone, assignment[data.observer[rows]], doubt, unwritten)
 
     def _fit_labeler(self, data: Dataset) -> HypothesisLabeler:
-        """Fits a labeler to people of one type with equal error rates."""
+        """Fits a labeler to people of one type. All answers are assumed to have the same error
+        rate."""
         return self.labeler(data, partial(cheap().fit, data, 0))
 
     def labeler(
         self, data: Dataset, alone: Callable[[], Labeler], *about: Any
     ) -> HypothesisLabeler:
-        """Fits a labeler to people of one type; ``about`` holds the further arguments of
-        :meth:`HypothesisLabeler.of`."""
+        """Fits a labeler to people of one type.
+
+        Args:
+            data: answers of these people.
+            alone: fits a labeler to the labels alone.
+            about: the arguments ``given`` and ``trust`` of :meth:`HypothesisLabeler.of`, if any.
+        """
         answers = self._find_answers(data)
         return HypothesisLabeler.of(self.known.grow(answers), answers, alone, *about)
 
@@ -371,7 +395,8 @@ class KnownAnswers:
 
 @dataclass(frozen=True)
 class EverythingWrong(Labeler):
-    """A labeler of a person who believes every fact incorrectly, by the hypotheses alone.
+    """A labeler for a person who believes every fact incorrectly. It predicts from the hypotheses
+    alone.
 
     Attributes:
         known: hypotheses that contain every set of the facts; there are at most DENSE facts.
@@ -416,10 +441,11 @@ class HypothesisTrainer(LabelerTrainer):
 
     Attributes:
         classifier: learns from labels alone; any scikit-learn classifier with probabilities.
-        holdout: share of the distinct points held out to measure the accuracy.
-        path: an ``.npz`` file of hypotheses with features; None: those of the observers' domain.
+        holdout: share of the distinct questions held out to measure the accuracy.
+        path: an ``.npz`` file of hypotheses with features; None: the hypotheses of the observers'
+            domain.
         hypotheses: used instead of ``path`` and of the domain's hypotheses.
-        answers: error model of the dataset's answers; None: all have the same error rate.
+        answers: error model of the dataset's answers; None: all answers have the same error rate.
         evidence: how well the dataset's answers were predicted; None: hypotheses are trusted.
         types: [O] types of the dataset's observers, as in ``evidence``.
     """

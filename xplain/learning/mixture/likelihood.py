@@ -41,12 +41,13 @@ log = logging.getLogger(__name__)
 def log_cell(
     one: NDArray[np.float64], given_zero: ArrayLike, given_one: ArrayLike
 ) -> NDArray[np.float64]:
-    """Computes log Σ_f P(f) P(answers in the cell | f). All searches for types share this
-    likelihood.
+    """Computes the log probability of the answers in a cell, log Σ_f P(f) P(answers | f). All
+    searches for types share this likelihood.
 
     Args:
         one: P(f = 1) before any answer, strictly between 0 and 1.
-        given_zero, given_one: log P(answers | f); shapes that broadcast with ``one``.
+        given_zero, given_one: log P(answers in the cell | f) for f = 0, and for f = 1; shapes that
+            broadcast with ``one``.
     """
     zero, own = np.asarray(given_zero), np.asarray(given_one)
     top = np.maximum(zero, own)
@@ -54,8 +55,12 @@ def log_cell(
 
 
 def cell_posterior(one: NDArray[np.float64], said: ArrayLike) -> NDArray[np.float64]:
-    """Computes P(f = 1 | answers in the cell), given the prior ``one`` and the log likelihood ratio
-    ``said``: log P(answers | f = 1) − log P(answers | f = 0)."""
+    """Computes P(f = 1 | answers in the cell).
+
+    Args:
+        one: P(f = 1) before any answer.
+        said: log likelihood ratio, log P(answers | f = 1) − log P(answers | f = 0).
+    """
     return np.asarray(expit(logit(one) + said))
 
 
@@ -97,8 +102,16 @@ def posterior_by(
     told: NDArray[np.int64],
     labels: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Computes [C] the posterior of the candidates given the answers of one type: transitions,
-    message sets and labels, [P] each. One answer in twenty is assumed to be wrong."""
+    """Computes the posterior of the candidates given the answers of one type. One answer in twenty
+    is assumed to be wrong.
+
+    Args:
+        hypotheses: C candidates.
+        transitions, told, labels: [P] transition, message set and label of each answer.
+
+    Returns:
+        [C] the posterior.
+    """
     agree = (hypotheses.label(transitions, told) == labels).sum(axis=2)
     with np.errstate(divide="ignore"):
         joint = agree * np.log((1 - WRONG) / WRONG) + np.log(hypotheses.prior)
@@ -118,8 +131,13 @@ the answers of one observer or one type, are compared in more detail with all an
 
 
 class Answers(NamedTuple):
-    """P answers: ``transition`` [P] (of :class:`KnownTransitions`), ``message_set`` [P] and
-    ``label`` [P]."""
+    """P answers about transitions of the hypotheses.
+
+    Attributes:
+        transition: [P] index of the transition in :class:`KnownTransitions`.
+        message_set: [P] messages given before the answer.
+        label: [P] the answer, 0 or 1.
+    """
 
     transition: NDArray[np.int64]
     message_set: NDArray[np.int64]
@@ -131,7 +149,7 @@ class Answers(NamedTuple):
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
     def take(self, rows: NDArray[np.int64]) -> Answers:
-        """Selects some of the answers."""
+        """Returns the answers with the indices ``rows``."""
         return Answers(*(column[rows] for column in self))
 
 
