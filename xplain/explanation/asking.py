@@ -114,7 +114,7 @@ class Questions:
     right: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __post_init__(self) -> None:
-        """Raises InputError if lengths differ."""
+        """Raises InputError if an attribute does not have one entry for each question."""
         count = len(self.table.p)
         if not self.right.size:
             object.__setattr__(self, "right", np.full(count, -1))

@@ -70,8 +70,11 @@ class LabelTable:
 
     @classmethod
     def dense(cls, table: ArrayLike, answers: ArrayLike | None = None) -> LabelTable:
-        """Makes a table from P(label is 1 | type, transition, message set), [N, m, 2^n], and the
-        same for answers.
+        """Makes a table in which every message is relevant to every type.
+
+        Args:
+            table: [N, m, 2^n] P(label is 1 | type, transition, message set).
+            answers: P(answer is 1) in the same shape, if it differs from P(label is 1).
 
         Raises:
             InputError: an invalid table, or one of more than MAX_RELEVANT messages.

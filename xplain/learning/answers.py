@@ -97,8 +97,12 @@ class AnswerModel:
         return predict_answers(self.slip[question], self.guess[question])
 
     def wrong(self, question: NDArray[np.int64], person: NDArray[np.int64]) -> float:
-        """Computes the expected share of these answers [P] that differ from the label, if f = 0 and
-        f = 1 are equally likely."""
+        """Computes the expected share of answers that differ from the label, if f = 0 and f = 1 are
+        equally likely.
+
+        Args:
+            question, person: [P] indices of the question and the person of each answer.
+        """
         slip = (self.slip[question] + self.guess[question]) / 2
         rate = self.person[person] @ RATES
         return float((slip + rate * (1 - 2 * slip)).mean())

@@ -103,7 +103,7 @@ class SimulatedObservers:
 
     Attributes:
         per_type: number of observers of each type; a list has one number for each type.
-        points: number of labels of each observer (fewer if the queries need fewer).
+        points: number of labels of each observer; a query design may ask for fewer.
         label_noise: probability that a label is flipped, independently for each label.
     """
 

@@ -121,7 +121,8 @@ def ask_in_order(
     sizes: NDArray[np.int64],
     answer: Answer,
 ) -> list[Answered]:
-    """Asks observer o the first ``sizes[o]`` of one list of questions."""
+    """Asks all observers the same questions in the same order; observer o receives the first
+    ``sizes[o]`` questions."""
     each = [(transitions[:size], message_sets[:size]) for size in sizes]
     return [Answered(*own, answer(o, *own)) for o, own in enumerate(each)]
 
