@@ -1,10 +1,12 @@
 """The answer of a sweep: the solver with the lowest cost, or for Table 1 the verdicts on the
 paper's claims.
 
-A claim is about a *figure* with a 95 % interval, and a *range* that contains the figure if the
-claim is true. It *holds* if the whole interval is in the range, *does not hold* if the whole
-interval is outside, and is *not decided* otherwise. Intervals are over seeds, and each seed has its
-own data, types, labelers and traces. With one seed no claim is decided.
+A claim is about a *figure* (a number computed from the sweep) with a 95 % interval, and a *range*
+that contains the figure if the claim is true. It *holds* if the whole interval is in the range,
+*does not hold* if the whole interval is outside, and is *not decided* otherwise. Table 1 has
+several groups of columns. In each group, types and labels are learned in another way, and each
+claim is tested in each group and domain. Intervals are over seeds, and each seed has its own data,
+types, labelers and traces. With one seed no claim is decided.
 """
 
 from __future__ import annotations
@@ -57,16 +59,17 @@ Verdict = Literal["holds", "does not hold", "not decided"]
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim on one domain, in one group of columns.
+    """One claim, tested on one domain, in one group of the table's columns.
 
     Attributes:
-        group: how types and labels were learned.
-        domain: the domain of the test.
+        group: name of the group: how types and labels are learned there.
+        domain: the domain.
         text: the claim, with its λ if it is about one λ.
-        figure: name of the figure.
-        estimate: mean and interval over seeds.
-        true_in: the open range of the figure if the claim is true.
-        parts: what the figure consists of, in words.
+        figure: name of the figure that decides the claim.
+        estimate: mean and interval of the figure over seeds.
+        true_in: the open range that contains the figure if the claim is true.
+        parts: words and numbers that explain the figure, such as the differences in messages and in
+            inexplicable labels that sum to a difference of costs.
     """
 
     group: str
@@ -90,14 +93,16 @@ class Claim:
 
     @property
     def gap(self) -> Estimate:
-        """The figure minus the nearest end of the range."""
+        """The figure minus the end of the range that is nearest to its mean, with the interval
+        of this difference."""
         end = min(self.true_in, key=lambda end: abs(end - self.estimate.mean))
         return Estimate(*(value - end for value in vars(self.estimate).values()))
 
 
 @lru_cache(maxsize=1)
 def claims(summary: Summary) -> list[Claim]:
-    """Tests every claim that a sweep's solvers allow, in each group of columns and domain."""
+    """Tests every claim about the sweep's solvers, in each group of the table's columns and each
+    domain."""
     _, grouping, _ = compare.layout(summary)
     found = []
     for group, frame in compare.group_episodes(summary, grouping):
@@ -112,13 +117,13 @@ def claims(summary: Summary) -> list[Claim]:
 def claims_of(
     episodes: pd.DataFrame, data_sets: pd.DataFrame, group: str = "", pool: Sequence[str] = ()
 ) -> list[Claim]:
-    """Tests the claims of one group of columns.
+    """Tests the claims in one group of the table's columns.
 
     Args:
         episodes: a row for each episode (:attr:`xplain.report.frame.Summary.episodes`).
         data_sets: a row for each data set (:attr:`xplain.report.frame.Summary.data_sets`).
         group: name of the group.
-        pool: keys to average over.
+        pool: the swept keys over whose values the costs are averaged.
     """
     found: list[Claim] = []
     domains: Any = episodes.groupby("domain", sort=False)
@@ -134,7 +139,7 @@ Tested = tuple[str, str, Estimate, Range, str]
 
 
 def _test_orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested]:
-    """Tests the claims about pairs of solvers, at each λ."""
+    """Tests the claims that one solver costs less than another, or about the same, at each λ."""
     on = [*pool, "lambda", "seed", "trace", "type"]
     groups: Any = episodes.groupby("lambda")
     for trade_off, own in groups:
@@ -194,8 +199,9 @@ def _test_linearity(episodes: pd.DataFrame) -> Iterator[Tested]:
 
 
 def _measure_distances(episodes: pd.DataFrame, column: str) -> pd.Series[float]:
-    """Computes for each seed how far a cost at the largest λ is below a line, divided by the mean
-    cost at the largest λ. The line goes through the costs at the two smallest λ."""
+    """Returns for each seed the distance of a cost from a line, at the largest λ, divided by the
+    mean cost at this λ. The line goes through the costs at the two smallest λ. The distance is
+    positive if the cost is below the line."""
     known = episodes[np.isfinite(episodes[column])]
     costs = known.pivot_table(column, "seed", "lambda").dropna()
     if len(costs.columns) < 3 or not len(costs):
@@ -223,8 +229,9 @@ def _test_types(data_sets: pd.DataFrame) -> Iterator[Tested]:
 
 
 def claims_table(summary: Summary) -> Table:
-    """Makes a row for each claim, with its figure and verdict in each group of columns. A claim
-    that does not hold also says what its figure consists of."""
+    """Makes a table with a row for each claim. It has a column for each group of Table 1's
+    columns, with the figure and the verdict in this group. If the verdict is "does not hold",
+    the cell also explains the figure."""
     rows: dict[tuple[str, str], dict[str, str]] = {}
     for claim in claims(summary):
         heads = {"Domain": title(claim.domain), "Claim": claim.text, "Figure": claim.figure}

@@ -45,8 +45,8 @@ MOST_SEEDS = 1000
 
 
 def estimate(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate:
-    """Estimates the mean of a column of episodes. The interval is over replicates, and is cut at
-    the bounds of the mean. The estimate is NaN if no episode has a value."""
+    """Estimates the mean of a column of episodes, with an interval over replicates. The interval
+    is clipped to the range of possible means. The estimate is NaN if no episode has a value."""
     known = frame.dropna(subset=[column])
     if not len(known):
         return UNKNOWN
@@ -63,8 +63,8 @@ def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate:
 def group_episodes(
     summary: Summary, keys: Sequence[str]
 ) -> list[tuple[dict[str, Value], pd.DataFrame]]:
-    """Returns (values, episodes) for every combination of these keys, in the order of the
-    values."""
+    """Groups the episodes by these keys. Returns ({key: value}, episodes) for every combination
+    of their values, in the order of :meth:`xplain.report.frame.Summary.values`."""
     if not keys:
         return [({}, summary.episodes)]
     order = {key: {value: i for i, value in enumerate(summary.values(key))} for key in keys}
@@ -76,7 +76,7 @@ def group_episodes(
 
 
 def select_rows(frame: pd.DataFrame, values: Mapping[str, Value]) -> pd.DataFrame:
-    """Selects the rows with these values."""
+    """Selects the rows that have all these values, ``{column: value}``."""
     for key, value in values.items():
         frame = frame[frame[key] == value]
     return frame
@@ -89,15 +89,18 @@ def pair_episodes(
     two: Sequence[Value],
     on: Sequence[str],
 ) -> pd.DataFrame:
-    """Pairs the episodes of one way to solve a problem with the episodes of another way on the same
-    problem (columns with ``_other``). ``difference`` is the first cost minus the other. Episodes
-    without a partner are left out.
+    """Pairs the episodes of one way to solve a problem with the episodes of another way, on the
+    same problem. Episodes without a partner are left out.
 
     Args:
         frame: episodes.
-        by: columns that distinguish ways.
-        one, two: values of these columns in the two ways.
-        on: columns that are equal in a pair.
+        by: columns whose values define a way to solve a problem, such as ``solver``.
+        one, two: values of these columns for the first way and for the other way.
+        on: columns that must be equal in both episodes of a pair, such as trace and user.
+
+    Returns:
+        A row for each pair. The columns of the second episode end in ``_other``, and ``difference``
+        is the cost of the first episode minus the cost of the second.
     """
     left, right = (select_rows(frame, dict(zip(by, way, strict=True))) for way in (one, two))
     both = left.merge(right, on=[*on], suffixes=("", "_other"), validate="one_to_one")
@@ -117,14 +120,14 @@ def difference(
 
 @dataclass(frozen=True)
 class Ranked:
-    """One way to solve a problem, ranked among others.
+    """One way to solve a problem, ranked among all ways that the sweep compares.
 
     Attributes:
-        way: values of the swept keys.
-        name: readable name.
-        estimate: estimate of the sweep's measure.
+        way: values of the swept keys that define the way.
+        name: readable name of the way.
+        estimate: estimate of the measure that compares the sweep's jobs.
         cost: mean cost.
-        behind: cost minus the best way's cost, on the same traces and users.
+        behind: cost of this way minus the cost of the best way, on the same traces and users.
     """
 
     way: Way
@@ -140,8 +143,14 @@ class Ranked:
 
 
 def select_shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
-    """Selects the episodes on traces and users that every way in the frame has. If jobs are
-    missing, means over all episodes would compare different problems."""
+    """Selects the episodes on the traces and users for which all ways to solve the problem have an
+    episode. If jobs are missing, means over all episodes would compare different traces and users.
+
+    Args:
+        summary: the sweep.
+        frame: episodes.
+        by: columns whose values define a way to solve a problem, such as ``solver``.
+    """
     known = frame.dropna(subset=[summary.measure.name])
     ways = known.groupby([*by], sort=False).ngroup()
     problem = [known[key] for key in (*summary.pool, "seed", "trace", "type")]
@@ -149,8 +158,17 @@ def select_shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> p
 
 
 def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ranked]:
-    """Ranks the ways to solve the problem of these episodes by ascending cost. Returns no way if
-    the ways share no trace and user."""
+    """Ranks the ways to solve a problem by the mean of the measure that compares the sweep's jobs,
+    the lowest first.
+
+    Args:
+        summary: the sweep.
+        frame: episodes of the problem.
+        by: columns whose values define a way, such as ``solver``.
+
+    Returns:
+        The ranked ways; empty if no trace and user is shared by all ways.
+    """
     frame = select_shared(summary, frame, by)
     groups: Any = frame.groupby([*by], sort=False)
     measure = summary.measure.name
@@ -169,8 +187,12 @@ def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[
 
 @lru_cache(maxsize=1)
 def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
-    """Returns (values, ranked ways) for each problem; empty if no swept key competes, or if the
-    requested measure is not fair."""
+    """Ranks the ways to solve each problem of a sweep.
+
+    Returns:
+        For each problem with at least two ways: ({swept key: value} that define the problem, the
+        ranked ways). Empty if no swept key chooses a way, or if the requested measure is not fair.
+    """
     if not summary.results or not summary.ways or not summary.measure.fair:
         return []
     groups = group_episodes(summary, summary.posed)
@@ -179,9 +201,14 @@ def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
 
 
 def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
-    """Chooses the keys of the table's rows, of its groups of columns, and of its columns. Rows are
-    problems, and columns are ways to solve the problems. The main numeric key of a problem varies
-    from row to row."""
+    """Chooses where the table shows each swept key. Rows are problems, and columns are ways to
+    solve the problems. The key of :func:`main_key` is the last of the rows' keys, so it varies from
+    row to row.
+
+    Returns:
+        The keys of the rows, the keys of the groups of columns, and the keys of the columns within
+        a group.
+    """
     groups, across = list[str](), list[str]()
     for key in sorted(summary.ways, key=lambda key: key != "solver"):
         if len(across) < 2 and prod(len(summary.values(k)) for k in (*across, key)) <= WIDEST:
@@ -195,16 +222,20 @@ def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
 
 
 def main_key(summary: Summary, keys: Sequence[str]) -> str | None:
-    """Returns the numeric key with most values, λ before others; None if there is none."""
+    """Returns the key whose values are numbers and which has most values; λ wins a tie. None if
+    no key has at least two numbers."""
     numbers = [k for k in keys if sum(isinstance(v, float) for v in summary.values(k)) > 1]
     return max(numbers, key=lambda k: (len(summary.values(k)), k == "lambda"), default=None)
 
 
 def table(summary: Summary) -> Table:
-    """Makes the table of all combinations of swept values, without the keys that the sweep pools.
-    Rows are problems. Columns are the references' costs, then the ways to solve the problems, with
-    the paper's values in parentheses. If only problems or only ways were swept, each has a row with
-    its measures."""
+    """Makes the table of all combinations of swept values. Keys that the sweep averages over
+    (``pool``) are left out.
+
+    Rows are problems. Columns are the costs of the oracle and the clairvoyant, then the ways to
+    solve the problems, with the paper's values in parentheses. If the sweep varies only problems or
+    only ways, each problem or way has a row, and its measures are the columns.
+    """
     down, grouping, across = layout(summary)
     if not across or not (down or grouping):
         return _list_combinations(summary, down or across, bool(across))
@@ -242,8 +273,9 @@ def table(summary: Summary) -> Table:
 
 
 def _list_combinations(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
-    """Makes a row for each combination, with its measures. If the combinations compete, they have
-    marks, and the best combination comes first."""
+    """Makes the table with a row for each combination of the keys' values, and a column for each
+    measure. If the combinations are ways that compete, the best comes first, and marks show the
+    lowest cost and costs that are not distinguishable from it."""
     questions = ["questions"] if summary.episodes["questions"].any() else []
     measures = [summary.measure.name, "cost", *_list_references(summary)]
     shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *questions])
@@ -277,7 +309,8 @@ def is_beside_paper(summary: Summary) -> bool:
 
 
 def _list_references(summary: Summary) -> list[str]:
-    """Lists the columns of references, the clairvoyant first because it costs least."""
+    """Lists the columns of the clairvoyant and, if regrets are shown, of the oracle. The
+    clairvoyant is first because it costs least."""
     return ["clairvoyant", *(["oracle"] if summary.measure.name == "regret" else [])]
 
 
@@ -290,7 +323,7 @@ def _choose_mark(summary: Summary, one: Ranked | None, best: Ranked | None) -> s
 
 
 def _join_marks(mark: str, published: float | None) -> str:
-    """Joins the marks, and the paper's value in parentheses."""
+    """Joins a mark and the paper's value, such as ``* (0.52)``; leaves out what is missing."""
     return " ".join(filter(None, [mark, "" if published is None else f"({published:.2f})"]))
 
 
@@ -300,7 +333,7 @@ def heading(key: str) -> str:
 
 
 def plain_text(value: Value) -> str:
-    """Formats a value in command-line form."""
+    """Formats a value as it is written on the command line."""
     return value if isinstance(value, str) else f"{value:.10g}"
 
 
@@ -395,9 +428,9 @@ def _warn_if_few(summary: Summary) -> str:
 
 
 def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
-    """Returns the smallest number of seeds with which the interval excludes 0 in four of five
-    sweeps, if the mean and variance over seeds are as in ``gap``. Returns None if the mean or
-    variance is unknown, or if the number is above MOST_SEEDS.
+    """Returns the smallest number of seeds, at least ``seeds``, for which the interval would
+    exclude 0 in four of five sweeps. The mean and the variance over seeds are assumed to be as in
+    ``gap``. Returns None if the mean or variance is unknown, or if the number is above MOST_SEEDS.
 
     Args:
         gap: a difference with its 95 % interval over seeds.
@@ -417,8 +450,8 @@ def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
 
 
 def effort(summary: Summary, gap: Estimate) -> tuple[str, str]:
-    """Returns the override of ``seed`` that would decide a difference, and the minutes that one
-    worker needs for the new seeds, estimated from this sweep's jobs."""
+    """Returns the override of ``seed`` with the seeds that would decide a difference, and the
+    minutes that one worker needs for the new seeds, estimated from this sweep's jobs."""
     seconds = sum(sum(own.seconds.values()) for _, own in summary.results)
     seeds = seeds_to_decide(gap, summary.seeds) or (FEW if summary.seeds < FEW else 0)
     if not seeds:

@@ -1,8 +1,8 @@
-"""A sweep on disk: its jobs, and the state of each.
+"""A sweep on disk: its jobs, and the state of each job.
 
-``sweep.json`` lists the jobs with the fingerprints of their results. A job is finished if its
-result's address has ``results.json``. If it failed, ``failure.json`` in its own folder below
-``jobs/`` has the reason. Both files are written atomically.
+``sweep.json`` lists the jobs with the fingerprints of their results. A job is finished if the
+folder of its result has ``results.json``. If the job failed, its own folder below ``jobs/`` has
+``failure.json`` with the reason. Both files are written atomically.
 """
 
 import json
@@ -67,11 +67,11 @@ class SweepFolder:
         )
 
     def of(self, job: Listed) -> Path:
-        """Returns the path of the job's own folder, whether it exists or not."""
+        """Returns the job's own folder in the sweep, whether the folder exists or not."""
         return self.path / "jobs" / job.fingerprint
 
     def address(self, job: Listed) -> Path:
-        """Returns the folder of the job's result, whether it exists or not."""
+        """Returns the folder where the job's result is stored, whether the folder exists or not."""
         return self.path / str(self.about["results"]) / job.fingerprint
 
     def state(self, job: Listed) -> Literal["waiting", "finished", "failed"]:

@@ -100,8 +100,8 @@ _SOURCE = {*SOURCE, "points"} - {"seed"}
 
 
 def warning_about_oracle(learning: Mapping[str, float], regret: float = 0.0) -> str:
-    """Returns warnings about an oracle that is no reference and about a regret below 0; "" if there
-    is nothing to warn about.
+    """Returns up to two warnings: the oracle's labelers are too often wrong for a comparison with
+    the oracle, and the regret is below 0. "" if neither is true.
 
     Args:
         learning: figures of the learning stage; for several jobs, the smallest figures.
@@ -122,9 +122,10 @@ class Measure:
     """The figure that compares a sweep's jobs.
 
     Attributes:
-        name: ``regret``, ``above_floor`` (cost minus the clairvoyant's) or ``cost``.
-        fair: True if the measure orders ways to solve a problem as their costs do.
-        why: sentences that define the measure, and say why it is not the regret.
+        name: ``regret``, ``above_floor`` (cost minus the clairvoyant's cost) or ``cost``.
+        fair: True if ordering the ways to solve a problem by this measure is the same as ordering
+            them by cost.
+        why: sentences that define the measure and, if it is not the regret, say why.
     """
 
     name: str
@@ -138,7 +139,7 @@ class Measure:
 
 
 def is_in(key: str, keys: Sequence[str]) -> bool:
-    """True if a swept key or its group is among the keys."""
+    """True if ``keys`` contains this swept key, or its group (the part before the first dot)."""
     return key in keys or key.partition(".")[0] in keys
 
 
@@ -180,13 +181,13 @@ class Summary:
 
     @cached_property
     def _numbers(self) -> set[str]:
-        """Swept keys with only numeric values."""
+        """Swept keys whose values are all numbers."""
         texts = {key: [job.values.get(key, "0") for job in self.jobs] for key in self.keys}
         return {key for key, own in texts.items() if all(map(is_number, own))}
 
     def values_of(self, job: Listed, results: Results) -> dict[str, Value]:
-        """Returns the swept values of a job, always including ``domain``, ``solver`` and
-        ``lambda``."""
+        """Returns the values of the swept keys in one job, and its ``domain``, ``solver`` and
+        ``lambda`` even if these are not swept."""
         texts = {key: job.values.get(key, "") for key in self.keys}
         values: dict[str, Value] = {
             k: float(t) if t and k in self._numbers else t for k, t in texts.items()
@@ -196,11 +197,14 @@ class Summary:
 
     @cached_property
     def episodes(self) -> pd.DataFrame:
-        """A row for each episode of a job's own solver.
+        """A row for each episode of the solver that a job evaluates.
 
-        Columns: the swept keys, domain, solver, lambda, seed, trace, type; the episode's cost and
-        its parts; the references' costs on the same trace and user; regret, above_floor;
-        fresh_accuracy, the share of new labels that the job's labelers predict correctly.
+        Columns: the swept keys, domain, solver, lambda and seed; the fields of
+        :class:`xplain.experiment.results.EpisodeFigures`, such as ``cost``; ``oracle``,
+        ``clairvoyant`` and ``true_labels``, the costs of these references on the same trace and
+        user; ``regret``, the cost minus the oracle's; ``above_floor``, the cost minus the
+        clairvoyant's; ``fresh_accuracy``, the share of new labels that the job's labelers predict
+        correctly.
         """
         frame = pd.DataFrame([row for own in self.results for row in self._list_rows(*own)])
         if len(frame):
@@ -224,9 +228,12 @@ class Summary:
 
     @cached_property
     def data_sets(self) -> pd.DataFrame:
-        """A row for each data set: the values of the swept keys that decide it, seed, the
-        disagreements for each number of types (``curve``), the number found (``chosen``), and the
-        figures of the learning stage by name."""
+        """A row for each data set from which types are learned.
+
+        Columns: the swept keys that decide the data set; seed; ``curve``, the disagreements of
+        labels for each number of types; ``chosen``, the number of types found; and the figures of
+        the learning stage, by name.
+        """
         rows = [
             {
                 **{key: self.values_of(job, own)[key] for key in self.settings},
@@ -241,8 +248,9 @@ class Summary:
 
     @cached_property
     def steps(self) -> pd.DataFrame:
-        """A row for each job and step: the swept values, the mean belief in the true type, and the
-        number of episodes with this step."""
+        """A row for each job and each step of its episodes: the values of the swept keys, the
+        mean belief in the true type after the step, and the number of episodes that have the
+        step."""
         return pd.DataFrame(
             {**self.values_of(job, own), "step": step, "belief": mean, "episodes": count}
             for job, own in self.results
@@ -273,8 +281,9 @@ class Summary:
 
     @cached_property
     def shown(self) -> list[str]:
-        """The dimensions of tables and plots: the swept keys that are not pooled, and whose values
-        do not follow from an earlier key."""
+        """The swept keys that tables and plots show: all that have several values and are not
+        averaged over (``pool``). A key is also left out if the value of an earlier key decides
+        its value."""
         keys = [k for k in self.keys if len(self.values(k)) > 1 and k not in self.pool]
         frame = self.episodes
         return [
@@ -284,18 +293,18 @@ class Summary:
         ]
 
     def competes(self, key: str) -> bool:
-        """True if the values of a swept key are compared: solvers are compared, values of λ are
-        not. In Table 1 only solvers are compared."""
+        """True if tables rank the values of this swept key. Solvers are ranked, but not values
+        of λ, which define different problems. In Table 1 only solvers are ranked."""
         return key == "solver" if self.is_table1 else not is_in(key, CONDITIONS)
 
     @property
     def posed(self) -> list[str]:
-        """The dimensions that define the problem."""
+        """The shown swept keys that define the problem, such as the domain or λ."""
         return [key for key in self.shown if not self.competes(key)]
 
     @property
     def ways(self) -> list[str]:
-        """The shown dimensions that choose a method (such as the solver), not a problem."""
+        """The shown swept keys that choose a way to solve the problem, such as the solver."""
         return [key for key in self.shown if self.competes(key)]
 
     @cached_property
@@ -314,7 +323,13 @@ class Summary:
         return Measure(name, fair[name], " ".join(filter(None, why)))
 
     def _is_shared(self, by: list[str], column: str) -> bool:
-        """True if a reference is known in all jobs, with one cost for each problem."""
+        """True if the cost of a reference (the oracle or the clairvoyant) is known in all jobs, and
+        is the same in all jobs of a problem.
+
+        Args:
+            by: columns that identify a problem, with its seed, trace and user.
+            column: column of the reference's cost.
+        """
         if self.episodes[column].isna().any():
             return False
         costs = self.episodes.groupby(by)[column]
@@ -327,8 +342,9 @@ class Summary:
 
     @property
     def replicate(self) -> str:
-        """The sampled unit: seeds, each with its own data and traces; with one seed, traces.
-        Settings share seeds and traces, so they are no replicates."""
+        """The unit over which intervals are computed: "seed" if there are several seeds, each
+        with its own data and traces; otherwise "trace". Different settings use the same seeds
+        and traces, so settings are no replicates."""
         return "seed" if self.seeds > 1 else "trace"
 
 
@@ -349,6 +365,6 @@ def rank(solver: str) -> int:
 
 
 def is_unreliable(frame: pd.DataFrame) -> bool:
-    """True if the oracle of these episodes is no reference: the mean share of new labels that its
-    labelers predict correctly is below RIGHT."""
+    """True if the oracle of these episodes cannot serve as a reference: the mean share of new
+    labels that its labelers predict correctly is below RIGHT."""
     return bool(frame["fresh_accuracy"].fillna(1.0).mean() < RIGHT)

@@ -122,7 +122,8 @@ def page(summary: Summary, tables: dict[str, Table], report: Path, made_of: str)
 
 
 def draw(summary: Summary, report: Path) -> dict[str, dict[str, str]]:
-    """Draws every plot into the folder. Returns their captions and addresses by name."""
+    """Draws every plot into the folder. Returns ``{name: {"caption", "address"}}``, where the
+    address is a ``data:`` address with the whole picture."""
     key = heading(plots.plot_keys(summary)[0] or "")
     measures = {"regret": summary.measure.name, "messages": "messages"}
     measures["inexplicable"] = "inexplicable_labels"

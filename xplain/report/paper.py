@@ -1,4 +1,5 @@
-"""The paper's published values (Table 1, which cuts them to two decimals), and readable names."""
+"""The values in the paper's Table 1 (where they are truncated to two decimals), and readable
+names."""
 
 import csv
 from collections.abc import Mapping
@@ -37,7 +38,13 @@ def title(key: str) -> str:
 
 
 def group_title(group: Mapping[str, Any], label: str) -> str:
-    """Returns the name of a group of columns: the labeler's name if only labelers were swept."""
+    """Returns the name of a group of columns. If the groups differ only in the labeler, this is the
+    labeler's name; otherwise it is ``label``.
+
+    Args:
+        group: {swept key: value} of the group.
+        label: the formatted values of the group.
+    """
     return GROUPS.get(group.get("labeler", ""), label) if len(group) == 1 else label
 
 

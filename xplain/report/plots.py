@@ -90,14 +90,16 @@ def series_style(index: int) -> dict[str, Any]:
 def draw(
     points: pd.DataFrame, x_label: str, y_label: str, per_row: int = 4, hollow: str = "the paper's"
 ) -> Figure:
-    """Draws lines with intervals.
+    """Draws lines with intervals, in panels.
 
     Args:
-        points: a row for each point, with panel, line, x (numbers, or texts of the axis) and mean;
-            optionally low and high, and ``hollow``, the height of a hollow marker (or NaN).
+        points: a row for each point, with columns ``panel``, ``line``, ``x`` and ``mean``. If ``x``
+            has texts, the axis shows them at equal distances. Optional columns: ``low`` and
+            ``high``, the ends of the interval; and ``hollow``, the height of a second, hollow
+            marker (NaN for no marker).
         x_label, y_label: labels of the axes.
         per_row: number of panels in a row; the panels of a row have one scale.
-        hollow: meaning of hollow markers.
+        hollow: text of the legend for hollow markers.
     """
     points = points.reindex(columns=[*["panel", "line", "x", "mean", "low", "high", "hollow"]])
     panels, lines = (list(dict.fromkeys(points[key])) for key in ("panel", "line"))
@@ -157,8 +159,8 @@ def draw(
 
 
 def plot_keys(summary: Summary) -> tuple[str | None, list[str], list[str]]:
-    """Returns the keys of a plot: the key on the horizontal axis (None if nothing was swept), the
-    keys of the lines, and the keys of the panels."""
+    """Returns which swept keys a plot shows: the key on its horizontal axis (None if nothing was
+    swept), the keys whose values have a line each, and the keys whose values have a panel each."""
     down, grouping, across = layout(summary)
     keys = [*down, *grouping, *across]
     x = main_key(summary, keys) or next(iter([*down[-1:], *across, *grouping]), None)
@@ -169,7 +171,8 @@ def plot_keys(summary: Summary) -> tuple[str | None, list[str], list[str]]:
 
 
 def _list_panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.DataFrame]]:
-    """Lists (name, episodes) of each panel."""
+    """Returns the name and the episodes of each panel. A panel has one combination of the keys'
+    values."""
     _, grouping, _ = layout(summary)
     found = []
     for values, frame in group_episodes(summary, keys)[:MOST_PANELS]:
@@ -181,15 +184,16 @@ def _list_panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.Da
 
 
 def _count_per_row(summary: Summary, keys: Sequence[str]) -> int:
-    """Counts the panels of a row, at most 4. A row has panels of one domain, so they share a
-    scale."""
+    """Returns the number of panels in a row, at most 4. All panels of a row have the same
+    domain, so they can share a scale."""
     counts = [len(summary.values(key)) for key in keys if key != "domain"]
     return min(4, int(np.prod(counts))) if counts else 1 + (len(keys) == 0)
 
 
 def against_main_key(summary: Summary, measure: str) -> Figure | None:
-    """Draws a measure against the main swept key, with intervals and in Table 1 the paper's values.
-    Returns None if nothing was swept, or no episode has the measure."""
+    """Draws a measure, with intervals, against the swept key of :func:`plot_keys`. In Table 1,
+    also draws the paper's values. Returns None if nothing was swept, or no episode has the
+    measure."""
     x, lines, panels = plot_keys(summary)
     if x is None or not summary.episodes[measure].notna().any():
         return None
@@ -211,8 +215,9 @@ def against_main_key(summary: Summary, measure: str) -> Figure | None:
 
 
 def belief_over_steps(summary: Summary) -> Figure | None:
-    """Draws the belief in the user's true type after each step, at the middle of the main key: the
-    mean over the episodes with this step."""
+    """Draws the belief in the user's true type after each step: the mean over the episodes that
+    have this step. The key of the horizontal axis in the other plots has one value here, λ = 1
+    or its middle value. Returns None if there is no belief to draw."""
     x, lines, panels = plot_keys(summary)
     fixed: dict[str, Value] = {}
     if x is not None:
@@ -235,8 +240,8 @@ def belief_over_steps(summary: Summary) -> Figure | None:
 
 
 def elbows(summary: Summary) -> Figure | None:
-    """Draws disagreements against k, one line for each setting (mean over seeds), with the chosen
-    k."""
+    """Draws the disagreements of labels within clusters against the number k of clusters. Each
+    setting has a line (the mean over seeds), on which the chosen k is marked."""
     found = summary.data_sets
     found, rows = found[found["curve"].map(len) > 0], []
     groups: Any = found.groupby(summary.settings, sort=False)

@@ -20,9 +20,12 @@ from xplain.report.table import Table
 
 
 def compute_ratios(summary: Summary) -> Table:
-    """Makes a table with a row for each problem and a column for each way to explain. The last rows
-    are geometric means over the kinds of people. A ratio above 1 means that another way of the
-    sweep costs less."""
+    """Makes a table of ratios, with a row for each problem and a column for each way to explain.
+
+    A ratio is the cost of a way divided by the cost of the best other way in the sweep, for the
+    same people. Above 1, the other way costs less. The last rows are geometric means over the kinds
+    of people.
+    """
     by, posed = summary.ways or ["solver"], summary.posed
     names = {tuple(values.values()): label(values) for values, _ in group_episodes(summary, by)}
     rows = list[dict[str, str]]()

@@ -123,9 +123,9 @@ def cell(estimate: Estimate, after: str = "", below: str = "", split: bool = Fal
     """Formats a mean with its interval: ``0.52 ± 0.21 *``; "" without an estimate.
 
     Args:
-        estimate: estimate of a measure.
-        after: a mark after the number.
-        below: a second line.
+        estimate: mean and interval of a measure.
+        after: text after the number, such as a mark.
+        below: text of a second line.
         split: True puts the interval on its own line.
     """
     if math.isnan(estimate.mean):
@@ -136,8 +136,8 @@ def cell(estimate: Estimate, after: str = "", below: str = "", split: bool = Fal
 
 
 def half(estimate: Estimate) -> str:
-    """Formats half of the interval, such as ``± 0.21``; both ends if a bound cuts the lower
-    half."""
+    """Formats half of the interval's width, such as ``± 0.21``. Formats both ends if the mean is
+    not in the middle, because the lower end was clipped to the lowest possible value."""
     above = estimate.high - estimate.mean
     if above - (estimate.mean - estimate.low) > CUT:
         return interval(estimate)

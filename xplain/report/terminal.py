@@ -88,8 +88,9 @@ def _make_console(width: int = WIDTH, **look: bool) -> Console:
 
 
 def _compare_for_no_type(results: Results) -> str:
-    """Compares the costs of the solver's explanations and of simpler explanations, for users whom
-    no found type fits. Returns "" if the belief has only the found types."""
+    """Returns a sentence about the users whom no found type fits. It compares the mean costs for
+    these users of the solver, of giving all messages, and of one explanation for all types.
+    Returns "" if the belief has only the found types."""
     cost: dict[str, dict[tuple[int, str], float]] = {}
     for one in results.episodes:
         cost.setdefault(one.solver, {})[one.trace, one.type] = one.cost
@@ -109,7 +110,7 @@ def _compare_for_no_type(results: Results) -> str:
 
 
 def _describe_questions(results: Results) -> str:
-    """Describes the kind of questions; "" without questions."""
+    """Describes when the explainer asks and the cost κ of a question; "" without questions."""
     choice = results.choices["ask"]
     return "" if choice == "never" else f"ask={choice}, κ = {results.config['ask']['cost']:g}"
 
@@ -150,7 +151,8 @@ def _format_interval(figure: Figure) -> str:
 
 
 def _list_bounds(bounds: Mapping[str, float]) -> list[str]:
-    """Lists lines with the certificates, and with the policy's cost under the learned model."""
+    """Returns the lines about certificates: the bounds of the optimal value, and the value and
+    the cost of the policy under the learned model. Empty without certificates."""
     if not bounds:
         return []
     traces = count_things(int(bounds["traces"]), "trace")

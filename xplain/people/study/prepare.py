@@ -307,7 +307,8 @@ def facts_of_types(
             questions.
 
     Returns:
-        None if it is unknown which facts each learned type believes incorrectly.
+        Tables and estimates about these facts. None if it is unknown which facts each learned type
+        believes incorrectly.
     """
     if types is None or types.wrong is None:
         return None
