@@ -186,7 +186,7 @@ def test_models_are_solved_alike_alone_and_together() -> None:
         ({"successor": np.array([[[0], [2]], [[1], [1]]])}, "does not exist"),
         ({"successor": np.array([[[0], [-1]], [[1], [1]]])}, "does not exist"),
         ({"terminal": np.zeros(3, dtype=bool)}, "terminal"),
-        ({"reward": np.zeros((2, 2, 2))}, "share"),
+        ({"reward": np.zeros((2, 2, 2))}, r"must all be \[S, A, K\]"),
         ({"probability": np.zeros((2, 2, 1))}, "needs an action"),
     ],
 )

@@ -218,5 +218,5 @@ def test_a_studys_database_is_not_a_collections(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the plan of a collection"):
         export(tmp_path / "s.sqlite", tmp_path / "out")
     Store(tmp_path / "c.sqlite", COLLECTION).close()
-    with pytest.raises(InputError, match="that of a study"):
+    with pytest.raises(InputError, match="the plan of a study"):
         read_plan(tmp_path / "c.sqlite", StudyPlan)
