@@ -15,19 +15,21 @@ MOST = (1 << 32) - 1
 
 
 def sequence(seed: int, *names: str | int) -> np.random.SeedSequence:
-    """Returns the seed sequence of the component with this path of names: ``"observers", 3``."""
+    """Returns the seed sequence of a component. The component has a path of names, such as
+    ``"observers", 3`` for observer 3."""
     key = [name if isinstance(name, int) else zlib.crc32(name.encode()) for name in names]
     return np.random.SeedSequence(seed, spawn_key=tuple(key))
 
 
 def stream(seed: int, *names: str | int) -> np.random.Generator:
-    """Returns a generator at the start of the named stream."""
+    """Returns a new generator for the component with this path of names; equal arguments give
+    equal draws."""
     return np.random.default_rng(sequence(seed, *names))
 
 
 def below(rng: np.random.Generator, *names: str | int) -> np.random.Generator:
-    """Returns a generator at the start of a named stream. This stream is derived from the seed of
-    ``rng``, and does not depend on earlier draws from ``rng``."""
+    """Returns a new generator whose stream is derived from the seed of ``rng`` and a path of
+    names. It does not depend on earlier draws from ``rng``."""
     parent = rng.bit_generator.seed_seq
     assert isinstance(parent, np.random.SeedSequence), "every stream here has a seed sequence"
     key = (*parent.spawn_key, *sequence(0, *names).spawn_key)
@@ -35,8 +37,8 @@ def below(rng: np.random.Generator, *names: str | int) -> np.random.Generator:
 
 
 def run_seed(value: object) -> int:
-    """Checks the seed of a run. All streams are derived from this seed; scikit-learn's
-    ``random_state`` accepts it.
+    """Checks the seed of a run and returns it. All streams are derived from this seed;
+    scikit-learn's ``random_state`` accepts it.
 
     Raises:
         InputError: not a whole number from 0 to 2^32 − 1.

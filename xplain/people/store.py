@@ -168,10 +168,11 @@ class Store(Log[Any]):
             return self._resume_participant(who)
 
     def enter_as_pilot(self, cell: int | None = None) -> str:
-        """Creates a pilot without an invitation.
+        """Creates a pilot (a test participant) without an invitation.
 
         Args:
-            cell: cell of the plan that the researcher chose for a preview; None chooses at random.
+            cell: index, in the flow's ``cells``, of the type and condition that a researcher wants
+                to preview; None assigns them as for other participants.
 
         Raises:
             Refused: the flow has no such cell.

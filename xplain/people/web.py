@@ -63,7 +63,12 @@ def entrance(visit: Visiting) -> Response:
 
 @pages.post("/enter")
 def enter(visit: Visiting) -> Response:
-    """Admits a person, or redirects to the participant's current page."""
+    """Admits a person, who may return, and redirects to the person's current page.
+
+    Raises:
+        HTTPException: the person is not invited or was erased, the form is not from this browser,
+            or the plan's texts are not ready.
+    """
     visitor, server, store = visit.cookie(VISITOR), visit.site.server, visit.site.store
     if not visitor:
         raise HTTPException(403, "no_cookies")
@@ -105,8 +110,8 @@ def show(visit: Visiting) -> Response:
 def page_of(
     visit: Visit, found: Participant[Any], problem: str = "", status: int = 200, kept: bool = False
 ) -> Response:
-    """Renders the participant's current page; after a refused form, the same page with the entered
-    values."""
+    """Renders the participant's current page. After the server refused a form, renders the same
+    page with the entered values."""
     site = visit.site
     state: State = site.flow.asking(found.state) if kept else found.state
     if not state.paused:

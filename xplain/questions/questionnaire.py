@@ -2,11 +2,12 @@
 
     Hypotheses ── Questionnaire ── next() / answer(label) ── … ── done, posterior
 
-Each question has the largest expected information about three unknowns: the facts that the person
-believes incorrectly, their values (the variant of the hypotheses), and whether any hypothesis fits.
-This expected information is the mutual information under the current posterior (Lindley 1956;
-adaptive design optimisation; computerised adaptive tests). The variant is included, because labels
-depend on it and explanations depend on the labels: docs/what-to-ask.md.
+Three things about the person are unknown: the facts that the person believes incorrectly; the
+inaccurate values that the person believes instead (a variant of the hypotheses); and whether any
+hypothesis fits. Each question has the largest expected information about all three. This
+information is the mutual information under the current posterior (Lindley 1956; adaptive design
+optimisation; computerised adaptive tests). The variant is included, because labels depend on it and
+explanations depend on the labels: docs/what-to-ask.md.
 """
 
 from __future__ import annotations
@@ -135,12 +136,12 @@ class Questionnaire:
         return made
 
     def replace_hypotheses(self, hypotheses: Hypotheses, prior: ArrayLike | None) -> Questionnaire:
-        """Returns a questionnaire with the same questions and answers, but other candidates or
+        """Returns a questionnaire with the same questions and answers, but with other candidates or
         another prior.
 
         Args:
-            hypotheses: about the same transitions and messages.
-            prior: see the class.
+            hypotheses: the other candidates, with the same transitions and messages.
+            prior: [C] prior of the candidates; None: the prior of ``hypotheses``.
         """
         made = copy.copy(self)
         if hypotheses is not self.hypotheses:
@@ -189,7 +190,11 @@ class Questionnaire:
         return self._posterior.best_questions(self._questions, count, self._seen, self._make_rng())
 
     def _list_open_questions(self) -> list[tuple[int, int]]:
-        """Returns the questions without messages that may still be asked."""
+        """Returns the questions without messages that were asked less than ``repeats`` times.
+
+        Raises:
+            InputError: there is no such question.
+        """
         times = np.bincount(self._seen, minlength=self.hypotheses.n_transitions)
         left = np.flatnonzero(times < self.repeats)
         if not len(left):

@@ -183,9 +183,12 @@ def _describe_parts(both: pd.DataFrame, trade_off: float) -> str:
 
 
 def _test_linearity(episodes: pd.DataFrame) -> Iterator[Tested]:
-    """Tests the claim that the oracle's cost is linear in λ. Each plan's cost is a line in λ, and
-    the optimum is the lowest of these lines. If other plans become better, the optimum falls below
-    the line through its values at the two smallest λ."""
+    """Tests the claim that the oracle's cost is linear in λ.
+
+    The cost of a fixed plan of messages is linear in λ, and the optimal cost is the minimum over
+    all plans. If another plan becomes optimal at a larger λ, the optimal cost is there below the
+    line through the costs at the two smallest λ.
+    """
     one = episodes[episodes["solver"] == episodes["solver"].iloc[0]]
     below = {name: _measure_distances(one, name) for name in ("oracle", "clairvoyant")}
     if len(below["oracle"]):
@@ -290,8 +293,9 @@ def answer(summary: Summary) -> str:
 
 
 def list_undecided(summary: Summary) -> Table:
-    """Lists the undecided differences to the lowest cost, or Table 1's undecided claims. Each row
-    has the number of seeds that would decide the difference, and the minutes for these seeds."""
+    """Makes a table of the undecided differences to the lowest cost, or of Table 1's undecided
+    claims. Each row has the number of seeds that would decide the difference or claim, and the
+    minutes to compute the additional seeds."""
     found = (
         _find_undecided_claims(summary) if summary.is_table1 else compare.find_undecided(summary)
     )

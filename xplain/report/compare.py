@@ -450,8 +450,9 @@ def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
 
 
 def effort(summary: Summary, gap: Estimate) -> tuple[str, str]:
-    """Returns the override of ``seed`` with the seeds that would decide a difference, and the
-    minutes that one worker needs for the new seeds, estimated from this sweep's jobs."""
+    """Returns how ``seed`` must be set on the command line so that a difference is decided (such
+    as ``seed='range(20)'``), and the minutes that one worker needs for the additional seeds,
+    estimated from this sweep's jobs."""
     seconds = sum(sum(own.seconds.values()) for _, own in summary.results)
     seeds = seeds_to_decide(gap, summary.seeds) or (FEW if summary.seeds < FEW else 0)
     if not seeds:
@@ -465,8 +466,8 @@ Undecided = tuple[dict[str, str], Estimate, str]
 
 
 def find_undecided(summary: Summary) -> Iterator[Undecided]:
-    """Finds the differences to the best solver or setting whose 95 % interval does not exclude
-    0."""
+    """Finds the ways to solve a problem whose cost is not distinguishable from the lowest: the
+    95 % interval of the difference contains 0."""
     for values, (best, *others) in verdicts(summary):
         heads = {heading(key): value_title(key, own) for key, own in values.items()}
         for other in others:

@@ -170,7 +170,8 @@ def address(path: Path) -> str:
 
 
 def learning_table(summary: Summary) -> Table:
-    """Makes a table of how well types and labels were learned, with a row for each setting."""
+    """Makes a table of how well types and labels were learned. Each combination of the swept
+    values that decide the data has a row."""
     found, rows = summary.data_sets, []
     names = [name for name in LEARNING if name in found and found[name].notna().any()]
     groups: Any = found.groupby(summary.settings, sort=False)

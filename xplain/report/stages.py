@@ -33,7 +33,8 @@ def stages() -> Stages:
 
 
 class Stages(Progress):
-    """Log lines for stages that take long. A run that fails early then prints only its error."""
+    """Shows the stages of a run as log lines. A stage has a line only if it takes long, so a run
+    that fails early prints only its error."""
 
     def __init__(self) -> None:
         self._open: list[str] = []
@@ -41,7 +42,8 @@ class Stages(Progress):
 
     @contextmanager
     def stage(self, what: str, count: int | None = None) -> Iterator[None]:
-        """Logs the name of the first open stage if it takes long."""
+        """Opens a stage with this name. Logs the name after ten seconds, unless the stage has
+        ended or is within another stage."""
         timer = threading.Timer(EVERY, log.info, ("%s …", what))
         timer.daemon = True
         if not self._open:
@@ -55,7 +57,7 @@ class Stages(Progress):
             timer.cancel()
 
     def note(self, text: str, done: int | None = None) -> None:
-        """Logs a text about the newest open stage, but only every ten seconds."""
+        """Logs a text about the stage that was opened last, at most every ten seconds."""
         if self._open and text and time.monotonic() - self._said > EVERY:
             self._said = time.monotonic()
             log.info("%s: %s", self._open[-1], text)
@@ -66,7 +68,8 @@ class Stages(Progress):
 
 
 class TerminalStages(Stages):
-    """A progress line for each open stage, removed at its end."""
+    """Shows the stages of a run as progress lines, each from the beginning to the end of its
+    stage."""
 
     def __init__(self) -> None:
         from rich import progress
@@ -94,7 +97,8 @@ class TerminalStages(Stages):
                 self._bars.remove_task(self._tasks.pop())
 
     def note(self, text: str, done: int | None = None) -> None:
-        """Shows a text, and the number of finished items, in the newest progress line."""
+        """Shows a text and the number of finished items in the progress line of the stage that
+        was opened last."""
         if self._tasks:
             self._bars.update(self._tasks[-1], completed=done, note=text)
 

@@ -42,8 +42,8 @@ class Table:
 
     @property
     def sparse(self) -> pd.DataFrame:
-        """The frame without headings that repeat the row above; the last heading column is
-        complete."""
+        """The frame, in which a row heading is empty if it repeats the heading above. The last
+        column of headings is always complete."""
         heads = self.frame.iloc[:, : self.left - 1]
         same = (heads == heads.shift()).cumprod(axis=1).astype(bool)
         found = self.frame.copy()

@@ -43,17 +43,18 @@ class Served:
 
     Attributes:
         explainer: explains to people of the learned types.
-        hypotheses: T transitions with features, and the facts that people may believe incorrectly;
-            None if only traces can be explained.
-        sentences: text of each message, by its name.
-        beliefs: statement of a person who believes a fact incorrectly, by the name of its message.
+        hypotheses: T transitions with features, and the sets of facts that people may believe
+            incorrectly; None if the service only explains traces that callers send.
+        sentences: {name of a message: its text}.
+        beliefs: {name of a message: what a person says who believes the message's fact
+            incorrectly}.
         seed: seed that breaks ties in questionnaires.
         questions: maximum number of questions in a questionnaire.
-        asking: the settings by which a questionnaire chooses questions.
+        asking: keyword arguments of each :class:`xplain.questions.questionnaire.Questionnaire`.
         clips: maximum number of transitions that an explanation may ask about.
         scene: a domain's map, or None.
-        cells: [T, 2] cells of the map where a transition starts and ends.
-        traces: traces of the domain's robot, as indices of transitions.
+        cells: [T, 2] the map's cells where each transition starts and ends.
+        traces: traces of the domain's robot, each a sequence of indices of transitions.
     """
 
     explainer: Explainer

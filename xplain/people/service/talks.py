@@ -62,7 +62,8 @@ class Explanation:
             self.session.observe(came.get("labels", ()))
 
     def decide(self) -> Json:
-        """Decides the messages and the number of steps to show, or a question."""
+        """Returns the next action: to give messages and show the first steps, to ask a question,
+        or to wait for more of the trace."""
         session = self.session
         if session.finished:
             return {"kind": "wait", "step": session.shown}
@@ -75,14 +76,15 @@ class Explanation:
         return {"kind": "explain", **told, "step": move.steps}
 
     def repeat(self, decided: Json) -> None:
-        """Applies an earlier decision again."""
+        """Applies an action that was decided earlier to a restored explanation."""
         if decided["kind"] == "ask":
             self.session.ask(decided["question"])
         elif decided["kind"] == "explain":
             self.session.tell(decided["messages"])
 
     def state(self) -> Json:
-        """Returns the belief about the person, the cost, and the values of the last decision."""
+        """Returns the belief about the person, the cost so far, the progress, and the reason of
+        the latest action."""
         session = self.session
         return {
             "belief": session.belief,

@@ -22,18 +22,21 @@ from xplain.randomness import stream
 @checks("habits")
 @dataclass(frozen=True)
 class Habits(bots.BotHabits):
-    """Assumptions about participants.
+    """Assumptions about simulated participants.
 
     Attributes:
         label_noise: probability that a new label is wrong.
         forgetting: probability that a message is missed when it is given.
-        overload: added to ``forgetting`` for each other message on the page, old or new.
-        fading: probability that a learned fact is forgotten before the quiz.
-        losing: probability that a learned fact is forgotten after a step, for each step.
+        overload: increase of the probability ``forgetting`` for each other message on the page, old
+            or new.
+        fading: probability that a fact learned from a message is forgotten before the quiz.
+        losing: probability that a fact learned from a message is forgotten after a step, for each
+            step.
         page_seconds: time to read an evaluation page and press the button.
-        message_seconds: time to read a message; a twentieth of this time for a known message.
-        label_seconds: time to label a step; a tenth of this time for a step whose label is kept.
-        spread: σ of the lognormal distribution of each time and of the participant's pace.
+        message_seconds: time to read a new message; an old message takes a twentieth of this time.
+        label_seconds: time to label a step; a step whose label is kept takes a tenth of this time.
+        spread: σ of two lognormal factors: one for each single time, and one for all times of a
+            participant.
     """
 
     label_noise: Probability = 0.03
@@ -48,7 +51,8 @@ class Habits(bots.BotHabits):
 
 
 class StudyBot(bots.Bot[StudyPlan, Habits]):
-    """One simulated participant, who has a random type until a briefing assigns a role."""
+    """One simulated participant. In a study without a briefing, the participant is of a random
+    kind (``plan.kinds``). Otherwise the user type follows from the briefing."""
 
     def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
         super().__init__(plan, habits, rng)

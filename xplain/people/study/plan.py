@@ -72,7 +72,8 @@ class StudyRole:
 
 @dataclass(frozen=True)
 class Training:
-    """The example that shows the effect of a message: an action added for illustration."""
+    """The practice's example, which shows the effect of a message. Its action is not part of the
+    task."""
 
     belief: str
     action: str
@@ -82,14 +83,15 @@ class Training:
 @checks("rules")
 @dataclass(frozen=True, kw_only=True)
 class StudyRules:
-    """Numbers of the protocol.
+    """Rules and limits of the study.
 
     Attributes:
         per_cell: required number of completed participants for each type under each condition.
-        timeout_minutes: minutes without activity after which a place becomes free.
+        timeout_minutes: minutes without activity after which another participant can have the
+            place.
         max_attempts: maximum number of eligibility tests.
         recall: True if the briefing can be opened again during the evaluation.
-        min_width: minimum width of the window, in CSS pixels; 0 admits phones.
+        min_width: minimum width of the browser window, in CSS pixels; 0 admits phones.
     """
 
     per_cell: Count

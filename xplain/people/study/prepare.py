@@ -214,12 +214,13 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
 
 
 def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Returns the conditions. If questions are allowed, the conditions include the personalized
-    explainer that asks.
+    """Returns {condition: configuration of its solver}. If ``ask`` allows questions, these include
+    the condition ASKING; by default it has the solver of the condition "personalized".
 
     Raises:
-        InputError: a condition asks but no key allows questions, or the reverse; or a study cannot
-            ask questions of this kind.
+        InputError: the condition ASKING is configured but ``ask`` allows no questions; ``ask``
+            allows questions but no solver for ASKING is known; or a study cannot ask questions of
+            this kind.
     """
     conditions, ask = config["conditions"], config.get("ask", {"kinds": []})
     if not ask["kinds"]:
