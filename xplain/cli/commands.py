@@ -85,7 +85,12 @@ def keys(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def lines_of(group: str) -> list[str]:
-    """Returns a line for each command of the group ("" is the top level), with its subcommands."""
+    """Returns the help's line for each command of a group, followed by a line with the names of its
+    subcommands, if any.
+
+    Args:
+        group: name of the command with the subcommands; "" for the top level.
+    """
     lines = []
     for name, made in COMMANDS.items():
         if name.rpartition(" ")[0] == group:

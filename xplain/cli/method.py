@@ -37,10 +37,11 @@ def discover(words: list[str]) -> dict[str, Any]:
       labels 1, for held-out labels.
 
     The last line on standard output is one JSON object: ``n_types``, ``assignment`` {observer:
-    type}, ``method``, ``rule``, ``held_out`` (how well held-out labels are predicted with and
-    without types, in nats per label; null if ``held_out=false``), ``held_out_log_likelihood`` (the
-    same with types alone), ``seconds``; if it can be estimated, also ``accept`` {message:
-    [probability that it is accepted, lower and upper end of its 95 % interval]}.
+    type}, ``method``, ``rule``, ``held_out`` (mean log-likelihoods of held-out labels in nats per
+    label, if they are predicted with types and without types; null if ``held_out=false``),
+    ``held_out_log_likelihood`` (only the figure with types), ``seconds``; if it can be estimated,
+    also ``accept`` {message: [probability that it is accepted, lower and upper end of its 95 %
+    interval]}.
     """
     from xplain.experiment.config import compose_config
     from xplain.runs.discovery import discovery, require_writable
@@ -201,7 +202,7 @@ def sync(words: tuple[str, ...]) -> None:
 @click.option("--delete", is_flag=True)
 @click.option("--outputs", type=FILE, default="outputs")
 def clean(delete: bool, outputs: Path) -> None:
-    """Lists the results that no run or sweep in the outputs folder has, with their sizes.
+    """Lists the results that belong to no run or sweep in the outputs folder, with their sizes.
 
         xplain clean [--outputs FOLDER]        lists them
         xplain clean --delete                  deletes them

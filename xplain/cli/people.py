@@ -1,5 +1,6 @@
-"""The commands that the study and a collection share. ``name`` is study or collect, and replaces
-NAME in the docstrings, which are the commands' help."""
+"""The commands that the study and a collection share. Each function is the command of both: its
+argument ``name`` is study or collect. The function's docstring is the command's help, in which this
+word replaces NAME."""
 
 from __future__ import annotations
 
@@ -35,8 +36,17 @@ def flow(name: str) -> type[Flow[Any, Any]]:
 def _register_both(
     name: str, study: str, collect: str = "", config: bool = False, **settings: Any
 ) -> Decorator:
-    """Registers a function as a command of the study and of a collection. ``name`` is "" for the
-    commands that serve pages."""
+    """Registers a function twice: as a command of the study, and as a command of a collection.
+
+    Args:
+        name: name of the command after ``study`` or ``collect``; "" for the commands that serve
+            pages.
+        study: description of the study's command in one line.
+        collect: description of the collection's command; "" for the same description.
+        config: True if the commands show the files conf/study.yaml and conf/collect.yaml in their
+            help.
+        settings: settings of click's parser.
+    """
 
     def register(function: Callable[..., Any]) -> Callable[..., Any]:
         for of, meaning in (("collect", collect or study), ("study", study)):
@@ -123,8 +133,11 @@ def server_of(cfg: DictConfig) -> Server:
 
 
 def load_plan(name: str, cfg: DictConfig, path: Path, kind: type[Flow[Any, Any]]) -> Any:
-    """Returns the plan in the database, or makes a new plan. Logs the keys of ``cfg`` that differ
-    from a stored plan."""
+    """Returns the plan in the database. Makes a new plan if there is none.
+
+    If a plan is stored, its configuration is used. Prints the names of the keys that have other
+    values in ``cfg``, which are ignored.
+    """
     from xplain.people.log import read_plan
     from xplain.people.material import select_plan_keys
 

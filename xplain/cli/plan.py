@@ -114,7 +114,8 @@ def _compute_bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
 
 
 def describe_accuracy(row: Row) -> str:
-    """Describes the accuracy of a value: ``simulated ± 0.0412``, half of the 95 % interval."""
+    """Describes the accuracy of a value: ``exact``, or ``simulated ± 0.0412`` with half of the 95 %
+    interval."""
     if "value_half_width" not in row:
         return str(row["value_is"])
     upper = row["optimal_upper"]
@@ -123,7 +124,8 @@ def describe_accuracy(row: Row) -> str:
 
 
 def _describe_first(row: Row) -> str:
-    """Describes the first decision in words."""
+    """Describes the first decision in a word or numbers: ``ask 3`` for a question, indices of
+    messages, ``none`` without messages, ``by type`` if it depends on the type."""
     if question := row.get("first_question"):
         return f"ask {question['number']}"
     first = row["first_messages"]

@@ -72,7 +72,7 @@ def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
 
 
 def _list_values(why: Why) -> list[dict[str, Any]]:
-    """Lists the best messages and questions with their values, best first."""
+    """Lists the best messages and questions with their values; the highest value comes first."""
     found: list[dict[str, Any]] = [
         *({"messages": names, "value": value} for names, value in why.values.items()),
         *({"question": str(q), "messages": (), "value": value} for q, value in why.questions),

@@ -50,8 +50,11 @@ class DemoSetup:
     chosen: str = ""
 
     def session(self, explainer: Explainer | None = None) -> Session:
-        """Makes a session that explains the trace to a new user. The explainer is the setup's,
-        unless another one is given."""
+        """Makes a session that explains the trace to a new user.
+
+        Args:
+            explainer: explains the trace; None takes the attribute ``explainer``.
+        """
         steps, asked = len(self.case.transitions), self.case.questions
         explainer = explainer or self.explainer
         if asked is None or explainer.ask is None:
@@ -69,8 +72,12 @@ class DemoSetup:
         return self.suggested if name is None else one_of("--user", name, self.beliefs)
 
     def right(self, user: str) -> list[str]:
-        """Lists the learned types that match a true type; none if there is only one learned
-        type."""
+        """Lists the names of the learned types that match a true type. The list is empty if there
+        is only one learned type.
+
+        Args:
+            user: name of the true type.
+        """
         prepared, found = self.prepared, self.explainer.types.names
         if len(found) < 2:
             return []
@@ -80,7 +87,8 @@ class DemoSetup:
         ]
 
     def title(self, learned: str) -> str:
-        """Makes a readable name of a learned type: the matching true types, if known."""
+        """Makes a readable name of a learned type. It contains the names of the true types that
+        match it, if these are known."""
         prepared = self.prepared
         number = dict(zip(prepared.learned_types, prepared.matched_true_type, strict=True))
         alike = prepared.distinct == number.get(learned, -1)
@@ -186,8 +194,12 @@ def _describe_choice(prepared: Prepared, best: DemoSetup) -> str:
 
 
 def _rate_setup(scene: DemoSetup) -> tuple[bool, bool, int, float]:
-    """Rates how instructive a session is. The most instructive sessions find the type, with at
-    least one message, and with few messages."""
+    """Rates how instructive a session with the suggested user is; larger ratings are better.
+
+    Returns:
+        In the order of importance: True if the session finds the user's type; True if the robot
+        gives a message; minus the number of messages; the final belief in the user's type.
+    """
     played = play(scene, scene.suggested)
     belief = sum(played.steps[-1].belief[name] for name in scene.right(scene.suggested))
     messages = sum(len(step.said) for step in played.steps)

@@ -84,8 +84,11 @@ class Domain(Protocol):
     starts: NDArray[np.int64]
 
     def model(self, values: Mapping[str, Any]) -> TaskModel:
-        """Returns the task of a person who believes these values, ``{parameter name: value}`` for
-        all parameters."""
+        """Returns the task of a person with these beliefs.
+
+        Args:
+            values: the believed value of each parameter, by its name.
+        """
         ...
 
     def describe(self, transition: NDArray[np.int64]) -> str:

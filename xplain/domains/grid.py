@@ -103,17 +103,22 @@ class Grid:
 
     @cached_property
     def neighbour(self) -> NDArray[np.int64]:
-        """[C, 4] the end cell of each move; at a wall or the border the robot stays."""
+        """[C, 4] the cell at the end of each of the four moves from each cell. At a wall or the
+        border the robot stays."""
         padded = np.pad(self.number, 1, constant_values=-1)
         r, c = self.cells.T + 1
         to = np.stack([padded[r + dr, c + dc] for dr, dc in MOVES.values()], axis=1)
         return np.where(to < 0, np.arange(len(self.cells))[:, None], to)
 
     def outcomes(self, slip: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Returns the possible results of moves: cells [C, 4, K] and probabilities [C, 4, K].
+        """Computes the possible results of each of the four moves from each cell.
 
         Args:
             slip: probability that the robot slides to a side instead, half of it for each side.
+
+        Returns:
+            The end cells [C, 4, K] and their probabilities [C, 4, K]. K, the number of results, is
+            1 without slip and 3 with slip.
         """
         intended = self.neighbour[:, :, None]
         if slip == 0:

@@ -65,8 +65,15 @@ class Features:
         return result
 
     def set_features(self, key: str, target: Any) -> NDArray[np.int64]:
-        """Sets the features in ``target`` (``{feature: value}``) of every state. Returns [S] the
-        numbers of the new states."""
+        """Gives features the same new value in all states.
+
+        Args:
+            key: the configuration key, for errors.
+            target: ``{feature: new value}``.
+
+        Returns:
+            [S] for each state, the number of the state with the new values.
+        """
         codes = self.codes.copy()
         for feature, value in mapping(key, target, "{feature: value}").items():
             code = self._encode_value(key, feature, value)
@@ -101,13 +108,13 @@ class Gymnasium:
         discount: γ of the task, in (0, 1).
         parameters: ``{name: {inaccurate, message, belief}}``. ``inaccurate`` is a list of changes
             from the environment to the incorrect belief. A change has one of four fields: ``add``,
-            a number added to the reward; ``like``, an action whose outcomes replace those of the
-            changed actions; ``to``, new values of features of the next state, while all other
-            features keep their values (``{}``: nothing happens); ``arguments``, with which the
-            environment is made again before all other changes. The first three kinds of change may
-            be restricted by ``when``, a condition on the state, and ``actions``, names; ``add``
-            also by ``next``, a condition on the next state. A condition is ``{feature: value, or a
-            list of values}``.
+            a number added to the reward; ``like``, another action, whose outcomes the changed
+            actions get; ``to``, new values of features of the next state, while all other features
+            keep their values (``{}``: nothing happens); ``arguments``, with which the environment
+            is made again before all other changes. ``add``, ``like`` and ``to`` change all states
+            and actions, unless two further fields restrict them: ``when``, a condition on the
+            state, and ``actions``, names of actions. ``add`` may have a third field: ``next``, a
+            condition on the next state. A condition is ``{feature: value, or a list of values}``.
         starts: condition on start states of traces, which are equally likely; terminal states are
             excluded. None: the start states of the environment.
         arguments: arguments of the environment.
@@ -239,7 +246,8 @@ class Gymnasium:
 
 
 def _check_changes(key: str, value: Any) -> list[Mapping[str, Any]]:
-    """Checks the form of a parameter's value. Returns its list of changes."""
+    """Checks that the inaccurate value of a parameter is a list of changes, and returns the
+    list."""
     for change in require_list(key, value, "a list of changes"):
         for field in mapping(key, change, f"a change with {', '.join(CHANGES)}"):
             one_of(key, field, CHANGES, "field")
@@ -351,7 +359,8 @@ def _to_int(value: Any) -> int:
 
 
 def _read_values(feature: str, given: Any) -> list[Any]:
-    """Reads a feature's values, in the order of their numbers."""
+    """Returns the values of a feature, in the order of their numbers: 0, 1, … if ``given`` is a
+    number of values, or the names in the list ``given``."""
     if isinstance(given, (int, np.integer)) and not isinstance(given, bool) and given >= 1:
         return list(range(int(given)))
     if isinstance(given, Sequence) and not isinstance(given, str) and given:

@@ -71,12 +71,15 @@ class TaskModel:
 def find_reached(
     starts: NDArray[np.int64], states: int, after: Callable[[NDArray[np.int64]], NDArray[Any]]
 ) -> NDArray[np.bool_]:
-    """Returns [S] True for the states that can be reached from the starts, and for the starts.
+    """Finds the states that can be reached from the starts, in any number of steps (0 is allowed).
 
     Args:
-        starts: some states.
-        states: S.
-        after: returns the successors of some states, in any order, possibly repeated.
+        starts: indices of states.
+        states: S, the number of states.
+        after: returns the successors of an array of states, in any order, possibly repeated.
+
+    Returns:
+        [S] True for reached states.
     """
     seen = np.zeros(states, dtype=bool)
     frontier = starts
@@ -170,9 +173,10 @@ class MDP(TaskModel):
 
 
 def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
-    """Computes the optimal action values of many models over the same states and actions.
+    """Computes the optimal action values of B models over the same states and actions.
 
-    For each model |Q − Q*| ≤ SOLVED × scale; the scale is the largest |reward| / (1 − γ).
+    The error |Q − Q*| of a model is at most SOLVED · max |R| / (1 − γ), where max |R| is the
+    model's largest absolute reward.
 
     Returns:
         [B, S, A]; −inf for unavailable actions, 0 in terminal states.
@@ -186,20 +190,23 @@ def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
 
 
 def _solve_batch(models: Sequence[MDP]) -> NDArray[np.float64]:
-    """Solves all models together by modified policy iteration (Puterman & Shin 1978).
+    """Computes [B, S, A] the optimal action values of B models together, by modified policy
+    iteration (Puterman & Shin 1978).
 
-    A Bellman sweep is a γ-contraction in the max norm with fixed point V*. If a sweep changes no
-    value by more than δ, the new values lie within δ γ / (1 − γ) of V*, and the action values
-    computed from the new values lie within δ γ² / (1 − γ) of Q*. The loop ends when this last bound
-    is small enough. Between two such sweeps, cheaper sweeps (1 / A of the cost) move the values
-    towards those of the greedy policy. The cheaper sweeps change the speed of the loop, not the
-    rule that ends it.
+    A Bellman sweep is a γ-contraction in the max norm with fixed point V*. Let δ be the largest
+    change of a value in a sweep. Then the new values differ from V* by at most δ γ / (1 − γ), and
+    the action values computed from the new values differ from Q* by at most δ γ² / (1 − γ). The
+    loop ends when δ γ² / (1 − γ) is at most the error that :func:`q_values` allows.
+
+    Between two Bellman sweeps, sweeps with the greedy policy move the values towards the values of
+    this policy. A sweep with one policy needs 1 / A of the time. These sweeps make the loop faster,
+    and do not change when it ends.
     """
     slots = max(model.successor.shape[2] for model in models)
 
     def stack(name: str) -> NDArray[Any]:
-        """Stacks the arrays [S, A, K] of all models into one array [B, S, A, K]; missing slots are
-        0."""
+        """Stacks an array [S, A, K] of each model into one array [B, S, A, K]. Models with fewer
+        outcome slots than K have 0 in the missing slots."""
         arrays = [getattr(model, name) for model in models]
         return np.stack([np.pad(a, [(0, 0), (0, 0), (0, slots - a.shape[2])]) for a in arrays])
 

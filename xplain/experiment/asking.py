@@ -31,17 +31,20 @@ most likely incorrect beliefs."""
 
 @dataclass(frozen=True)
 class CaseQuestions:
-    """Q questions that may be asked while a trace of m transitions is explained, nearest first.
+    """Q questions that may be asked while a trace of m transitions is explained. The clips nearest
+    to the trace come first.
 
     Attributes:
-        transitions: [Q, 3] transitions of clips; −1 for questions about a belief.
-        facts: [Q] the fact of a question about a belief; −1 for clips.
-        learned: P(label is 1) for each of the N learned types.
-        labels: true labels of each of M true types.
-        shows: [Q, m] True if a clip shows this transition of the trace.
-        texts, right: sentences of each question, and the index of its true sentence
-            (:class:`~xplain.explanation.asking.Questions`).
-        everything: P(label is 1) for a type that believes every fact incorrectly, if known.
+        transitions: [Q, 3] the transition of each clip; −1 for questions about a belief.
+        facts: [Q] the fact of each question about a belief; −1 for clips.
+        learned: table of P(label is 1) for each question and each of the N learned types. The label
+            of a question about a belief is 1 if the user believes the fact correctly.
+        labels: table of the true labels for each question and each of M true types.
+        shows: [Q, m] True if the question is a clip of this transition of the trace.
+        texts: Q texts (:class:`~xplain.explanation.asking.Questions`).
+        right: [Q] index of the true sentence of a question about a belief, 0 or 1; −1 for clips.
+        everything: table of P(label is 1) for each question, for a type that believes every fact
+            incorrectly; None if unknown.
     """
 
     transitions: NDArray[np.int64]
@@ -54,7 +57,8 @@ class CaseQuestions:
     everything: LabelTable | None = None
 
     def take(self, order: NDArray[np.int64]) -> CaseQuestions:
-        """Selects questions, in this order."""
+        """Returns the questions with the indices in ``order``, in the order of the indices
+        there."""
         return CaseQuestions(
             self.transitions[order],
             self.facts[order],
@@ -67,7 +71,12 @@ class CaseQuestions:
         )
 
     def of_users(self, setting: Setting, types: Sequence[int]) -> CaseQuestions:
-        """Returns the same questions with the true labels of these types of a setting."""
+        """Returns the same questions with other true labels.
+
+        Args:
+            setting: has the types.
+            types: numbers of the types whose labels become the true labels.
+        """
         clips, beliefs = np.flatnonzero(self.facts < 0), np.flatnonzero(self.facts >= 0)
         parts = [setting.true_labels(self.transitions[clips])] if len(clips) else []
         parts += (
@@ -80,7 +89,12 @@ class CaseQuestions:
         return replace(self, labels=whole.of_steps(back.tolist()).of_types(types))
 
     def to_questions(self, table: LabelTable, limits: Limits) -> Questions:
-        """Makes the questions of an explanation problem, with P(label is 1) from ``table``."""
+        """Makes the questions of an explanation problem.
+
+        Args:
+            table: P(label is 1) for each question and each type of the problem.
+            limits: cost, number and time of questions.
+        """
         return Questions(table, limits, self.shows, self.texts, self.right)
 
 
@@ -117,7 +131,13 @@ class Clips:
         return cls(pool.clips, every, features)
 
     def near(self, features: NDArray[np.float64], transitions: NDArray[np.int64]) -> CaseQuestions:
-        """Selects the clips nearest to a trace [m, 3] with features [m, F]."""
+        """Selects the clips for one trace: at most ``most``, the nearest first
+        (:func:`~xplain.explanation.asking.alike_first`).
+
+        Args:
+            features: [m, F] features of the trace's transitions.
+            transitions: [m, 3] the trace.
+        """
         order = nearest_first(self.features, features)
         alike = alike_first(self.every.learned.of_steps(order.tolist()), self.most)
         chosen = self.every.take(order[alike])
@@ -165,8 +185,15 @@ def belief_questions(
 
 
 def _make_belief_table(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:
-    """Makes the table P(a user believes fact j correctly | type, message set H) of these facts; 1
-    if j is in H."""
+    """Makes the table P(a user believes fact j correctly | type, message set H). Each row of the
+    table is one fact. The probability is 1 if H contains the message about j; for each type, only
+    MOST_TOLD facts have this effect, those with the highest probability of an incorrect belief (at
+    least TOLD).
+
+    Args:
+        wrong: [N, n] P(a user of a type believes a fact incorrectly).
+        facts: indices j of the facts.
+    """
     rows, tables = [], []
     for own in wrong:
         likely = [j for j in np.argsort(-own, kind="stable").tolist() if own[j] >= TOLD]
@@ -182,8 +209,16 @@ def _make_belief_table(wrong: NDArray[np.float64], facts: Sequence[int]) -> Labe
 
 
 def merge_questions(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:
-    """Merges questions and keeps at most ``most``, the nearest of each kind first. Returns None
-    without questions."""
+    """Merges lists of questions, and selects at most ``most`` of them
+    (:func:`~xplain.explanation.asking.alike_first`).
+
+    Args:
+        parts: lists of questions; in each list, the questions nearest to the trace come first.
+        most: maximum number of questions.
+
+    Returns:
+        The selected questions; None if ``parts`` is empty.
+    """
     if not parts:
         return None
     whole = parts[0]

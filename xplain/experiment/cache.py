@@ -1,9 +1,9 @@
 """Caches on disk, by fingerprint: results of :func:`xplain.experiment.pipeline.prepare`, and
 episodes.
 
-Data, types, labelers and traces are the same for every λ and solver. The references' episodes are
-the same for every solver, and a solver's episodes with true labels are the same for every learner.
-The key of an entry covers its configuration and all code that made it
+Data, types, labelers and traces are the same for every λ and solver. The episodes of the oracle and
+of the clairvoyant are the same for every solver. A solver's episodes with true labels are the same
+for every learner. The key of an entry covers its configuration and all code that made it
 (:mod:`xplain.experiment.fingerprint`), so an entry cannot be out of date. A damaged entry is
 computed again. Entries are arrays and JSON; nothing is unpickled.
 """
@@ -33,8 +33,9 @@ SOURCE = (*SOURCE_GROUPS, "traces", "max_steps", "seed")
 
 
 def source_fingerprint(config: Mapping[str, Any]) -> str:
-    """Computes the cache key of a resolved configuration. Configurations with the same data and
-    types share this key."""
+    """Computes the cache key of a resolved configuration. Configurations that differ only in other
+    keys than the data, the types, the labelers, the traces and the possible questions share this
+    key."""
     pool = {key: config["ask"][key] for key in ("kinds", "clips")}
     return fingerprint({key: config[key] for key in SOURCE} | {"ask": pool})
 
@@ -107,10 +108,13 @@ class EpisodeCache:
     def load_or_make(
         self, prepared: Prepared, parts: tuple[str, ...], make: Callable[[], list[Record]]
     ) -> list[Record]:
-        """Reads the episodes of these traces and users, or computes and stores them.
+        """Reads the episodes of the traces and users in ``prepared``, or computes and stores them.
+        The cache key covers all of ``prepared``, and the configuration of explainers and users
+        without ``parts``.
 
         Args:
-            prepared: only what explainers and users know, because every part of it changes the key.
+            prepared: the traces, and what explainers and users know of them. It should contain
+                nothing else, because any other content would change the key.
             parts: configuration keys without influence on the episodes.
             make: computes the episodes.
         """

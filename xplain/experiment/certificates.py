@@ -54,25 +54,32 @@ class Certify:
         seed: int,
         progress: Progress = SILENT,
     ) -> dict[str, float]:
-        """Computes means over the traces of expected discounted returns, under the learned model.
-        Users of this model listen and answer as the belief update assumes.
+        """Computes figures of the explanation problems: means over the traces, under the learned
+        model. Users of this model listen and answer as the belief update assumes. All values are
+        expected discounted returns.
 
-        ``optimal_lower`` and ``optimal_upper`` enclose the optimum. ``policy_value`` is the
-        policy's value, ``policy_value_se`` its standard error, and ``policy_value_exact`` the share
-        of traces with an exact value. ``policy_cost`` is the policy's expected undiscounted cost.
-        ``value_of_perfect_information`` is the value of knowing the type (and the users' knowledge,
-        if users may miss or forget messages). ``price_of_approximation`` is the policy's
-        suboptimality. These two figures and ``policy_value`` have ends ``_low`` and ``_high``: 95 %
-        limits if the value is simulated. A solver that knows the user's type has no policy value
-        (docs/method.md, section 7).
+        The result contains
 
-        The bounds always assume independent labels. A policy whose belief update does not assume
-        independent labels decides by another belief. Then its value is not reported, and
-        ``fresh_labels`` is 0.
+        - ``optimal_lower``, ``optimal_upper``: bounds of the optimal value;
+        - ``known_type_value``: value of a policy that knows the type (and the users' knowledge, if
+          users may miss or forget messages);
+        - ``value_of_perfect_information_low`` and ``…_high``: bounds of ``known_type_value`` minus
+          the optimal value;
+        - ``policy_value``: the solver's value; ``policy_value_se``, its standard error;
+          ``policy_value_low`` and ``…_high``, its 95 % interval; ``policy_value_exact``, the share
+          of traces whose value is exact and not simulated;
+        - ``policy_cost``: the policy's expected undiscounted cost;
+        - ``price_of_approximation_low`` and ``…_high``: bounds of the optimal value minus the
+          policy's value, at the ends of its 95 % interval;
+        - ``traces``: number of traces with a certificate;
+        - ``fresh_labels``: 0, only if the belief update does not assume independent labels.
+
+        The figures of the policy are absent in two cases: the solver knows the user's type
+        (docs/method.md, section 7), or the belief update does not assume independent labels. The
+        bounds always assume them, and such a policy decides by another belief.
 
         Traces with the same problem are simulated once, so their sampling errors are equal. A trace
-        whose certificate would need more memory than allowed has no certificate, and does not count
-        in ``traces``.
+        whose certificate would need more memory than allowed has no certificate.
         """
         times: Counter[tuple[bytes, bytes]] = Counter()
         found: dict[tuple[bytes, bytes], dict[str, float] | None] = {}

@@ -49,7 +49,8 @@ class Costs:
     asking: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:
-        """Makes the checks of :class:`Problem` before any work is done."""
+        """Raises the errors of :class:`Problem` for these costs, so that they occur before any work
+        is done."""
         names = tuple(self.message_cost) if isinstance(self.message_cost, Mapping) else ()
         table = LabelTable.by_type(np.empty((1, 0), np.int64), np.full((1, 1, 1), 0.5))
         self.problem(table, names, ("type",), np.ones(1))
@@ -81,8 +82,15 @@ class Costs:
         type_names: tuple[str, ...],
         shares: NDArray[np.float64],
     ) -> Problem:
-        """Makes the problem of one trace. The prior may be ``shares`` [N], each type's share of the
-        observers."""
+        """Makes the problem of one trace.
+
+        Args:
+            table: P(label is 1) for N types.
+            message_names: names of the messages.
+            type_names: names of the N types.
+            shares: [N] share of each type among the observers, which is the prior if ``prior`` is
+                ``observers``.
+        """
         return Problem(
             table,
             message_cost=self.message_costs(message_names),
@@ -130,12 +138,21 @@ def problem_for(
     user: int,
     thoughts: LabelTable | None = None,
 ) -> Problem:
-    """Makes the problem that a solver plans for. The user has the true type ``user``, and listens
-    and answers as the belief update assumes. The clairvoyant knows ``thoughts``, the labels of this
-    user, or by default the labels of the type.
+    """Makes the problem that a solver plans for, on one trace and for one user. It contains only
+    what the solver knows (``solver.knows``). Users listen and answer as the belief update assumes.
+
+    Args:
+        prepared: has the names of types and messages.
+        case: the trace.
+        costs: λ and the other costs.
+        solver: the solver.
+        belief_update: decides how labels change the belief.
+        user: number of the user's true type.
+        thoughts: labels of this user, for the clairvoyant; None: the true labels of the type.
 
     Raises:
-        InputError: the solver needs the observers' true types, and they are unknown.
+        InputError: the solver needs the observers' true types, and they are unknown; or the labeler
+            for all users tests too many messages on this trace.
     """
     name = prepared.types[user]
     alone = np.ones(1)
@@ -221,9 +238,10 @@ def evaluate(
 
 
 def with_true_labels(prepared: Prepared) -> Prepared:
-    """Returns the same traces and users, for a solver that knows the true types and their labels.
-    The results show how much could be gained with better labelers and clusters. Types are equally
-    likely, like the users."""
+    """Returns the same traces and users, with the true types and their labels instead of the
+    learned types and labelers. A solver with this knowledge shows how much better labelers and
+    clusters could help. The types are equally likely, because each type has the same number of
+    users."""
     count, wrong = len(prepared.types), np.zeros((len(prepared.types), len(prepared.messages)))
     for case in prepared.cases:
         for own, facts in zip(wrong, case.labels.effective(), strict=True):
@@ -244,8 +262,8 @@ def _use_true_labels(case: Case) -> Case:
 
 
 def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepared:
-    """Removes everything that explainers with true labels never use. The result is then the same
-    for all learners.
+    """Removes the results of learning, which solvers with true labels do not use. What remains is
+    the same for all learners.
 
     Args:
         prepared: result of :func:`with_true_labels`.
@@ -263,8 +281,12 @@ def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepar
 
 
 def same_problems(one: Prepared, other: Prepared) -> bool:
-    """True if explainers plan the same problems for both arguments: the learned types, their
-    probabilities and their labels are equal, and ``one`` has no questions."""
+    """True if solvers plan the same problems for ``one`` and ``other``.
+
+    The learned types, the true types that match them, their shares of the observers and their
+    labels must be equal. Questions are not compared: the result is False if a trace of ``one`` has
+    questions.
+    """
 
     def tables(prepared: Prepared) -> list[bytes]:
         learned = [case.learned for case in prepared.cases]
@@ -280,8 +302,12 @@ def same_problems(one: Prepared, other: Prepared) -> bool:
 
 
 def true_thoughts(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
-    """Returns the true labels of a trace's transitions and questions. Also returns, for each of
-    these items, the index of the first equal item: people make the same errors about equal items.
+    """Returns what all true types think of a trace's transitions, followed by its questions, if
+    any.
+
+    Returns:
+        The true labels of these items; and for each item, the index of the first equal item,
+        because a person makes the same errors about equal items.
     """
     if case.questions is None:
         return case.labels, copies(case.transitions)
@@ -292,8 +318,8 @@ def true_thoughts(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
 
 
 def copies(transitions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns [m], the index of the first equal transition for each transition [m, 3] of a
-    trace."""
+    """Returns [m] for each transition of a trace [m, 3], the index of the first transition that is
+    equal to it."""
     _, first, which = np.unique(transitions, axis=0, return_index=True, return_inverse=True)
     same: NDArray[np.int64] = first[which]
     return same

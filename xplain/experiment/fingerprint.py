@@ -53,8 +53,8 @@ class Dependent(Protocol):
     files that its configuration names."""
 
     def depends_on(self) -> Mapping[str, object]:
-        """Returns the further dependencies by name: numbers, texts, or files. The fingerprint
-        covers the content of these files."""
+        """Returns the further dependencies by name: numbers, texts, or paths of files. The
+        fingerprint covers the content of the files."""
 
 
 def configuration(cfg: DictConfig) -> dict[str, Any]:
@@ -166,7 +166,7 @@ _NAMES_CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.-]*").fullmatch
 
 
 def _list_texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Yields (key, text) of every text in a configuration; texts in lists have no key."""
+    """Yields (key, text) for every text in a configuration. The key is "" for a text in a list."""
     if isinstance(node, str):
         yield key, node
     elif isinstance(node, dict):
@@ -306,8 +306,8 @@ def require_as_loaded(config: Mapping[str, Any]) -> None:
 
 
 def _was_compiled_from_other(module: ModuleType, source: bytes) -> bool:
-    """True if the loaded compiled file of a module comes from another source. False if there is no
-    compiled file."""
+    """True if the compiled file from which a module was loaded was not made from ``source``. False
+    if there is no compiled file."""
     if type(getattr(module, "__loader__", None)) is not SourceFileLoader:
         return False
     try:

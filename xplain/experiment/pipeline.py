@@ -65,14 +65,15 @@ class Case:
         phrases: m short descriptions.
         positions: m + 1 cells (row, column) of the robot; empty without a map.
         learned: P(label is 1) for each of the N learned types, by their labelers.
-        everyone: P(label is 1) by one labeler for all data (the baseline's); None if it tests too
-            many messages on this trace.
-        perfect: P(label is 1) by the M labelers of perfect clustering; None if the true types of
-            the observers are unknown, or a type has no observer.
-        labels: true labels of each of M true types.
+        everyone: P(label is 1) by the baseline's labeler, which is learned from all observers'
+            labels together; None if this labeler tests too many messages on this trace.
+        perfect: P(label is 1) for each of the M true types, by labelers that are learned from the
+            labels of the observers of this type; None if the observers' true types are unknown, or
+            a type has no observer.
+        labels: true labels of each of the M true types.
         everything: P(label is 1) for a type that believes every fact incorrectly; None if unknown.
         changes: effects of each transition, as short phrases; empty if the domain describes none.
-        questions: possible questions, if any.
+        questions: the questions that may be asked; None for no questions.
     """
 
     transitions: NDArray[np.int64]
@@ -93,17 +94,20 @@ class Prepared:
 
     Attributes:
         domain: name of the domain.
-        messages: n names, with ``sentences`` for people.
-        types: M names of the true types; ``distinct`` [M] is equal for types that behave alike.
-        learned_types: N names; ``matched_true_type`` [N] is the number in ``distinct`` that most
-            observers of each learned type have (−1 unknown); ``type_shares`` [N] is each learned
-            type's share of the observers.
+        messages: n names.
+        sentences: n sentences, the text of each message.
+        types: M names of the true types.
+        distinct: [M] a number for each true type; types with the same number behave alike.
+        learned_types: N names.
+        matched_true_type: [N] for each learned type, the number in ``distinct`` that most of its
+            observers have; −1 if unknown.
+        type_shares: [N] each learned type's share of the observers.
         learning: figures of the learning stage, by name.
-        curve: disagreements with k = 1 … types (empty if the method has none).
+        curve: disagreements with k = 1, 2, … types; empty if the method computes none.
         rule: the rule that chose the number of types.
         scene: the map, if there is one.
         cases: one for each trace.
-        habits: people's error model, learned from the observers' answers.
+        habits: people's error model, learned from the observers' answers; None if unknown.
         wrong: [N, n] P(a user of a learned type believes a fact incorrectly); None if unknown.
         new: P(a user has none of the learned types).
     """
@@ -177,7 +181,8 @@ def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
 def observe(
     domain: Domain, users: TypeSource, observers: Observers, queries: Queries, seed: int
 ) -> Observed:
-    """Draws the true types, and collects the labels of observers of these types. Returns both.
+    """Draws the true types, and collects labels from observers of these types. Returns the setting
+    with the types, and the labels.
 
     Raises:
         XplainError: the types do not fit the domain, or the labels cannot be used.
@@ -188,8 +193,8 @@ def observe(
 
 
 def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArray[np.int64]:
-    """Draws [m, 3], the trace with this index: it starts at random and follows the robot's
-    policy."""
+    """Draws the trace [m, 3] with the number ``index``. It begins in a random start state and
+    follows the robot's policy."""
     rng = stream(seed, "traces", index)
     return sample_trace(setting.models[0], setting.domain.starts, rng, max_steps)
 
@@ -202,8 +207,16 @@ def build_case(
     beliefs: CaseQuestions | None = None,
     most: int = 0,
 ) -> Case:
-    """Collects the labels of a trace [m, 3] by all labelers and true types, and at most ``most``
-    questions: clips, beliefs, or both."""
+    """Collects all data about one trace.
+
+    Args:
+        setting: has the true types.
+        transitions: [m, 3] the trace.
+        tables: computes labels by all labelers.
+        clips: possible clips; None for no clips.
+        beliefs: possible questions about beliefs; None for no such questions.
+        most: maximum number of questions.
+    """
     domain = setting.domain
     features = transition_features(domain, transitions)
     changes, labels = changes_of(domain, transitions), setting.true_labels(transitions)

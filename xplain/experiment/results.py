@@ -31,7 +31,12 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class Figure:
-    """A mean over episodes, and the ends of its 95 % interval, or None without an interval."""
+    """A mean over episodes.
+
+    Attributes:
+        mean: the mean.
+        low, high: ends of its 95 % interval; None if there is no interval.
+    """
 
     mean: float
     low: float | None
@@ -39,13 +44,19 @@ class Figure:
 
     @classmethod
     def of(cls, estimate: Estimate) -> Figure:
-        """Converts an estimate; values that JSON does not have become None."""
+        """Converts an estimate. An end of the interval that is not finite becomes None, because
+        JSON has no such numbers."""
         return cls(estimate.mean, _keep_finite(estimate.low), _keep_finite(estimate.high))
 
 
 @dataclass(frozen=True)
 class ElbowFigures:
-    """The choice of the number of types: the rule, and disagreements for k = 1 … K."""
+    """The choice of the number of types.
+
+    Attributes:
+        rule: the rule that chose it.
+        disagreements: disagreements with k = 1 … K types.
+    """
 
     rule: str
     disagreements: tuple[float, ...]
@@ -56,9 +67,11 @@ class TypeNames:
     """The user types of a run.
 
     Attributes:
-        true: M names of the true types; ``behave_alike`` [M] is equal for types that behave alike.
-        found: N names of the learned types; ``matched_true_type`` [N] is the number in
-            ``behave_alike`` that most observers of each learned type have (−1 unknown).
+        true: M names of the true types.
+        found: N names of the learned types.
+        behave_alike: M numbers, one for each true type; types with the same number behave alike.
+        matched_true_type: N numbers, one for each learned type: the number in ``behave_alike`` that
+            most observers of the learned type have; −1 if unknown.
     """
 
     true: tuple[str, ...]

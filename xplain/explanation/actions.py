@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class VisibleState(NamedTuple):
-    """The visible state before a decision.
+    """The visible state before a decision, in the explanation of a trace of m transitions.
 
     Attributes:
         step: k, number of transitions shown so far, 0 … m − 1.
@@ -24,15 +24,16 @@ class VisibleState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Explain:
-    """The action *explain*: show the first k + 1 transitions, and receive the user's labels."""
+    """The action *explain*: show the first k + 1 transitions of the trace if k are shown so far,
+    and receive the user's labels."""
 
 
 @dataclass(frozen=True, slots=True)
 class GiveMessages:
-    """The action *give messages*: give them, then *explain*.
+    """The action *give messages*: give one or more messages, then *explain*.
 
     Attributes:
-        messages: bitmask of at least one message.
+        messages: bitmask of the messages.
     """
 
     messages: int
@@ -40,7 +41,7 @@ class GiveMessages:
 
 @dataclass(frozen=True, slots=True)
 class AskQuestion:
-    """The action *ask a question*: ask it, then decide again.
+    """The action *ask a question*: ask one question, then decide again.
 
     Attributes:
         question: index of the question.

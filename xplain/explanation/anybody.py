@@ -41,12 +41,14 @@ NONE_OF_THESE = "none of these"
 
 
 class _People(NamedTuple):
-    """K hidden types.
+    """K hidden types: sets of facts believed incorrectly, with a way of answering.
 
     Attributes:
-        p, answered: [rows, 2^n, K] P(label is 1) and P(answer is 1).
-        prior: [K].
-        whose: [K] index of the user type.
+        p: [m + Q, 2^n, K] P(label is 1) of the trace's m transitions and then of the Q questions,
+            for each set of the n messages.
+        answered: P(answer is 1), in the same shape.
+        prior: [K] prior probabilities; their sum may differ from 1.
+        whose: [K] index of the user type to which each hidden type belongs.
         as_found: [K] True for a found type with the assumed habits.
     """
 
@@ -57,7 +59,7 @@ class _People(NamedTuple):
     as_found: NDArray[np.bool_]
 
     def take(self, which: NDArray[np.int64]) -> _People:
-        """Selects some of these hidden types."""
+        """Selects the hidden types with the indices in ``which``."""
         p, answered, prior, whose, as_found = self
         return _People(
             p[..., which], answered[..., which], prior[which], whose[which], as_found[which]
@@ -69,15 +71,24 @@ class Open(Independent):
     """A belief about people who may have no found type, answer otherwise than they think, or miss
     messages.
 
-    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. If ``error`` is not
-    0, the given rates replace ERROR and the share of people who err in both directions.
+    Labels are evidence as in :class:`~xplain.explanation.belief.Independent`. By default, a share
+    of people errs in both directions, at the rate ERROR. If the attribute ``error`` is not 0, the
+    assumed or learned error rates determine the share and the rate instead.
     """
 
     open: ClassVar[bool] = True
 
     def people(self, problem: Problem, learned: Habits | None, facts: Facts | None) -> Problem:
-        """Adds hidden types of people with other beliefs or habits to a problem, and the assumed
-        habits of accepting and forgetting messages."""
+        """Returns a problem with more hidden types: people with other beliefs or other habits of
+        answering. All hidden types accept and forget messages as assumed.
+
+        With more than DENSE messages, no hidden types are added.
+
+        Args:
+            problem: the problem of the found user types.
+            learned: habits that were learned from observers' answers, if any.
+            facts: facts that people may believe incorrectly, if known.
+        """
         habits = self.habits(learned)
         if problem.n_messages > DENSE:
             return problem.with_habits(habits)
@@ -92,17 +103,17 @@ class Open(Independent):
 def with_anybody(
     problem: Problem, facts: Facts | None, erring: float, error: float, messages_land: bool
 ) -> Problem:
-    """Adds hidden types of people with other beliefs or habits to a problem. One further user type
-    represents all people who have none of the found types.
+    """Returns a problem with more hidden types: people with other beliefs or other habits of
+    answering. One further user type represents all people who have none of the found types.
 
     Args:
         problem: a problem of M user types, with at most DENSE messages.
         facts: the facts that people may believe incorrectly; None if unknown.
-        erring: share of people who err in both directions, among these people and people who never
-            err.
+        erring: number of people who err in both directions, divided by the number of people who err
+            in both directions or never.
         error: P(the opposite answer) of people who err in both directions.
-        messages_land: True if the habits assume that messages always correct the fact. Then people
-            who keep one incorrect belief are added.
+        messages_land: True if the assumed habits are that a message always corrects its fact, and
+            that the fact is never forgotten. Then people who keep one incorrect belief are added.
     """
     n, count = problem.n_messages, problem.n_types
     every, sets = (1 << n) - 1, np.arange(1 << n)
@@ -157,14 +168,19 @@ def with_anybody(
 
 
 def _other_sets(found: tuple[int, ...], n: int) -> list[int]:
-    """Lists the empty set, the full set, each single fact, and each union of two types, without the
-    found sets."""
+    """Lists sets of facts as bitmasks: the empty set, the set of all facts, each single fact, and
+    the union of any two found sets. Found sets are left out.
+
+    Args:
+        found: bitmasks of the facts that each found type believes incorrectly.
+        n: number of facts.
+    """
     unions = [one | other for one, other in combinations(found, 2)]
     return sorted({0, (1 << n) - 1, *(1 << j for j in range(n)), *unions} - {*found})
 
 
 def _concatenate(parts: list[_People]) -> _People:
-    """Concatenates hidden types."""
+    """Joins lists of hidden types into one list."""
     p, answered, prior, whose, as_found = zip(*parts, strict=True)
     return _People(
         np.concatenate(p, axis=-1),
@@ -176,15 +192,22 @@ def _concatenate(parts: list[_People]) -> _People:
 
 
 def _mark_not_assumed(people: _People) -> _People:
-    """Marks all given hidden types as not assumed."""
+    """Returns the same hidden types with ``as_found`` False."""
     return people._replace(as_found=np.zeros_like(people.as_found))
 
 
 def _make_stuck(
     people: _People, share: NDArray[np.float64], wrong: tuple[int, ...], every: int
 ) -> _People:
-    """Makes a hidden type for each given type and each fact that the type believes incorrectly:
-    people who keep this incorrect belief until all messages are given."""
+    """Makes people who keep one incorrect belief until all messages are given: a hidden type for
+    each given hidden type, and each fact that it believes incorrectly.
+
+    Args:
+        people: the given hidden types.
+        share: [K] total prior of the new hidden types that are made from each given hidden type.
+        wrong: for each given hidden type, the bitmask of the facts that it believes incorrectly.
+        every: bitmask of all messages.
+    """
     which = [
         (k, j) for k, own in enumerate(wrong) for j in range(every.bit_length()) if own >> j & 1
     ]

@@ -35,10 +35,10 @@ WHICH = "Which do you think?"
 @checks("ask")
 @dataclass(frozen=True)
 class Limits:
-    """Limits of questions: their cost, number and time.
+    """Limits of questions.
 
     Args:
-        cost: κ ≥ 0 of a question, in units of cost.
+        cost: κ ≥ 0, the cost of each question, in the unit of all costs.
         most: maximum number of questions in one explanation.
         when: ``anytime``, before the messages of any step; or ``first``, before the first step.
     """
@@ -55,7 +55,7 @@ class Pool:
 
     Args:
         kinds: ``clips``, ``beliefs``, or both.
-        clips: maximum number of clips for a trace; among alike clips the nearest comes first.
+        clips: maximum number of clips for a trace. :func:`alike_first` selects them.
     """
 
     kinds: tuple[Kind, ...] = ("clips",)

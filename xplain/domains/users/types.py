@@ -80,9 +80,9 @@ class Completions:
     """A source that completes a partly known list of types: the paper's figure with three of the
     five rescue types is lost (docs/choices.md).
 
-    A completion gives each free name one bonus and one obstacle, so that all types are distinct and
-    all facts are used. For ``rescue`` there are 27 completions; the order of the free names does
-    not count.
+    A completion gives one bonus and one obstacle to each type in ``free``. All types must be
+    distinct, and each fact must be in some type. For ``rescue`` there are 27 completions;
+    completions that differ only in the order of the free types count once.
 
     Attributes:
         known: ``{name: [bonus, obstacle]}`` of the types in the paper's text.
@@ -102,7 +102,8 @@ class Completions:
         whole_number("users.index", self.index, 0, len(self.completions()) - 1)
 
     def completions(self) -> tuple[tuple[tuple[str, str], ...], ...]:
-        """Returns all completions; each has one (bonus, obstacle) for each free name."""
+        """Returns all completions; each is a tuple of one (bonus, obstacle) for each type in
+        ``free``."""
         known = {tuple(pair) for pair in self.known.values()}
         pairs = [p for p in product(self.bonuses, self.obstacles) if p not in known]
         facts = {*self.bonuses, *self.obstacles}
