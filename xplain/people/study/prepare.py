@@ -322,8 +322,8 @@ def facts_of_types(
 
 
 def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: int) -> Transitions:
-    """Lists at most ``clips`` transitions that may be asked about while a trace is explained.
-    Transitions near the trace come first."""
+    """Returns at most ``clips`` transitions that the explainer may ask about while it explains a
+    trace; transitions near the trace come first."""
     Pool(clips=clips)
     order = nearest_first(material.features, material.features[trace])
     return order[alike_first(make_learned_table(material, types, order), clips)]

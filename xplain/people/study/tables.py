@@ -37,7 +37,8 @@ def export(database: Path, folder: Path) -> str:
 
 
 def glance(study: Study, people: People) -> dict[str, Any]:
-    """Counts free places, and participants whom no type fits, for the researcher's page."""
+    """Returns the figures of the researcher's page: the completed, taken and free places of each
+    type and condition, and how many participants no found type fits."""
     held, plan, rows = study.holders(people), study.plan, []
     for own in sorted({"person", *(name for name, _ in held)}):
         for user_type, condition in plan.cells:
@@ -70,9 +71,9 @@ class Step:
     """A step of a participant's evaluation.
 
     Attributes:
-        page: the state of the step's page.
-        labels: labels at this step; empty before the answer.
-        after: [M] belief over user types after the labels.
+        page: the participant's state when the step's page was shown.
+        labels: labels of the transitions up to this step; empty before the answer.
+        after: [M] belief over M user types after the labels; empty before the answer.
     """
 
     page: StudyState
