@@ -323,7 +323,9 @@ def facts_of_types(
 
 def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: int) -> Transitions:
     """Returns at most ``clips`` transitions that the explainer may ask about while it explains a
-    trace; transitions near the trace come first."""
+    trace. They are sorted by their distance to the trace, and then selected by
+    :func:`xplain.explanation.asking.alike_first`, which prefers transitions with different
+    labels."""
     Pool(clips=clips)
     order = nearest_first(material.features, material.features[trace])
     return order[alike_first(make_learned_table(material, types, order), clips)]
