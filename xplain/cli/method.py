@@ -112,7 +112,7 @@ def plan(words: list[str]) -> dict[str, Any] | list[dict[str, Any]]:
       it evaluated, best first. If a question comes first, ``first_messages`` depends on its answer
       and is null;
     - ``value``: expected discounted return of the executed policy under the model; for a solver
-      that knows the type, Σ_t prior(t) V*_t;
+      that knows the type, Σ_t prior(t) V*_t, with V*_t the optimal value for users of type t;
     - ``value_is``: "exact", or "simulated" with its standard error ``value_se`` and half of its
       95 % interval, ``value_half_width``;
     - ``optimal_lower``, ``optimal_upper``: bounds of the optimal value; null if not computed;

@@ -318,8 +318,8 @@ def erase(name: str, database: Path, reference: str) -> None:
 @_register_both("replay", "compute all decisions again from the log")
 @click.argument("database", type=FILE)
 def replay(name: str, database: Path) -> None:
-    """Checks that the plan leads to the same decisions again: beliefs and messages of a study,
-    questions and posteriors of a collection.
+    """Computes all decisions again from the plan and the log, and checks that they are equal to the
+    decisions in the log: beliefs and messages of a study, questions and posteriors of a collection.
 
         xplain NAME replay DATABASE
 
@@ -351,9 +351,9 @@ def habits(name: str, database: Path, stream: str) -> None:
         xplain NAME habits DATABASE [--stream person]
 
     No server may have the database open (a snapshot also works); ``--stream`` is person, pilot or
-    bot. A study gives more information if messages are repeated (belief.accept and belief.forget).
-    A collection must be started with ``rules.listening``; people then forget per page, not per
-    step.
+    bot. The rates of a study are more exact if messages are repeated, as with belief.accept and
+    belief.forget. A collection must be started with ``rules.listening``; its rate of forgetting is
+    per page, the rate of a study is per step.
     """
     from xplain.explanation.listening import learn_habits
 

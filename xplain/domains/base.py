@@ -52,7 +52,7 @@ class Scene:
     """A map for people, in reports, on the study's pages, and on terminals.
 
     Attributes:
-        rows, columns: size of the grid.
+        rows, columns: numbers of rows and columns of the grid.
         walls: cells that cannot be entered.
         items: the things on the map.
     """
@@ -133,8 +133,8 @@ def cell_name(row: int, column: int) -> str:
 
 
 def changes_of(domain: Domain, transitions: NDArray[np.int64]) -> tuple[tuple[str, ...], ...]:
-    """Describes the effects of each transition (s, a, s') of [m, 3] by short phrases, for pictures
-    without a map. Empty if the domain has no method ``changes(transition)``."""
+    """Describes the effects of each of m transitions [m, 3] by short phrases, for pictures without
+    a map. The result is empty if the domain has no method ``changes(transition)``."""
     describe = getattr(domain, "changes", None)
     return (
         () if describe is None else tuple(tuple(describe(transition)) for transition in transitions)

@@ -104,7 +104,8 @@ class GoalTask(TaskModel):
 
     @property
     def _edge_cost(self) -> NDArray[np.float64]:
-        """[E] the cost of each edge; ∞ if this belief does not have the edge."""
+        """[E] the cost of each edge; ∞ if this belief does not have the edge, or if the edge begins
+        in a goal state."""
         there = ~self.terminal[self.space.source]
         return np.where(there, self.cost[self.space.variant], np.inf)
 
@@ -115,10 +116,16 @@ class GoalTask(TaskModel):
         return np.where(found < self.dead_end_cost, found, np.inf)
 
     def _compute_gaps(self) -> NDArray[np.float64]:
-        """Computes [E] the additional cost of a plan that begins with each edge, compared with a
-        best plan from the same state, and divided by the cost of the most expensive best plan. It
-        is ∞ if this belief does not have the edge, if the edge leads to a dead end, or if the edge
-        is free and does not reduce the number of free actions still needed."""
+        """Computes [E] the gap of each edge.
+
+        Let a plan begin with the edge and then be the cheapest one. The gap is the cost of this
+        plan minus the cost of the cheapest plan from the same state, divided by the largest finite
+        cost in :attr:`to_go`. The gap is ∞
+
+        - if this belief does not have the edge;
+        - if the edge begins or ends in a dead end;
+        - if the edge is free and does not reduce the number of free actions still needed.
+        """
         cost, source, after = self._edge_cost, self.space.source, self.space.successor
         behind = cost + self.to_go[after]
         behind[~np.isfinite(self.to_go[source])] = np.inf
@@ -159,8 +166,9 @@ class GoalTask(TaskModel):
         return np.asarray(np.ravel_multi_index(transitions, shape))
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Computes [T] the labels of transitions [T, 3]: 1 (explicable) if the transition is on a
-        cheapest plan and has the believed result, 0 otherwise."""
+        """Computes [T] the labels of transitions [T, 3], in the states that this user imagines
+        instead of the true states: 1 (explicable) if the action is on a cheapest plan and leads to
+        the next state, 0 otherwise."""
         s, a, after = transitions.T
         if self.imagined is not None:
             s, after = self.imagined[s], self.imagined[after]

@@ -82,7 +82,24 @@ class TypeNames:
 
 @dataclass(frozen=True)
 class EpisodeFigures:
-    """The figures of one episode: its trace and user, and its costs (undiscounted)."""
+    """The figures of one episode; no cost is discounted.
+
+    Attributes:
+        solver: name of the solver in the records.
+        trace: index of the trace.
+        type: name of the user's true type.
+        cost: λ · communication + inexplicability + questions_cost.
+        communication: sum of the costs C_e of all messages given, without λ.
+        inexplicability: cost of all labels 0 that the user thinks.
+        messages: number of messages given, including repeated ones.
+        inexplicable_labels: number of labels 0 that the user thinks, over all steps.
+        steps_until_sure: number of steps until the belief in the user's true type first exceeds
+            SURE (:mod:`xplain.interaction.metrics`); m + 1 on a trace of m transitions if it never
+            does.
+        questions: number of questions asked.
+        questions_cost: cost of these questions, κ for each.
+        fit: P(the user has a found type and the assumed habits) at the end.
+    """
 
     solver: str
     trace: int

@@ -164,8 +164,7 @@ class Source:
 
         Returns:
             The position of the expression's first character; if it is not found, the position where
-            the
-            search began.
+            the search began.
         """
         start = re.search(rf":action\s+{re.escape(action)}\s", self.text) if action else None
         begin = start.start() if start else 0

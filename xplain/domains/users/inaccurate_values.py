@@ -77,7 +77,7 @@ class FactLabels:
         return np.stack([self._known[one][:, columns] for one in facts.tolist()], axis=1)
 
     def at(self, values: Values, facts: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Computes [C, T] labels at the given values.
+        """Computes [C, T] labels of people with the given inaccurate values.
 
         Args:
             values: the inaccurate value of each parameter.
