@@ -1,11 +1,14 @@
-"""Learns how people listen and answer. The data are explanations, or answers to questions before
-and after other messages.
+"""Learns how people listen and answer: how often they miss or forget messages, and answer wrongly.
 
-An exact filter over (type, habits, knowledge) computes the posterior of a person's habits from an
-explanation: a person whose labels do not change after a message missed it; a person whose labels
-change back forgot it. The frequencies of habits among people are the mode of their posterior: the
-prior is Dirichlet around the documented shares, and each person's habit is hidden (EM; the
-objective is concave, so it ends at the mode).
+The data are explanations, or answers to questions, some of which are asked again after a message.
+An exact filter over (type, habits, knowledge) computes the posterior of a person's habits from the
+answers. If a message should change a person's labels, and they do not change, the person probably
+missed the message. If they change and later change back, the person probably forgot the message.
+
+EM estimates how frequent each habit is among people, because the habit of each person is hidden.
+The prior of these frequencies is a Dirichlet distribution whose mode is the shares in
+``xplain.explanation.habits.UNKNOWN`` (or in another grid). EM ends at the mode of the posterior,
+because the objective is concave.
 """
 
 from collections.abc import Sequence

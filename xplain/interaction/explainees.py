@@ -266,8 +266,8 @@ class Sticky(Explainee):
         given: int,
         *when: int | str,
     ) -> NDArray[np.uint8]:
-        """Returns the labels that the user thinks, except that random answers repeat the answer
-        about the previous row."""
+        """Returns the user's answers. Each answer after the first repeats, with probability
+        ``rate``, the answer about the previous row. All other answers are what the user thinks."""
         answers = thoughts.copy()
         repeated = stream(user.seed, "sticky", given, *when).random(len(rows)) < self.rate
         for i in np.flatnonzero(repeated[1:]) + 1:

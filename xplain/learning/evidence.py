@@ -167,8 +167,8 @@ def predict_in_order(
 
 
 def number_parts(observer: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns [P] the part of each answer. The answers of an observer, in order, are split into
-    PARTS parts of nearly equal size, 0 to PARTS − 1."""
+    """Returns [P] the number of each answer's part, from 0 to PARTS − 1. The answers of each
+    observer, in order, are split into PARTS parts of nearly equal size."""
     order, count = np.argsort(observer, kind="stable"), np.bincount(observer)
     rank = np.empty(len(observer), dtype=np.int64)
     rank[order] = np.arange(len(observer)) - (np.cumsum(count) - count)[observer[order]]

@@ -263,7 +263,8 @@ class StoredPlan:
         icons: {name of an item on the map: SVG path of its icon, in a box of 24 × 24}; may be
             incomplete.
         shown: the transitions that pages show.
-        ahead: the practice step with a later reason; None if the texts have no such step.
+        ahead: the practice step that looks wrong, but is right because of later steps; None if the
+            texts have no such step.
         config: the configuration that made the plan, as a record.
     """
 

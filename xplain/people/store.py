@@ -69,7 +69,7 @@ class Store(Log[Any]):
 
     def _read_secret(self) -> bytes:
         """Reads the server's secret, or makes a new secret. The secret is in a separate file beside
-        the database, which only the file's owner can read.
+        the database. Only the owner of this file can read it.
 
         Raises:
             InputError: the database has data, and the secret is lost.

@@ -199,7 +199,8 @@ class PageEvent(BaseModel, strict=True):
 
 
 class Report(BaseModel, strict=True):
-    """A page's own events, and the token of its form."""
+    """The events that a page sends from the browser, such as "visible" or "hidden", with the token
+    of the page's form."""
 
     token: str
     tab: str = Field(pattern=r"^[a-z0-9]{8,32}$")

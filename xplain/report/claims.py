@@ -164,8 +164,9 @@ def _test_orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested
 
 
 def _describe_parts(both: pd.DataFrame, trade_off: float) -> str:
-    """Describes how many messages and inexplicable labels a difference of costs consists of, and
-    how much of the difference is due to learned types and labels."""
+    """Describes the parts of a difference of costs: first the cost of the messages (λ times the sum
+    of their costs) and the number of inexplicable labels; then the difference with true types and
+    labels, and the rest, which is due to learned types and labels."""
     apart = {
         name: float((both[name] - both[f"{name}_other"]).mean())
         for name in ("communication", "inexplicability", "true_labels")

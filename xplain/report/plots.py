@@ -216,8 +216,9 @@ def against_main_key(summary: Summary, measure: str) -> Figure | None:
 
 def belief_over_steps(summary: Summary) -> Figure | None:
     """Draws the belief in the user's true type after each step: the mean over the episodes that
-    have this step. The key of the horizontal axis in the other plots has one value here, λ = 1
-    or its middle value. Returns None if there is no belief to draw."""
+    have this step. The other plots have a key, such as λ, on the horizontal axis. This plot shows
+    only one value of this key: λ = 1 if the key is λ and has this value, otherwise the middle one
+    of its values. Returns None if there is no belief to draw."""
     x, lines, panels = plot_keys(summary)
     fixed: dict[str, Value] = {}
     if x is not None:

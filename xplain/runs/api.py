@@ -288,9 +288,9 @@ Asked = tuple[list[str], dict[str, list[Any]], Compose]
 def _compose_request(
     overrides: Sequence[str], keys: Mapping[str, Any], config_dir: str | None, of: str = "config"
 ) -> Iterator[Asked]:
-    """Prepares a block that composes configurations for a call of this module. Errors of the block
-    that the caller can correct become an XplainError of one line. Progress is logged to standard
-    error, unless the program configures logging itself.
+    """Opens a context in which a function of this module composes configurations. An error in the
+    ``with`` block that the caller can correct is raised as an XplainError with a text of one line.
+    Progress is logged to standard error, unless the program configures logging itself.
 
     Yields:
         The overrides; ``{key: Python values}`` of the other keywords (:func:`_split`); and a

@@ -1,7 +1,8 @@
 """The jobs of a sweep, and the jobs that have to run.
 
-The command line and Python plan in the same way: by overrides in Hydra's form, and by Python's
-values, which are never converted to text.
+Jobs are planned in the same way for the command line and for Python. The command line gives
+overrides, which are text in Hydra's form. Python can also give values, such as numbers and lists;
+the plan uses these values as they are, and never converts them to text and back.
 """
 
 from __future__ import annotations

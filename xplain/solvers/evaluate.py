@@ -44,7 +44,8 @@ def evaluate(
     seed: int = 0,
     precision: float = EXACT,
 ) -> PolicyValue:
-    """Computes the value of a policy, exactly if it reaches at most ``beliefs`` beliefs.
+    """Computes the value of a policy. The value is exact if the policy reaches at most ``beliefs``
+    beliefs, and a mean of simulations otherwise.
 
     Args:
         problem: the model; all labels of a prefix are drawn independently at every *explain*.
@@ -52,7 +53,8 @@ def evaluate(
         beliefs: maximum number of beliefs in the exact evaluation.
         episodes: number of simulated episodes otherwise.
         seed: seed of the stream of simulated labels.
-        precision: relative precision of an exact value; unlikely beliefs are left out within it.
+        precision: relative precision of an exact value. Unlikely beliefs are left out if the error
+            stays below this precision.
     """
     cached = CachedPolicy(policy)
     exact = _evaluate_exactly(make_process(problem), cached, beliefs, precision)

@@ -206,8 +206,9 @@ class Scratch(NamedTuple):
 
 @kernel
 def sample(tables, store, scratch, order, least, gap, tail_gap, opened, work):  # type: ignore[no-untyped-def]
-    """Improves the bounds of nodes by the bounds published at their places, and backs up the nodes.
-    Then runs trials from the root until a limit is reached.
+    """Improves the bounds of the nodes in ``order``: by the bounds that nodes with the same (k, v)
+    published (``vector`` and ``height`` in :class:`Store`), and by a backup of each node. Then runs
+    trials from the root until a limit is reached.
 
     Args:
         tables, store, scratch: the data, the results so far, and scratch memory.
@@ -414,8 +415,8 @@ def _improve_bounds(tables, store, index):  # type: ignore[no-untyped-def]
 
 @part
 def _raise_lower_bound(store, begin, end, messages, value):  # type: ignore[no-untyped-def]
-    """Raises the lower bound of the action ``messages`` to ``value``, which a policy that begins
-    with this action earns. Returns False if the node does not have this action.
+    """Raises the lower bound of the action ``messages`` to ``value``. Some policy that begins with
+    this action has at least this value. Returns False if the node does not have this action.
 
     Args:
         store: the results so far.

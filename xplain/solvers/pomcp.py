@@ -175,8 +175,8 @@ class Search:
     def _compute_values(
         self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]
     ) -> dict[Action, float]:
-        """Searches after the messages ``chosen`` (a bitmask) were chosen at this step. Returns the
-        values of the next actions that were tried."""
+        """Runs a search that starts after the messages ``chosen`` (a bitmask) are chosen for this
+        step. Returns the values of the next actions that the search tried."""
         tree = self.search(visible, chosen, belief)
         root, n = tree.nodes[ROOT], self.process.n_messages
         actions = [a for a in range(64) if int(root["actions"]) >> a & 1]

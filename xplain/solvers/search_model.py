@@ -14,7 +14,8 @@ NO_NEWS = 1e-12
 
 class SearchModel(NamedTuple):
     """A :class:`~xplain.solvers.process.Process` and its known values, as kernels read them.
-    The cell of a table for (v, s) is s + Σ_{j ∈ v} stride[j, s].
+    Tables have a cell for each pair (v, s): the bitmask v of the messages given so far, and the
+    hidden state s. This cell has the index s + Σ_{j ∈ v} stride[j, s].
 
     Attributes:
         answered: [m, cells] P(answer 1).
@@ -23,9 +24,9 @@ class SearchModel(NamedTuple):
         stride: [n, S] the strides of these three tables.
         value: [m + 1, value cells] V.
         value_stride: [n, S] the strides of ``value``.
-        wanted: [m, value cells] bitmask of the messages that are better in s than *explain*;
-            SETTLED if s needs no message from this step to the end. Only POMCP uses this table; it
-            is empty for HSVI, and if messages may be missed.
+        wanted: [m, value cells] bitmask of the messages that are better than *explain* at (v, s);
+            SETTLED if no message is better from this step to the end. Empty for HSVI, which does
+            not use this table, and empty if messages may be missed.
         relevant: [S] bitmask of the messages that have an effect on s.
         jump: [n, S] the number that an accepted message adds to s; empty if messages always correct
             the fact.
@@ -39,7 +40,8 @@ class SearchModel(NamedTuple):
         question_cost: κ.
         most: the largest number of questions.
         first: True if questions come only before the first step.
-        patience: the additional share of its price that a message must gain
+        patience: QMDP gives a message only if it saves more than its price times 1 + patience · p,
+            where p is the probability that the state is not the most likely state
             (:data:`~xplain.solvers.process.PATIENCE`); 0 if messages always correct the fact.
     """
 

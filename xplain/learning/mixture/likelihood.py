@@ -226,8 +226,8 @@ class KnownTransitions:
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        """[C] the facts of each candidate that some question reveals (``Hypotheses.essential``),
-        and its unwritten facts, as a bitmask."""
+        """[C] for each candidate, a bitmask of its facts that at least one question can reveal
+        (``Hypotheses.essential``) and of its unwritten facts (attribute ``unwritten``)."""
         return self.hypotheses.essential | self.hypotheses.facts & self.unwritten
 
     def prior_of(self, facts: NDArray[np.int64]) -> NDArray[np.float64]:

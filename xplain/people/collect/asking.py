@@ -254,8 +254,9 @@ def _vary_question(
 
 
 def _list_unknown(before: Sequence[AskedClip]) -> set[tuple[tuple[int, ...], int]]:
-    """Lists questions with an answer CANNOT_TELL. This answer is no evidence, so a question with it
-    would otherwise remain the best question."""
+    """Lists the questions with an answer CANNOT_TELL, so that other questions are asked instead.
+    This answer is no evidence. So such a question could remain the best question, and would be
+    asked again."""
     return {(one.transitions, one.told) for one in before if CANNOT_TELL in one.labels}
 
 

@@ -36,8 +36,10 @@ class CollectRules:
         timeout_minutes: minutes without activity after which a participant is paused.
         repeats: number of questions that are asked a second time, for consistency.
         attention: True if an obvious step is among the questions.
-        listening: number of messages at the end that stay valid. Each has three questions: at once,
-            later without the message, and with the message given again.
+        listening: number of lasting messages at the end. A lasting message stays valid on later
+            pages; other messages are valid on one page only. A question about the same step is
+            asked three times: on the page that gives the message, on a later page that does not
+            repeat it, and on a page that gives it again.
     """
 
     people: Annotated[int, Range(2)]

@@ -37,8 +37,9 @@ def export(database: Path, folder: Path) -> str:
 
 
 def glance(study: Study, people: People) -> dict[str, Any]:
-    """Returns the figures of the researcher's page: the completed, taken and free places of each
-    type and condition, and how many participants no found type fits."""
+    """Returns the numbers on the researcher's page: the completed, taken and free places of each
+    type and condition; of the people who completed the study, how many have a fit, and how many fit
+    none of the found types."""
     held, plan, rows = study.holders(people), study.plan, []
     for own in sorted({"person", *(name for name, _ in held)}):
         for user_type, condition in plan.cells:
