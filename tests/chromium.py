@@ -75,7 +75,7 @@ def sequence(driver: Driver) -> str | None:
     return found
 
 
-def wait(true: Callable[[], bool], seconds: float = 20) -> None:
+def wait(true: Callable[[], bool], seconds: float = 60) -> None:
     """Waits until a condition is true.
 
     Raises:
