@@ -1,5 +1,7 @@
 """A fingerprint changes exactly if something may change a number."""
 
+import importlib
+import py_compile
 import sys
 from importlib import metadata
 from types import SimpleNamespace
@@ -19,6 +21,7 @@ from xplain.experiment.fingerprint import (
     component_code,
     configuration,
     fingerprint,
+    require_as_loaded,
 )
 
 
@@ -251,3 +254,14 @@ def test_what_git_cannot_tell_is_left_out(tmp_path, monkeypatch):
     assert fingerprints.git_state.__wrapped__() == {}
     (tmp_path / ".git").write_text("gitdir: nowhere")
     assert fingerprints.git_state.__wrapped__() == {}
+
+
+def test_a_compiled_file_that_was_not_loaded_refuses_nothing(plugin, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    source = plugin / "older_solver.py"
+    source.write_text("class Mine: ...\n")
+    py_compile.compile(str(source))
+    source.write_text("class Mine:\n    newer = True\n")
+    importlib.invalidate_caches()
+    assert importlib.import_module(source.stem).Mine.newer
+    require_as_loaded({"solver": {"_target_": f"{source.stem}.Mine"}})

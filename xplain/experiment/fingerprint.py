@@ -308,7 +308,9 @@ def require_as_loaded(config: Mapping[str, Any]) -> None:
 def _was_compiled_from_other(module: ModuleType, source: bytes) -> bool:
     """True if the compiled file from which a module was loaded was not made from ``source``. False
     if there is no compiled file."""
-    if type(getattr(module, "__loader__", None)) is not SourceFileLoader:
+    # If Python writes no compiled files, one of an older source may exist that was not loaded.
+    from_source = type(getattr(module, "__loader__", None)) is SourceFileLoader
+    if sys.dont_write_bytecode or not from_source:
         return False
     try:
         content = Path(getattr(module, "__cached__", None) or "").read_bytes()
