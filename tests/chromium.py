@@ -115,6 +115,15 @@ def go_in(driver: Driver, url: str, invitation: str) -> None:
     wait(lambda: sequence(driver) is not None)
 
 
+def log_in_and_invite(driver: Driver, key: str, shown: str) -> None:
+    """Logs in as the researcher on the open page, waits for this text, and creates invitations."""
+    driver.find_element("id", "key").send_keys(key)
+    press(driver)
+    wait(lambda: shown in driver.page_source)
+    driver.find_element("css selector", "form.inline button").click()
+    wait(lambda: "New invitations" in driver.page_source)
+
+
 def take_part(
     driver: Driver,
     person: Visitor,

@@ -17,7 +17,17 @@ import numpy as np
 import pytest
 from filelock import FileLock
 
-from tests.chromium import Driver, answer, choose, go_in, press, sequence, take_part, wait
+from tests.chromium import (
+    Driver,
+    answer,
+    choose,
+    go_in,
+    log_in_and_invite,
+    press,
+    sequence,
+    take_part,
+    wait,
+)
 from tests.conftest import Run
 from tests.people.kinds import ASKING, flow_of
 from tests.people.server_process import ROOT, ServerProcess
@@ -269,11 +279,7 @@ def test_every_page_is_accessible_in_sight_and_photographed(
         driver.execute_cdp_cmd("Network.clearBrowserCookies", {})
         driver.get(f"{server.url}/researcher")
         look_at(driver, axe, "researcher-login")
-        driver.find_element("id", "key").send_keys(server.key)
-        press(driver)
-        wait(lambda: "Each participant" in driver.page_source)
-        driver.find_element("css selector", "form.inline button").click()
-        wait(lambda: "New invitations" in driver.page_source)
+        log_in_and_invite(driver, server.key, "Each participant")
         look_at(driver, axe, "researcher")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.chromium import Driver, answer, choose, go_in, press, take_part, wait
+from tests.chromium import Driver, answer, choose, go_in, log_in_and_invite, press, take_part, wait
 from tests.conftest import Run
 from tests.people.collect.stand_in import FAULTLESS, at_work, street_collection
 from tests.people.server_process import ServerProcess
@@ -77,11 +77,7 @@ def test_every_page_is_accessible_and_is_photographed(
         bots = ("collect bots", "--url", server.url, "--key", server.key, "--count")
         run(*bots, 4)
         driver.get(f"{server.url}/researcher")
-        driver.find_element("id", "key").send_keys(server.key)
-        press(driver)
-        wait(lambda: "Types found so far" in driver.page_source)
-        driver.find_element("css selector", "form.inline button").click()
-        wait(lambda: "New invitations" in driver.page_source)
+        log_in_and_invite(driver, server.key, "Types found so far")
         look_at(driver, axe, "collect/researcher")
         driver.find_element("id", "count").clear()
         driver.find_element("id", "count").send_keys("7")
