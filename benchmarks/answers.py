@@ -37,7 +37,7 @@ from scipy.special import logsumexp
 from sklearn.linear_model import LogisticRegression
 
 from xplain import Hypotheses, Questionnaire
-from xplain.learning.prediction import Tenth, calibration
+from xplain.learning.prediction import CalibrationBin, calibration
 
 Table = NDArray[np.float64]
 """[O, T] answers; NaN if an answer is missing or left out."""
@@ -314,7 +314,7 @@ def after_teaching(path: Path, splits: int) -> None:
         print(f"{way} | " + " | ".join(f"{v:.3f}" for v in (*values, np.mean(values))))
 
 
-def worst(tenths: tuple[Tenth, ...]) -> float:
+def worst(tenths: tuple[CalibrationBin, ...]) -> float:
     """Returns the largest difference in a tenth of the predictions."""
     return max(abs(one.said - one.ones) for one in tenths)
 

@@ -25,7 +25,7 @@ from xplain.errors import InputError
 from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import problem_of_types, true_thoughts
 from xplain.experiment.from_config import components_of
-from xplain.experiment.pipeline import Case, Prepared
+from xplain.experiment.pipeline import Case, PreparedData
 from xplain.experiment.strangers import with_others
 from xplain.explanation.anybody import Open
 from xplain.explanation.belief import BeliefUpdate, Independent
@@ -102,7 +102,7 @@ class Told(NamedTuple):
     episode: Episode
 
 
-def of_kinds(world: World, name: str, people: dict[str, Explainee]) -> dict[str, Prepared]:
+def of_kinds(world: World, name: str, people: dict[str, Explainee]) -> dict[str, PreparedData]:
     """Returns the world with users of each kind, without the kinds that its task does not have."""
     domain = f"domain={'rescue' if 'rescue' in name else 'four_rooms'}"
     made = components_of(compose_config("config", [domain, f"seed={world.seed}"]))
@@ -141,7 +141,7 @@ def episodes(name: str, seeds: Iterable[int], trade_offs: Iterable[float], *over
                             yield Told(*about, thought_alike(world.prepared, case, talk), talk)
 
 
-def thought_alike(prepared: Prepared, case: Case, episode: Episode) -> NDArray[np.bool_]:
+def thought_alike(prepared: PreparedData, case: Case, episode: Episode) -> NDArray[np.bool_]:
     """Returns [N] True if a learned type's true labels are the user's labels at every step."""
     own = [np.flatnonzero(prepared.distinct == one)[0] for one in prepared.matched_true_type]
     given, alike = 0, np.ones(len(own), np.bool_)

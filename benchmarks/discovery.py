@@ -46,7 +46,7 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.learning.data import queries as designs
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed, SimulatedObservers
+from xplain.learning.data.observers import Observations, SimulatedObservers
 from xplain.learning.data.queries import sample_trace
 from xplain.learning.labelers import LabelerTrainer, split
 from xplain.learning.prediction import log_likelihoods
@@ -140,7 +140,7 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
     def learned(clustering: Clustering) -> UserTypes:
         return learn_types(dataset, clustering, trainer, seed)
 
-    perfect = learned(Perfect().cluster(Observed(dataset, found.truth), 0))
+    perfect = learned(Perfect().cluster(Observations(dataset, found.truth), 0))
     plans = {"found": learned(found.clustering), "true": perfect}
     cost: dict[str, list[float]] = {"found": [], "true": [], "oracle": []}
     for index in range(traces):
@@ -242,7 +242,7 @@ def growth(quick: bool) -> pd.DataFrame:
         dataset, truth = observed.dataset, observed.truth
         for method in ("dirichlet", "kmeans"):
             began = time.process_time()
-            found = clusterer(method).cluster(Observed(dataset), 0)
+            found = clusterer(method).cluster(Observations(dataset), 0)
             learn_types(dataset, found, LabelerTrainer(), 0)
             rows.append(
                 {

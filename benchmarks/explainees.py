@@ -26,11 +26,11 @@ from questions import MAPS, domain_of
 from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import Costs, evaluate, problem_of_types
 from xplain.experiment.from_config import components_of, costs_of
-from xplain.experiment.pipeline import Prepared, prepare
+from xplain.experiment.pipeline import PreparedData, prepare
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import PAPER, Assumed, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.listening import Explained, learn_habits
+from xplain.explanation.listening import ExplanationRecord, learn_habits
 from xplain.interaction.explainees import Exact, Explainee, Heedless, Person, Slips
 from xplain.interaction.metrics import Record
 from xplain.interaction.statistics import clustered_mean
@@ -64,7 +64,7 @@ class Halves(Explainee):
 class World(NamedTuple):
     """The types, traces and costs of one seed."""
 
-    prepared: Prepared
+    prepared: PreparedData
     costs: Costs
     seed: int
 
@@ -237,7 +237,7 @@ def earlier(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) ->
                         costs[accept, forget, key].append(mean)
                 before[accept, forget] = learn_habits(
                     [
-                        Explained(
+                        ExplanationRecord(
                             problems[one.trace],
                             one.episode.messages.tolist(),
                             [row[row >= 0].astype(np.uint8) for row in one.episode.labels],

@@ -40,7 +40,7 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.learning.data import queries
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed, SimulatedObservers
+from xplain.learning.data.observers import Observations, SimulatedObservers
 from xplain.learning.data.queries import sample_trace
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import Perfect, UserTypes, label_table, learn_types
@@ -124,7 +124,7 @@ def measure(
     observers = SimulatedObservers(3, points, label_noise=noise)
     observed = observers.collect(setting, queries.Independent(), seed)
     dataset, truth = observed.dataset, observed.truth
-    clustering = Perfect().cluster(Observed(dataset, truth), 0)
+    clustering = Perfect().cluster(Observations(dataset, truth), 0)
     learned = learn_types(dataset, clustering, LABELERS[name], seed)
     p, y = [], []
     for t, labeler in enumerate(learned.labelers):

@@ -66,7 +66,7 @@ from xplain.explanation.belief import Independent as IndependentLabels
 from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.learning.data.observers import Observed, SimulatedObservers
+from xplain.learning.data.observers import Observations, SimulatedObservers
 from xplain.learning.data.queries import Independent, Queries
 from xplain.learning.labelers import Labeler
 from xplain.learning.mixture.labeler import HypothesisTrainer
@@ -171,7 +171,7 @@ def design_of(way: str, path: str | None, error: float, people: str) -> tuple[Qu
 
 def observed_by(
     setting: Setting, queries: Queries, points: int, error: float, people: str, seed: int
-) -> Observed:
+) -> Observations:
     """Collects labels of three observers of each type, with their errors."""
     if people == "tire":
         error, queries = 0.0, Altered(queries, lambda answer: tired(answer, points, seed))
@@ -215,7 +215,7 @@ def row_of(
 
 
 def _measure_none(
-    observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: float
+    observed: Observations, types: UserTypes, hypotheses: Hypotheses, error: float
 ) -> float:
     """Returns the share of observers whom probably no hypothesis fits, by their own questionnaires,
     or because their type believes something incorrectly that no hypothesis contains."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Scene
-from xplain.experiment.pipeline import Case, Prepared
+from xplain.experiment.pipeline import Case, PreparedData
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import Episode
 
@@ -26,11 +26,13 @@ def a_case(seed: int, steps: int = 2, perfect: bool = True) -> Case:
     )
 
 
-def a_prepared(perfect: bool = True, seed: int = 0, steps: tuple[int, ...] = (2, 3)) -> Prepared:
+def a_prepared(
+    perfect: bool = True, seed: int = 0, steps: tuple[int, ...] = (2, 3)
+) -> PreparedData:
     """Makes a trace of each of these lengths. The second and third true type behave alike, and the
     second learned type matches them; a third of the observers have the first type."""
     goal = Item("goal", "G", ((1, 2),))
-    return Prepared(
+    return PreparedData(
         domain="grid",
         messages=("a", "b"),
         sentences=("A is 1.", "B is 2."),
@@ -47,7 +49,7 @@ def a_prepared(perfect: bool = True, seed: int = 0, steps: tuple[int, ...] = (2,
     )
 
 
-def with_cases(prepared: Prepared, *cases: Case) -> Prepared:
+def with_cases(prepared: PreparedData, *cases: Case) -> PreparedData:
     """Returns the same data with these traces."""
     return replace(prepared, cases=cases)
 

@@ -25,7 +25,7 @@ from xplain.experiment.explanations import (
 )
 from xplain.experiment.fingerprint import configuration
 from xplain.experiment.from_config import components_of, costs_of
-from xplain.experiment.pipeline import Prepared, observe, prepare
+from xplain.experiment.pipeline import PreparedData, observe, prepare
 from xplain.experiment.results import EPISODES, episode_lines
 from xplain.experiment.strangers import with_others
 from xplain.explanation.asking import SENSE, Limits, Pool
@@ -46,7 +46,7 @@ TWO = (*TRUE, "traces=2")
 
 
 @cache
-def world(*overrides: str) -> tuple[Prepared, Costs]:
+def world(*overrides: str) -> tuple[PreparedData, Costs]:
     cfg = composed(*overrides)
     return prepare(components_of(cfg)), costs_of(cfg)
 

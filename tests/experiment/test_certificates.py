@@ -13,7 +13,7 @@ from tests.handmade import a_prepared, with_cases
 from xplain.errors import InputError, TooLargeError
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs, trace_seed
-from xplain.experiment.pipeline import Case, Prepared
+from xplain.experiment.pipeline import Case, PreparedData
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, update
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -54,7 +54,9 @@ KNOWN = [
 ]
 
 
-def found_for(solver, prepared: Prepared = PREPARED, seed: int = 4, **effort) -> dict[str, float]:
+def found_for(
+    solver, prepared: PreparedData = PREPARED, seed: int = 4, **effort
+) -> dict[str, float]:
     return Certify(**{**EFFORT, **effort}).certificates(
         prepared, COSTS, solver, Independent(), seed
     )

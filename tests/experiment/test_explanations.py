@@ -9,7 +9,7 @@ import pytest
 from tests.handmade import a_prepared, with_cases
 from xplain.errors import InputError
 from xplain.experiment.explanations import Costs, evaluate, problem_for, with_true_labels
-from xplain.experiment.pipeline import Prepared
+from xplain.experiment.pipeline import PreparedData
 from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.problem import Problem
@@ -141,7 +141,7 @@ class Spy:
         return Script(self.after)
 
 
-def recorded(prepared: Prepared, seed: int = 0, **solvers: Spy):
+def recorded(prepared: PreparedData, seed: int = 0, **solvers: Spy):
     return evaluate(prepared, COSTS, solvers, Independent(), Exact(), seed)
 
 

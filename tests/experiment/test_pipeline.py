@@ -11,10 +11,10 @@ from xplain.domains.base import transition_feature_names
 from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import Explicit
 from xplain.errors import InputError, XplainError
-from xplain.experiment.pipeline import Components, Prepared, prepare
+from xplain.experiment.pipeline import Components, PreparedData, prepare
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.data.queries import Queries, Shared
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import Clustering
@@ -84,7 +84,7 @@ class Eight:
             message_set=np.tile(np.arange(10), 8),
             label=np.concatenate([np.arange(10) < ones for ones in ONES]).astype(np.uint8),
         )
-        return Observed(dataset, TRUTH if self.known else None, setting)
+        return Observations(dataset, TRUTH if self.known else None, setting)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def source(**changes) -> Components:
 
 
 @pytest.fixture(scope="module")
-def prepared() -> Prepared:
+def prepared() -> PreparedData:
     return prepare(source())
 
 

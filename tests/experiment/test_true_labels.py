@@ -17,7 +17,7 @@ from xplain.experiment.explanations import (
     with_true_labels,
 )
 from xplain.experiment.from_config import components_of, costs_of
-from xplain.experiment.pipeline import Prepared, observe, prepare
+from xplain.experiment.pipeline import PreparedData, observe, prepare
 from xplain.explanation.belief import Independent
 from xplain.interaction.explainees import Exact
 from xplain.interaction.metrics import Record
@@ -46,12 +46,12 @@ GAMMA_1 = ("labeler=truth", "discount=1", "traces=4", "max_steps=7", "lambda=1.3
 
 
 @cache
-def prepared(*overrides: str) -> tuple[Prepared, Costs]:
+def prepared(*overrides: str) -> tuple[PreparedData, Costs]:
     cfg = composed(*overrides)
     return prepare(components_of(cfg)), costs_of(cfg)
 
 
-def truth(domain: str) -> tuple[Prepared, Costs]:
+def truth(domain: str) -> tuple[PreparedData, Costs]:
     return prepared(f"domain={domain}", *GAMMA_1)
 
 

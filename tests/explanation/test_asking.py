@@ -17,7 +17,13 @@ from xplain.explanation.belief import Independent, Persistent, update_by_answer
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
+from xplain.interaction.dialogue import (
+    Dialogue,
+    MessagesGiven,
+    QuestionAnswered,
+    QuestionAsked,
+    StepLabelled,
+)
 from xplain.testing.literal_pomdp import literal_optimal_value
 from xplain.testing.problems import random_problem, with_questions
 
@@ -104,8 +110,8 @@ def test_questions_that_do_not_say_what_they_show_show_nothing_of_the_trace(seed
     for shows in (np.zeros((len(asking), problem.n_steps), np.bool_), np.empty((0, 0), np.bool_)):
         own = replace(problem, questions=replace(asking, shows=shows))
         talk = Dialogue(own, AsksAll(own), Persistent())
-        talk.hear(Asked(0), Answered(1))
-        talk.hear(*(Labelled((1,) * k) for k in range(1, own.n_steps + 1)))
+        talk.hear(QuestionAsked(0), QuestionAnswered(1))
+        talk.hear(*(StepLabelled((1,) * k) for k in range(1, own.n_steps + 1)))
         beliefs.append(talk.state.belief)
     assert np.array_equal(*beliefs)
 
@@ -121,8 +127,8 @@ def test_a_clip_is_the_label_of_its_transition_where_people_repeat_themselves() 
             talk = Dialogue(problem, AsksAll(problem), update)
             if asks:
                 assert talk.decide() == AskQuestion(0)
-                talk.hear(Asked(0), Answered(0))
-            talk.hear(*map(Labelled, labels))
+                talk.hear(QuestionAsked(0), QuestionAnswered(0))
+            talk.hear(*map(StepLabelled, labels))
             ends.append(talk.state.belief)
         assert np.allclose(*ends) == isinstance(update, Persistent)
 
@@ -131,9 +137,9 @@ def test_what_was_answered_as_a_label_is_not_asked_again() -> None:
     problem = clip_of_the_second_transition()
     for update, again in ((Persistent(), EXPLAIN), (Independent(), AskQuestion(0))):
         talk = Dialogue(problem, AsksAll(problem), update)
-        talk.hear(Labelled((1,)))
+        talk.hear(StepLabelled((1,)))
         assert talk.decide() == AskQuestion(0)  # the second transition was not shown yet
-        talk.hear(Labelled((1, 0)))
+        talk.hear(StepLabelled((1, 0)))
         assert talk.decide() == again
-        talk.hear(Given(1))
+        talk.hear(MessagesGiven(1))
         assert talk.decide() == AskQuestion(0)  # after a message it is another question

@@ -21,7 +21,7 @@ from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.interaction.dialogue import Dialogue, Given, Labelled
+from xplain.interaction.dialogue import Dialogue, MessagesGiven, StepLabelled
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.process import PATIENCE
 from xplain.testing.literal_pomdp import (
@@ -89,12 +89,12 @@ def test_the_belief_is_that_of_the_literal_person(seed: int) -> None:
         answers: dict[tuple[int, ...], int] = {}
         for k in range(5):
             new = int(rng.integers(4)) & ~talk.state.visible.given if rng.random() < 0.4 else 0
-            talk.hear(Given(new))
+            talk.hear(MessagesGiven(new))
             said, labels = talk.state.visible.given, []
             for i in range(k + 1):
                 key = (int(copies[i]), said) if repeats else (i, said, k)
                 labels.append(answers.setdefault(key, int(rng.integers(2))))
-            talk.hear(Labelled(tuple(labels)))
+            talk.hear(StepLabelled(tuple(labels)))
         posterior = problem.prior
         for (i, said, *_), answer in answers.items():
             posterior = posterior * (p[:, i, said] if answer else 1 - p[:, i, said])

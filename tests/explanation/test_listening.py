@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from xplain.errors import InputError
 from xplain.explanation.belief import Independent
 from xplain.explanation.habits import Habits, habits_of
-from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learn_habits
+from xplain.explanation.listening import PRIOR_PEOPLE, ExplanationRecord, learn_habits
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 
@@ -22,7 +22,7 @@ PAIRS = ((0, 1), (1, 2), (2, 3))
 UNKNOWN = habits_of("learned", "learned", "learned")
 
 
-def enumerated(one: Explained, habits: Habits) -> np.ndarray:
+def enumerated(one: ExplanationRecord, habits: Habits) -> np.ndarray:
     """Computes [F] the posterior, over every way in which this person may miss and forget
     messages."""
     problem, found = one.problem, np.zeros(len(habits))
@@ -62,13 +62,13 @@ def test_what_one_explanation_tells_equals_enumeration(seed: int) -> None:
     habits = Habits(
         rng.choice([0.0, 0.2], 3), rng.choice([1.0, 0.6], 3), [0.0, 0.3, 0.1], np.full(3, 1 / 3)
     )
-    told = enumerated(Explained(problem, said, answers), habits)
+    told = enumerated(ExplanationRecord(problem, said, answers), habits)
     for planned in (
         problem,
         problem.with_habits(UNKNOWN),
         problem.with_habits(habits_of(0.3, 1, 0)),
     ):
-        found = Explained(planned, said, answers).posterior(habits)
+        found = ExplanationRecord(planned, said, answers).posterior(habits)
         assert found == pytest.approx(told, abs=1e-9)
 
 
@@ -80,7 +80,7 @@ def test_the_shares_are_the_mode_of_their_posterior(seed: int) -> None:
     problem = Problem(rng.random((2, 2, 4)), np.ones(2))
     habits = Habits([0.0, 0.2], [1.0, 0.5], [0.0, 0.2], [0.7, 0.3])
     people = [
-        Explained(
+        ExplanationRecord(
             problem,
             rng.integers(4, size=2).tolist(),
             [rng.integers(2, size=k + 1).astype(np.uint8) for k in range(2)],
@@ -98,7 +98,7 @@ def test_what_was_learned_is_what_a_belief_takes() -> None:
     rng = np.random.default_rng(5)
     problem = Problem(rng.random((2, 2, 4)), np.ones(2))
     answers = [rng.integers(2, size=k + 1).astype(np.uint8) for k in range(2)]
-    found = learn_habits([Explained(problem, [1, 2], answers)])
+    found = learn_habits([ExplanationRecord(problem, [1, 2], answers)])
     taken = Independent("learned", "learned", "learned").habits(found)
     for key in ("error", "accept", "forget"):
         shares = [getattr(h, key) @ h.prior for h in (found, taken)]

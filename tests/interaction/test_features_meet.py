@@ -17,7 +17,13 @@ from xplain import Explainer, GivenTypes, LabelTable, LearnedTypes
 from xplain.explanation.asking import Limits, Question
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.message_sets import indices
-from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
+from xplain.interaction.dialogue import (
+    Dialogue,
+    MessagesGiven,
+    QuestionAnswered,
+    QuestionAsked,
+    StepLabelled,
+)
 from xplain.interaction.session import Session
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
@@ -158,17 +164,17 @@ def literal_belief(talk: Dialogue) -> NDArray[np.float64] | None:
 
     for event in talk.events:
         match event:
-            case Asked(question):
+            case QuestionAsked(question):
                 asked = question
-            case Answered(answer):
+            case QuestionAnswered(answer):
                 states = states_after(pomdp, states, EXPLAIN - 1 - asked, (answer,))
                 shown = problem.questions.shows[asked]
                 heard |= set(problem.copies[: len(shown)][shown].tolist())
-            case Given(messages):
+            case MessagesGiven(messages):
                 for j in indices(messages):
                     states = states_after(pomdp, states, j)
                 heard = set() if messages else heard
-            case Labelled(labels):
+            case StepLabelled(labels):
                 news: list[int | None] = []
                 for label, copy in zip(labels, problem.copies.tolist(), strict=False):
                     news.append(None if repeats and copy in heard else label)

@@ -7,7 +7,7 @@ from scipy.special import betaln, gammaln
 from sklearn.metrics import adjusted_rand_score
 
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.mixture.classes import SHRINKAGE, answer_classes
 from xplain.learning.mixture.sampler import DirichletMixture
@@ -85,7 +85,7 @@ def test_what_is_expected_is_that_of_all_partitions() -> None:
 
 def test_classes_are_found_and_predict_better_than_means() -> None:
     data, truth, at_best = people(0)
-    found = DirichletMixture().cluster(Observed(data), 0)
+    found = DirichletMixture().cluster(Observations(data), 0)
     assert adjusted_rand_score(truth, found.assignment) > at_best - 0.2
     assert found.n_types in (3, 4)
     assert found.expected is not None

@@ -11,14 +11,14 @@ from tests.learning.conftest import made
 from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.data.dataset import Dataset, query_index
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.paper import Elbow, KMeans
 from xplain.learning.prediction import predict_held_out
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import (
-    AskedOnce,
+    LabelTableCache,
     UserTypes,
     find_types,
     label_table,
@@ -45,7 +45,7 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
 def test_no_more_types_are_tried_than_allowed(rng: np.random.Generator, most: int) -> None:
     """Eight observers have many different vectors."""
     dataset, _ = made(rng, [[0], [1], [2], [0, 3]], per_type=2, size=40, noise=0.3)
-    found = Elbow(KMeans(), max_types=most).cluster(Observed(dataset), 0)
+    found = Elbow(KMeans(), max_types=most).cluster(Observations(dataset), 0)
     assert found.curve is not None
     assert len(found.curve) == min(most, 8)
     assert found.n_types <= most
@@ -83,7 +83,7 @@ def test_transitions_that_share_their_features_are_told_apart_when_asked_once(n:
     others = replace(labelers[0], asked=[]), *labelers[1:]
     features = np.repeat(dataset.features[:3], 4, axis=0)  # four transitions of each
     transitions = rng.permutation(36).reshape(12, 3)
-    once = AskedOnce()
+    once = LabelTableCache()
     for rows in ([0, 1, 4, 1], [1, 2, 3, 5], [*range(12)], [11, 0, 7]):
         known = features[rows], transitions[rows]
         found, expected = once.label_table(labelers, *known), label_table(others, *known)
@@ -137,7 +137,7 @@ class Told(Labeler):
 class FirstAndRest:
     """The first observer is one type, all others are another."""
 
-    def find(self, observed: Observed, seed: int) -> UserTypes:
+    def find(self, observed: Observations, seed: int) -> UserTypes:
         """Finds the two types."""
         n = observed.dataset.n_messages
         group = (np.arange(len(observed.dataset.observers)) > 0).astype(np.int64)
@@ -159,13 +159,13 @@ class TestFirstAndRest(TypeFinderConformance):
 
 def test_its_types_are_what_agents_know(tmp_path: Any) -> None:
     dataset, _ = made(np.random.default_rng(0), [[0], [1]])
-    known = find_types(Observed(dataset), LabelerTrainer(), FirstAndRest(), 0)
+    known = find_types(Observations(dataset), LabelerTrainer(), FirstAndRest(), 0)
     assert known.names == ("a", "b")
     assert known.shares == pytest.approx([1 / 6, 5 / 6])
     tables = known.tables(dataset.features, np.zeros((10, 3), np.int64))
     assert tables.learned.array(4)[:, 0, 0b111] == pytest.approx([0.4, 0.55])
     assert tables.perfect is None  # nobody knows the setting
     assert predict_held_out(dataset, FirstAndRest(), LabelerTrainer(), 0).types < 0
-    types = FirstAndRest().find(Observed(dataset), 0)
+    types = FirstAndRest().find(Observations(dataset), 0)
     with pytest.raises(InputError, match="Told"):
         LearnedTypes.of(types, dataset).save(tmp_path / "types.npz")

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.landing import Landing, learn_landing
+from xplain.learning.landing import AcceptanceModel, learn_landing
 
 ITEMS, PEOPLE, EVERY = 15, 200, 7
 SLIP, GUESS = 0.05, 0.1
@@ -36,7 +36,7 @@ def taught(rng: np.random.Generator, accept: NDArray[np.float64]) -> Dataset:
     )
 
 
-def learned(dataset: Dataset, table: NDArray[np.float64] | None = TABLE) -> Landing:
+def learned(dataset: Dataset, table: NDArray[np.float64] | None = TABLE) -> AcceptanceModel:
     found = learn_landing(dataset, table)
     assert found is not None
     return found

@@ -12,7 +12,7 @@ from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.mixture import sampler
 from xplain.learning.mixture.kernels import REACH, WIDE, resample_facts, resample_transitions
 from xplain.learning.mixture.sampler import (
@@ -205,15 +205,15 @@ def test_types_are_found_and_noise_makes_none(
 ) -> None:
     """Nobody answers the same questions."""
     dataset, truth = made(np.random.default_rng(seed), types, **options)
-    found = DirichletMixture(**method).cluster(Observed(dataset), 0)
+    found = DirichletMixture(**method).cluster(Observations(dataset), 0)
     assert adjusted_rand_score(truth, found.assignment) == 1
 
 
 def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> None:
     dataset, _ = made(np.random.default_rng(5), TYPES, size=250)
-    sure = DirichletMixture().cluster(Observed(dataset), 0).posterior
+    sure = DirichletMixture().cluster(Observations(dataset), 0).posterior
     scarce = dataset.take(np.flatnonzero(np.arange(len(dataset)) % 25 == 0))
-    unsure = DirichletMixture().cluster(Observed(scarce), 0).posterior
+    unsure = DirichletMixture().cluster(Observations(scarce), 0).posterior
     assert sure is not None
     assert unsure is not None
     for posterior in (sure, unsure):

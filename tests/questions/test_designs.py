@@ -7,7 +7,7 @@ from tests.domains.users.corridor import Corridor
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
-from xplain.learning.data.observers import Observed, SimulatedObservers
+from xplain.learning.data.observers import Observations, SimulatedObservers
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
 from xplain.questions import designs
@@ -43,7 +43,7 @@ def test_few_labels_find_the_types(setting, design):
     observed = crowd.collect(setting, design, 0)
     data, truth = observed.dataset, observed.truth
     assert len(data) == 14 * 9
-    found = DirichletMixture(labeler=trainer).cluster(Observed(data), 0)
+    found = DirichletMixture(labeler=trainer).cluster(Observations(data), 0)
     assert found.rule == "hypotheses"
     assert found.assignment.tolist() == truth.tolist()
 
@@ -165,7 +165,7 @@ def test_who_holds_wrong_what_nobody_wrote_down_is_found(setting, tmp_path):
     crowd = SimulatedObservers(per_type=3, points=40)
     observed = crowd.collect(setting, Adaptive(hypotheses=path), 0)
     data, truth = observed.dataset, observed.truth
-    found = DirichletMixture(labeler=HypothesisTrainer(path=path)).cluster(Observed(data), 0)
+    found = DirichletMixture(labeler=HypothesisTrainer(path=path)).cluster(Observations(data), 0)
     needs = found.needs[found.assignment]
     assert (needs[truth == 0] == 0b01).all()
     assert (needs[truth > 0] & 0b10 > 0).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.questions.test_people_who_err import asked, erring, hypotheses
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.evidence import (
     BEATEN,
     BEFORE,
@@ -72,7 +72,7 @@ def test_of_people_as_assumed_hypotheses_are_believed(seed, caplog):
     assert not evidence.lost
     assert (evidence.trust == 1).all()
     assert evidence.nats[0] < min(evidence.nats[1], COIN)
-    DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
+    DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observations(data), 0)
     assert "do not fit" not in caplog.text
     assert "not what people think" not in caplog.text
 
@@ -87,7 +87,7 @@ def test_of_people_who_answer_otherwise_than_they_think_a_line_says_so(seed, cap
         sticky[i] = sticky[i - 1]
     for label in (polite, sticky):
         caplog.clear()
-        told = Observed(replace(data, label=label.astype(np.uint8)))
+        told = Observations(replace(data, label=label.astype(np.uint8)))
         DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(told, 0)
         assert "of the answers are not what people think" in caplog.text
 
@@ -101,9 +101,9 @@ def test_of_people_who_think_something_else_a_line_says_so(seed, caplog):
     assert evidence.lost
     assert (evidence.doubt > 0.5).all()
     with caplog.at_level(logging.WARNING):
-        Single(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
+        Single(labeler=HypothesisTrainer(hypotheses=known)).find(Observations(data), 0)
     own, others = learn_types(
-        data, Single().cluster(Observed(data), 0), HypothesisTrainer(hypotheses=known), 0
+        data, Single().cluster(Observations(data), 0), HypothesisTrainer(hypotheses=known), 0
     ).evidence.nats
     assert f"{own:.2f} nats by hypotheses, {others:.2f} by labels alone" in caplog.text
 

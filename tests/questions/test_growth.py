@@ -14,7 +14,7 @@ from xplain.domains.base import transition_features
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting, UserType
 from xplain.explanation.message_sets import mask_of
-from xplain.learning.data.observers import Observed, SimulatedObservers
+from xplain.learning.data.observers import Observations, SimulatedObservers
 from xplain.learning.data.queries import Independent
 from xplain.learning.mixture.labeler import MOST, HypothesisTrainer
 from xplain.learning.mixture.likelihood import LIKELY, grow, posterior_by
@@ -85,7 +85,7 @@ def test_types_of_more_facts_than_the_list_begins_with_are_found():
     observed = crowd.collect(setting, Adaptive(), 0)
     data, truth = observed.dataset, observed.truth
     trainer = HypothesisTrainer().adapt_to(observed)
-    found = DirichletMixture(labeler=trainer).cluster(Observed(data), 0)
+    found = DirichletMixture(labeler=trainer).cluster(Observations(data), 0)
     assert found.assignment.tolist() == truth.tolist()
     features = transition_features(setting.domain, setting.reachable)
     for t, mask in enumerate(masks):

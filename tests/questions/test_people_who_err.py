@@ -10,7 +10,7 @@ from xplain.domains.users.hypotheses import Hypotheses
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.answers import RATES
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.labelers import Labeler
 from xplain.learning.mixture.labeler import HypothesisTrainer
 from xplain.learning.mixture.sampler import DirichletMixture
@@ -57,7 +57,9 @@ def test_fact_sets_are_found_though_every_second_person_errs(seed):
     known = hypotheses()
     facts = [3] * 4 + [12] * 4 + [5] * 4
     data = erring(asked(known, facts, 90, rng), np.resize([0, 0.3], 12), rng)
-    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
+    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(
+        Observations(data), 0
+    )
     right = types.clustering.needs[types.clustering.assignment] == known.essential[facts]
     assert right[::2].all()
     assert right[1::2].sum() >= 4
@@ -101,7 +103,9 @@ def test_what_is_slipped_about_is_still_thought():
     slippery = np.arange(4)
     data = asked(known, [3] * 15 + [12] * 15, 45, rng)
     answers = erring(data, [0.02] * 30, rng, slippery)
-    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(answers), 0)
+    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(
+        Observations(answers), 0
+    )
     assert types.clustering.assignment.tolist() == [0] * 15 + [1] * 15
     assert types.answers.slip[slippery].mean() == pytest.approx(0.3, abs=0.1)
     assert types.answers.slip[4:-1].max() < types.answers.slip[slippery].min()
@@ -126,7 +130,7 @@ def test_a_prediction_is_a_mean_over_types_and_error_rates():
     rng = np.random.default_rng(6)
     known = hypotheses(facts=2, transitions=6)
     data = erring(asked(known, [1, 1, 2, 2], 12, rng), [0.0, 0.3] * 2, rng)
-    types = Single(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
+    types = Single(labeler=HypothesisTrainer(hypotheses=known)).find(Observations(data), 0)
     answers = types.answers
     sure, prior = (0.9, 0.2), np.array([0.6, 0.4])
     made = replace(
@@ -185,7 +189,9 @@ def test_answers_about_skills_are_predicted_nearly_as_by_the_truth():
     rng = np.random.default_rng(1)
     known, answers, left, best = pupils(rng, 300, 12, 3)
     data, asked_ = table(known, answers, ~left), table(known, answers, left)
-    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(Observed(data), 0)
+    types = DirichletMixture(labeler=HypothesisTrainer(hypotheses=known)).find(
+        Observations(data), 0
+    )
     found = predict(data, types, asked_)
     assert nats(found, answers[left]) < nats(best[left], answers[left]) + 0.02
 

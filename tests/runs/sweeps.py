@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from tests import forked, processes
-from xplain.report.folder import Listed, SweepFolder
+from xplain.report.folder import ListedJob, SweepFolder
 from xplain.runs.plan import label_jobs
 from xplain.runs.sweep import save_sweep
 
@@ -42,7 +42,7 @@ SINGLE = (*(word for word in QUICK[1:-1] if word != "solver=qmdp,qhr"), "solver=
 
 def planned(outputs: Path, jobs: int) -> SweepFolder:
     """Makes the folder of a sweep with this number of jobs, none of which has begun."""
-    rows = [Listed("", (f"seed={i}",), {"seed": str(i)}, f"f{i}") for i in range(jobs)]
+    rows = [ListedJob("", (f"seed={i}",), {"seed": str(i)}, f"f{i}") for i in range(jobs)]
     folder = SweepFolder(outputs / "sweeps" / "tiny-1")
     folder.path.mkdir(parents=True)
     about = {"name": "tiny", "command": "python -m xplain sweeps=tiny"}

@@ -14,7 +14,7 @@ from tests.report import handmade
 from tests.runs.sweeps import planned
 from xplain.errors import InputError, XplainError
 from xplain.experiment.results import ElbowFigures, Figure, save_results
-from xplain.report.folder import FAILURE, Listed, SweepFolder
+from xplain.report.folder import FAILURE, ListedJob, SweepFolder
 from xplain.runs.folder import without_passwords
 from xplain.runs.job import mark_failed
 from xplain.runs.mlflow import MLflow, sync
@@ -61,11 +61,11 @@ def children(client: MlflowClient) -> dict[str, str]:
     }
 
 
-def fail(folder: SweepFolder, job: Listed) -> None:
+def fail(folder: SweepFolder, job: ListedJob) -> None:
     mark_failed(folder.of(job), RuntimeError("no memory"))
 
 
-def finish(folder: SweepFolder, job: Listed, started: float = 1e9) -> None:
+def finish(folder: SweepFolder, job: ListedJob, started: float = 1e9) -> None:
     folder.address(job).mkdir(parents=True, exist_ok=True)
     episodes = tuple(handmade.episode(name, 0, "A", 1.0) for name in ("oracle", "solver"))
     own = handmade.results(job.label, {}, episodes)

@@ -15,17 +15,17 @@ from tests.people.client import Client, Reply
 from tests.people.server_process import free_port
 from xplain.experiment.config import compose_config
 from xplain.people.service.app import create_app
-from xplain.people.service.served import Served, make_served
+from xplain.people.service.served import ServedTask, make_served
 from xplain.people.service.talks import Talks
 
 
 @pytest.fixture(scope="session")
-def task() -> Served:
+def task() -> ServedTask:
     return make_served(compose_config("serve", ["questions=8", "ask=clips"]))
 
 
 @pytest.fixture
-def talks(task: Served, tmp_path: Path) -> Iterator[Talks]:
+def talks(task: ServedTask, tmp_path: Path) -> Iterator[Talks]:
     opened = Talks(tmp_path / "service.sqlite", task)
     yield opened
     opened.close()

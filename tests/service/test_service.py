@@ -22,7 +22,7 @@ from tests.people.server_process import free_port
 from tests.service.conftest import Direct, Running
 from xplain import discover
 from xplain.learning.data.label_file import read_table
-from xplain.people.service.served import Served
+from xplain.people.service.served import ServedTask
 from xplain.people.service.talks import Talks
 
 Json = dict[str, Any]
@@ -30,7 +30,7 @@ KINDS = ("session", "questionnaire")
 
 
 def reaction(
-    task: Served, decided: Json, trace: list[int], said: set[str], wrong: set[str]
+    task: ServedTask, decided: Json, trace: list[int], said: set[str], wrong: set[str]
 ) -> Json:
     """Returns the reaction of a person who believes these facts incorrectly until their
     messages."""
@@ -70,7 +70,7 @@ def go_through(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("wrong", [set(), {"fire", "rubble"}])
 def test_a_talk_restored_before_every_request_goes_on_as_one_that_never_stopped(
-    task: Served, talks: Talks, tmp_path: Path, kind: str, wrong: set[str]
+    task: ServedTask, talks: Talks, tmp_path: Path, kind: str, wrong: set[str]
 ) -> None:
     opened: list[Talks] = []
 
@@ -86,7 +86,9 @@ def test_a_talk_restored_before_every_request_goes_on_as_one_that_never_stopped(
     opened[-1].close()
 
 
-def test_who_believes_facts_incorrectly_is_told_them_and_found(task: Served, talks: Talks) -> None:
+def test_who_believes_facts_incorrectly_is_told_them_and_found(
+    task: ServedTask, talks: Talks
+) -> None:
     go_through(talks, "session", "anna", {"fire", "rubble"})
     decisions = go_through(talks, "questionnaire", "anna", {"fire", "rubble"})
     (which,) = {row["observer"] for row in talks.labels()}
@@ -167,7 +169,7 @@ def test_more_of_a_trace_comes_once_and_leaves_what_is_open(service: Direct) -> 
     assert state["next"] == talk["next"]
 
 
-def test_a_person_like_no_observer_is_noticed(task: Served, talks: Talks) -> None:
+def test_a_person_like_no_observer_is_noticed(task: ServedTask, talks: Talks) -> None:
     """A person of a found type fits; a person who believes all facts incorrectly does not."""
     trace, names, fits = list(task.traces[0]), task.types.messages, []
     found = {name for j, name in enumerate(names) if task.types.labelers[0].wrong[j] > 0.5}
@@ -264,7 +266,7 @@ HOSTILE += [
 
 @pytest.fixture(scope="module")
 def attacked(
-    task: Served, tmp_path_factory: pytest.TempPathFactory
+    task: ServedTask, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[tuple[Direct, str]]:
     opened = Talks(tmp_path_factory.mktemp("attacked") / "service.sqlite", task)
     service = Direct(opened)

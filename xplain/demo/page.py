@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from xplain.demo.play import DemoSetup, Played, play, set_up
+from xplain.demo.play import DemoSetup, PlayedSession, play, set_up
 from xplain.experiment.results import encode_question
 from xplain.interaction.session import Why
 from xplain.storage import encode, write_text
@@ -31,7 +31,7 @@ def write_page(overrides: Sequence[str], trace: int | None, user: str | None, pa
     write_text(path, page(scene, play(scene, scene.user_type(user))))
 
 
-def page(stage: DemoSetup, played: Played) -> str:
+def page(stage: DemoSetup, played: PlayedSession) -> str:
     """Makes the HTML of the page, with the session's data in it."""
     template = files("xplain.demo").joinpath("player.html").read_text(encoding="utf-8")
     # Inside a script element only "</" and "<!--" have a special meaning.
@@ -39,7 +39,7 @@ def page(stage: DemoSetup, played: Played) -> str:
     return template.replace("/*DATA*/null", data)
 
 
-def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
+def content(stage: DemoSetup, played: PlayedSession) -> dict[str, Any]:
     """Makes the page's data, in plain JSON."""
     prepared, case = stage.prepared, stage.case
     return {

@@ -9,7 +9,7 @@ from xplain.errors import InputError, one_of
 from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import Costs, true_thoughts
 from xplain.experiment.from_config import components_of, costs_of
-from xplain.experiment.pipeline import Case, Prepared, prepare
+from xplain.experiment.pipeline import Case, PreparedData, prepare
 from xplain.experiment.results import domain_name
 from xplain.explanation.asking import Question
 from xplain.explanation.belief import BeliefUpdate
@@ -40,7 +40,7 @@ class DemoSetup:
 
     domain: str
     solver: str
-    prepared: Prepared
+    prepared: PreparedData
     case: Case
     explainer: Explainer
     explainee: Explainee
@@ -119,7 +119,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Played:
+class PlayedSession:
     """A session from beginning to end.
 
     Attributes:
@@ -185,7 +185,7 @@ def set_up(
     return best if trace is not None else replace(best, chosen=_describe_choice(prepared, best))
 
 
-def _describe_choice(prepared: Prepared, best: DemoSetup) -> str:
+def _describe_choice(prepared: PreparedData, best: DemoSetup) -> str:
     number = next(i for i, case in enumerate(prepared.cases) if case is best.case)
     return (
         f"This is trace {number} of the first {TRIED}: here the type of a simulated user is found "
@@ -207,7 +207,12 @@ def _rate_setup(scene: DemoSetup) -> tuple[bool, bool, int, float]:
 
 
 def _make_explainer(
-    prepared: Prepared, case: Case, costs: Costs, solver: Solver, update: BeliefUpdate, seed: int
+    prepared: PreparedData,
+    case: Case,
+    costs: Costs,
+    solver: Solver,
+    update: BeliefUpdate,
+    seed: int,
 ) -> Explainer:
     """Makes the explainer of one trace to users of the learned types.
 
@@ -242,7 +247,7 @@ def _make_explainer(
     )
 
 
-def play(scene: DemoSetup, user: str) -> Played:
+def play(scene: DemoSetup, user: str) -> PlayedSession:
     """Plays the session to its end with a simulated user of a true type."""
     session, steps = scene.session(), list[Step]()
     prior, asked = session.belief, list[tuple[Question, int]]()
@@ -262,7 +267,7 @@ def play(scene: DemoSetup, user: str) -> Played:
             belief, cost = session.belief, session.cost
             steps.append(Step(said, session.why(), labels, belief, cost, tuple(asked)))
             asked = []
-    return Played(user, prior, tuple(steps))
+    return PlayedSession(user, prior, tuple(steps))
 
 
 def _make_person(scene: DemoSetup, user: str) -> Person:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from xplain.experiment.config import SOURCE_GROUPS
 from xplain.experiment.fingerprint import fingerprint
-from xplain.experiment.pipeline import Prepared
+from xplain.experiment.pipeline import PreparedData
 from xplain.interaction.metrics import Record
 from xplain.storage import decode, encode, open_atomic, write_text
 
@@ -33,14 +33,14 @@ SOURCE = (*SOURCE_GROUPS, "traces", "max_steps", "seed")
 
 
 def source_fingerprint(config: Mapping[str, Any]) -> str:
-    """Computes the cache key of a resolved configuration. Configurations that differ only in other
-    keys than the data, the types, the labelers, the traces and the possible questions share this
-    key."""
+    """Computes the cache key of a resolved configuration. The cache key depends only
+    on the settings of the data, the types, the labelers, the traces and the possible questions. So
+    configurations that differ only in other settings have the same cache key."""
     pool = {key: config["ask"][key] for key in ("kinds", "clips")}
     return fingerprint({key: config[key] for key in SOURCE} | {"ask": pool})
 
 
-def load_or_prepare(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepared:
+def load_or_prepare(folder: Path, key: str, make: Callable[[], PreparedData]) -> PreparedData:
     """Reads the entry of this key, or computes and stores it.
 
     Processes that need the same entry at the same time wait for the first one. If the folder cannot
@@ -68,7 +68,7 @@ def load_or_prepare(folder: Path, key: str, make: Callable[[], Prepared]) -> Pre
         return kept
 
 
-def _try_read(path: Path) -> Prepared | None:
+def _try_read(path: Path) -> PreparedData | None:
     try:
         return _read_entry(path, path.stat().st_mtime_ns)
     except (OSError, EOFError, ValueError, LookupError, TypeError, zipfile.BadZipFile, zlib.error):
@@ -76,16 +76,16 @@ def _try_read(path: Path) -> Prepared | None:
 
 
 @lru_cache(maxsize=1)
-def _read_entry(path: Path, written: int) -> Prepared:
+def _read_entry(path: Path, written: int) -> PreparedData:
     """Reads an entry. Keeps the last entry in memory, because the jobs of a batch share it."""
     with path.open("rb") as stored, np.load(stored, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     content = json.loads(str(arrays["content"]))
-    prepared: Prepared = decode(Prepared, content, arrays)
+    prepared: PreparedData = decode(PreparedData, content, arrays)
     return prepared
 
 
-def _write_entry(path: Path, prepared: Prepared) -> None:
+def _write_entry(path: Path, prepared: PreparedData) -> None:
     arrays: dict[str, NDArray[Any]] = {}
     content = np.array(json.dumps(encode(prepared, arrays)))
     # If the cache cannot be written, the result is kept but not shared.
@@ -106,7 +106,7 @@ class EpisodeCache:
     config: Mapping[str, Any]
 
     def load_or_make(
-        self, prepared: Prepared, parts: tuple[str, ...], make: Callable[[], list[Record]]
+        self, prepared: PreparedData, parts: tuple[str, ...], make: Callable[[], list[Record]]
     ) -> list[Record]:
         """Reads the episodes of the traces and users in ``prepared``, or computes and stores them.
         The cache key covers all of ``prepared``, and the configuration of explainers and users

@@ -11,7 +11,7 @@ import numpy as np
 
 from xplain.errors import Count, Positive, Range, TooLargeError, Whole, checks
 from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
-from xplain.experiment.pipeline import Prepared
+from xplain.experiment.pipeline import PreparedData
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
@@ -47,7 +47,7 @@ class Certify:
 
     def certificates(
         self,
-        prepared: Prepared,
+        prepared: PreparedData,
         costs: Costs,
         solver: Solver,
         belief_update: BeliefUpdate,

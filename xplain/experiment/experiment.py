@@ -16,7 +16,7 @@ from xplain.experiment.explanations import (
     with_true_labels,
     without_tables,
 )
-from xplain.experiment.pipeline import Components, Prepared, prepare
+from xplain.experiment.pipeline import Components, PreparedData, prepare
 from xplain.experiment.progress import Progress
 from xplain.experiment.strangers import with_others
 from xplain.explanation.belief import BeliefUpdate
@@ -47,7 +47,7 @@ class Experiment:
     certify: Certify
     seed: int
 
-    def prepare(self, cache: Path | None, key: str, progress: Progress) -> Prepared:
+    def prepare(self, cache: Path | None, key: str, progress: Progress) -> PreparedData:
         """Runs the first half: observers label transitions, types and labelers are learned, traces
         are drawn. Caches the result in the folder ``cache`` by its ``key``. Without a folder,
         always computes the result."""
@@ -57,8 +57,8 @@ class Experiment:
             return load_or_prepare(cache, key, lambda: prepare(self.components(), progress))
 
     def explain_cases(
-        self, prepared: Prepared, cache: EpisodeCache, progress: Progress
-    ) -> tuple[Prepared, list[Record]]:
+        self, prepared: PreparedData, cache: EpisodeCache, progress: Progress
+    ) -> tuple[PreparedData, list[Record]]:
         """Runs the second half: the solver and its references explain each trace to a user of each
         type. Returns the traces with their users, and the records.
 
@@ -74,7 +74,7 @@ class Experiment:
         elif all(case.perfect is not None for case in prepared.cases):
             references["oracle"] = KnownType("type")
 
-        def explain(known: Prepared, solvers: dict[str, Solver], what: str) -> list[Record]:
+        def explain(known: PreparedData, solvers: dict[str, Solver], what: str) -> list[Record]:
             rest = self.belief, self.explainee, self.seed, progress, what
             return evaluate(known, self.costs, solvers, *rest)
 
@@ -110,7 +110,7 @@ class Experiment:
             records = [*records, *with_truth("true_labels")]
         return prepared, [*own, *records]
 
-    def certificates(self, prepared: Prepared, progress: Progress) -> dict[str, float]:
+    def certificates(self, prepared: PreparedData, progress: Progress) -> dict[str, float]:
         """Computes the certificates of the solver's problems (:meth:`Certify.certificates`)."""
         return self.certify.certificates(
             prepared, self.costs, self.solver, self.belief, self.seed, progress

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError, number, one_of
-from xplain.experiment.pipeline import Case, Prepared
+from xplain.experiment.pipeline import Case, PreparedData
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.actions import VisibleState
 from xplain.explanation.asking import Limits
@@ -112,7 +112,7 @@ def _check_cost(key: str, value: object) -> float:
 
 
 def problem_of_types(
-    prepared: Prepared, case: Case, costs: Costs, belief_update: BeliefUpdate
+    prepared: PreparedData, case: Case, costs: Costs, belief_update: BeliefUpdate
 ) -> Problem:
     """Makes the problem of a trace under the learned types, for a solver that must infer the type.
     Users listen and answer as the belief update assumes."""
@@ -130,7 +130,7 @@ def problem_of_types(
 
 
 def problem_for(
-    prepared: Prepared,
+    prepared: PreparedData,
     case: Case,
     costs: Costs,
     solver: Solver,
@@ -177,7 +177,7 @@ def problem_for(
 
 
 def evaluate(
-    prepared: Prepared,
+    prepared: PreparedData,
     costs: Costs,
     solvers: dict[str, Solver],
     belief_update: BeliefUpdate,
@@ -237,7 +237,7 @@ def evaluate(
     return records
 
 
-def with_true_labels(prepared: Prepared) -> Prepared:
+def with_true_labels(prepared: PreparedData) -> PreparedData:
     """Returns the same traces and users, with the true types and their labels instead of the
     learned types and labelers. A solver with this knowledge shows how much better labelers and
     clusters could help. The types are equally likely, because each type has the same number of
@@ -261,7 +261,7 @@ def _use_true_labels(case: Case) -> Case:
     return replace(case, learned=case.labels, questions=asked)
 
 
-def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepared:
+def without_tables(prepared: PreparedData, oracle: PreparedData | None = None) -> PreparedData:
     """Removes the results of learning, which solvers with true labels do not use. What remains is
     the same for all learners.
 
@@ -280,7 +280,7 @@ def without_tables(prepared: Prepared, oracle: Prepared | None = None) -> Prepar
     )
 
 
-def same_problems(one: Prepared, other: Prepared) -> bool:
+def same_problems(one: PreparedData, other: PreparedData) -> bool:
     """True if solvers plan the same problems for ``one`` and ``other``.
 
     The learned types, the true types that match them, their shares of the observers and their
@@ -288,7 +288,7 @@ def same_problems(one: Prepared, other: Prepared) -> bool:
     questions.
     """
 
-    def tables(prepared: Prepared) -> list[bytes]:
+    def tables(prepared: PreparedData) -> list[bytes]:
         learned = [case.learned for case in prepared.cases]
         return [a.tobytes() for t in learned for a in (t.relevant, t.p, t.answers)]
 

@@ -23,7 +23,7 @@ from xplain.explanation.asking import Pool
 from xplain.explanation.belief import OPEN
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.data.observers import Observed, Observers
+from xplain.learning.data.observers import Observations, Observers
 from xplain.learning.data.queries import Queries, sample_trace
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.types import TablesOf
@@ -89,7 +89,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedData:
     """All data before a solver and λ are chosen.
 
     Attributes:
@@ -130,7 +130,7 @@ class Prepared:
     new: float = OPEN
 
 
-def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
+def prepare(components: Components, progress: Progress = SILENT) -> PreparedData:
     """Builds the setting, collects labels from observers, finds the types and learns their
     labelers.
 
@@ -148,7 +148,7 @@ def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
     beliefs = None
     if pool and "beliefs" in pool.kinds:
         beliefs = belief_questions(setting, known.wrong, seed)
-    return Prepared(
+    return PreparedData(
         domain=domain.name,
         messages=setting.message_names,
         sentences=tuple(parameter.message for parameter in domain.parameters),
@@ -180,7 +180,7 @@ def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
 
 def observe(
     domain: Domain, users: TypeSource, observers: Observers, queries: Queries, seed: int
-) -> Observed:
+) -> Observations:
     """Draws the true types, and collects labels from observers of these types. Returns the setting
     with the types, and the labels.
 

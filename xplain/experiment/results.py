@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from xplain.domains.base import Scene
-from xplain.experiment.pipeline import Case, Prepared
+from xplain.experiment.pipeline import Case, PreparedData
 from xplain.explanation.asking import Question, make_question
 from xplain.explanation.message_sets import names_of
 from xplain.interaction.episode import Episode
@@ -124,7 +124,7 @@ class Provenance:
         fingerprint: digest of everything that the numbers depend on; the run's folder below
             ``outputs/results`` has this name.
         xplain, code: version of the package, and digest of its sources.
-        git: the commit, and if the checkout has changes; empty without a checkout.
+        git: the commit, and whether the checkout has uncommitted changes; empty without a checkout.
         worker: host and process id of the process that computed the run.
         started: seconds since 1970.
         seconds: duration of each stage, by name.
@@ -207,7 +207,7 @@ def domain_name(choices: Mapping[str, str], config: Mapping[str, Any]) -> str:
     return str(config.get("domain", {}).get("name") or choices["domain"])
 
 
-def results_of(prepared: Prepared, records: list[Record], provenance: Provenance) -> Results:
+def results_of(prepared: PreparedData, records: list[Record], provenance: Provenance) -> Results:
     """Makes the results of a run, without certificates.
 
     Args:
@@ -250,7 +250,7 @@ def results_of(prepared: Prepared, records: list[Record], provenance: Provenance
     )
 
 
-def episode_lines(prepared: Prepared, records: list[Record]) -> str:
+def episode_lines(prepared: PreparedData, records: list[Record]) -> str:
     """Makes the content of ``episodes.jsonl``: questions, messages, answers and beliefs at each
     step."""
     lines = []

@@ -8,12 +8,14 @@ import numpy as np
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import DomainError, InputError
-from xplain.experiment.pipeline import Components, Prepared
+from xplain.experiment.pipeline import Components, PreparedData
 from xplain.interaction.explainees import Explainee
 from xplain.randomness import stream
 
 
-def with_others(prepared: Prepared, components: Components, explainee: Explainee) -> Prepared:
+def with_others(
+    prepared: PreparedData, components: Components, explainee: Explainee
+) -> PreparedData:
     """Returns the same learned types and traces, with users of other types (``Explainee.others``).
     There are as many users as true types, if enough other types differ from every true type and
     from each other.

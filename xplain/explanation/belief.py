@@ -92,7 +92,7 @@ class BeliefUpdate(Protocol):
 
 
 @dataclass(frozen=True)
-class Assuming:
+class HabitsBelief:
     """Base class of belief updates that assume rates of errors, acceptance and forgetting; the
     defaults are the paper's.
 
@@ -124,7 +124,7 @@ class Assuming:
 
 
 @dataclass(frozen=True)
-class Independent(Assuming):
+class Independent(HabitsBelief):
     """The paper's update: the labels of the prefix are drawn again at every step, and all are
     evidence."""
 
@@ -132,7 +132,7 @@ class Independent(Assuming):
 
 
 @dataclass(frozen=True)
-class Persistent(Assuming):
+class Persistent(HabitsBelief):
     """The update for people who repeat themselves: only new labels are evidence.
 
     A label is not new if the person has labelled the same transition, or a copy of it, with the

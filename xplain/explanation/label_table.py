@@ -63,8 +63,8 @@ class LabelTable:
         return self.answers if self.answers.size else self.p
 
     def _change_arrays(self, relevant: NDArray[np.int64], change: Change) -> LabelTable:
-        """Returns a table with these relevant messages, whose arrays ``p`` and ``answers`` are the
-        results of ``change`` for the arrays of this table."""
+        """Applies ``change`` to the arrays ``p`` and ``answers`` of this table. Returns a table of
+        the results, with ``relevant`` as its relevant messages."""
         answers = change(self.answers) if self.answers.size else self.answers
         return LabelTable(relevant, change(self.p), answers)
 

@@ -37,7 +37,7 @@ class Listener(Protocol):
 
 
 @dataclass(frozen=True)
-class Explained:
+class ExplanationRecord:
     """The messages and answers of one explanation so far.
 
     Attributes:

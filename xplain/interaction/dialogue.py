@@ -22,32 +22,32 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
 
 
-class Asked(NamedTuple):
+class QuestionAsked(NamedTuple):
     """The event that the question with this number was asked."""
 
     question: int
 
 
-class Answered(NamedTuple):
-    """The event that the user answered the question asked last with 0 or 1."""
+class QuestionAnswered(NamedTuple):
+    """The event that the user answered the last question, with 0 or 1."""
 
     answer: int
 
 
-class Given(NamedTuple):
+class MessagesGiven(NamedTuple):
     """The event that the messages of a step were given (a bitmask; 0 is none)."""
 
     messages: int
 
 
-class Labelled(NamedTuple):
+class StepLabelled(NamedTuple):
     """The event that *explain* showed one more transition, and the user labelled all transitions
     shown so far."""
 
     labels: tuple[int, ...]
 
 
-Event = Asked | Answered | Given | Labelled
+Event = QuestionAsked | QuestionAnswered | MessagesGiven | StepLabelled
 
 
 class DialogueState(NamedTuple):
@@ -83,9 +83,9 @@ def advance(
     """
     visible, belief = state.visible, state.belief
     match event:
-        case Asked(question):
+        case QuestionAsked(question):
             return state._replace(open=question)
-        case Answered(answer):
+        case QuestionAnswered(answer):
             assert state.open is not None
             bit = 1 << state.open
             return state._replace(
@@ -94,7 +94,7 @@ def advance(
                 open=None,
                 clips=state.clips | bit,
             )
-        case Given(messages):
+        case MessagesGiven(messages):
             if messages & ~problem.may_give(visible.given):
                 raise ValueError(
                     f"policy gave message set {messages:b} at step {visible.step}, "
@@ -108,7 +108,7 @@ def advance(
             )
             # After a message, the answer to the same question may differ.
             return given._replace(repeats=False, clips=0) if messages else given
-        case Labelled(labels):
+        case StepLabelled(labels):
             heard = np.array(labels, np.uint8)
             evidence = (
                 slice(None) if belief_update.fresh_labels else _find_evidence(problem, state, heard)
@@ -203,18 +203,18 @@ class Dialogue:
     @property
     def said(self) -> tuple[int, ...]:
         """The messages of each step, as bitmasks."""
-        return tuple(event.messages for event in self.events if isinstance(event, Given))
+        return tuple(event.messages for event in self.events if isinstance(event, MessagesGiven))
 
     @property
     def labels(self) -> tuple[tuple[int, ...], ...]:
         """The labels of each step."""
-        return tuple(event.labels for event in self.events if isinstance(event, Labelled))
+        return tuple(event.labels for event in self.events if isinstance(event, StepLabelled))
 
     def cost(self, zeros: int) -> float:
         """Computes the undiscounted cost of Definition 2 for this number of labels 0, plus κ for
         each answered question."""
         problem = self.problem
-        answers = sum(isinstance(event, Answered) for event in self.events)
+        answers = sum(isinstance(event, QuestionAnswered) for event in self.events)
         return (
             problem.trade_off * problem.communication(self.said)
             + problem.inexplicability_cost * zeros

@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from xplain.explanation.actions import AskQuestion
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
-from xplain.interaction.dialogue import Answered, Asked, Dialogue, Given, Labelled
+from xplain.interaction.dialogue import (
+    Dialogue,
+    MessagesGiven,
+    QuestionAnswered,
+    QuestionAsked,
+    StepLabelled,
+)
 from xplain.interaction.explainees import Person
 from xplain.solvers.base import CachedPolicy, messages_of
 
@@ -105,15 +111,15 @@ def explain(
         seconds[k] += policy.seconds
         if isinstance(action, AskQuestion):
             answer = user.answer(m + action.question, given)
-            talk.hear(Asked(action.question), Answered(answer))
+            talk.hear(QuestionAsked(action.question), QuestionAnswered(answer))
             questions.append((k, action.question, answer))
             continue
         new = messages_of(action)
         user.hear(new)
-        talk.hear(Given(new))
+        talk.hear(MessagesGiven(new))
         thought, answers = user.react(talk.state.visible.given, k + 1)
         thoughts[k, : k + 1], labels[k, : k + 1] = thought, answers
-        talk.hear(Labelled(tuple(answers.tolist())))
+        talk.hear(StepLabelled(tuple(answers.tolist())))
         beliefs[k + 1] = problem.type_belief(talk.state.belief)
     zeros = int((thoughts == 0).sum())
     return Episode(

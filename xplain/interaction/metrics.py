@@ -30,10 +30,10 @@ another plan can have a lower cost by chance."""
 
 
 def possible(measure: str) -> Range:
-    """Returns the possible range of a measure of an episode, for
-    :func:`~xplain.interaction.statistics.clustered_mean`. A cost, and a difference from the
-    clairvoyant's cost, has the range [0, ∞). Yet an observed difference may be negative, because
-    plans are discounted and costs are not."""
+    """Returns the possible range of the mean of a measure, for
+    :func:`~xplain.interaction.statistics.clustered_mean`. The range is [0, ∞) for a cost, and for
+    its difference from the clairvoyant's cost. An observed difference below 0 extends the range
+    there: plans minimize discounted costs, but the measure is not discounted."""
     return RANGES.get(measure, (0.0, np.inf))
 
 

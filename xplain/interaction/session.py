@@ -16,14 +16,26 @@ from xplain.errors import InputError, one_of
 from xplain.explanation.actions import AskQuestion
 from xplain.explanation.asking import Question
 from xplain.explanation.belief import NO_FIT
-from xplain.explanation.listening import Explained
+from xplain.explanation.listening import ExplanationRecord
 from xplain.explanation.message_sets import mask_of, names_of
-from xplain.interaction.dialogue import Answered, Asked, Dialogue, Event, Given, Labelled
+from xplain.interaction.dialogue import (
+    Dialogue,
+    Event,
+    MessagesGiven,
+    QuestionAnswered,
+    QuestionAsked,
+    StepLabelled,
+)
 from xplain.solvers.base import messages_of
 
 FORMAT = 5
 """Version of a session's JSON."""
-KINDS = {Asked: "ask", Answered: "answer", Given: "tell", Labelled: "observe"}
+KINDS = {
+    QuestionAsked: "ask",
+    QuestionAnswered: "answer",
+    MessagesGiven: "tell",
+    StepLabelled: "observe",
+}
 """The names of events in this JSON. Each event has the name of the method that adds it."""
 
 
@@ -170,11 +182,11 @@ class Session:
         return self._name_messages(now & int(np.bitwise_or.reduce([0, *earlier])))
 
     @property
-    def explained(self) -> Explained:
+    def explained(self) -> ExplanationRecord:
         """The messages and labels of this person, for
         :func:`~xplain.explanation.listening.learn_habits`."""
         answers = tuple(np.array(labels, np.uint8) for labels in self._talk.labels)
-        return Explained(self._talk.problem, self._talk.said, answers)
+        return ExplanationRecord(self._talk.problem, self._talk.said, answers)
 
     @property
     def belief(self) -> dict[str, float]:
@@ -233,7 +245,7 @@ class Session:
         self._check_step_is_open("question", number)
         if self._talk.state.visible.asked >> number & 1:
             raise InputError("question", number, "a question that was not asked yet")
-        self._talk.hear(Asked(number))
+        self._talk.hear(QuestionAsked(number))
 
     def answer(self, answer: int) -> None:
         """Takes the user's answer to the question of :meth:`next`: 1 (or True) for yes, or for the
@@ -244,7 +256,7 @@ class Session:
         """
         if self._talk.state.open is None:
             raise InputError("answer", answer, "a question comes first: next()")
-        self._talk.hear(Answered(int(one_of("answer", answer, (0, 1)))))
+        self._talk.hear(QuestionAnswered(int(one_of("answer", answer, (0, 1)))))
 
     def messages(self) -> tuple[str, ...]:
         """Returns the messages to say before the first ``shown`` transitions are shown; empty if
@@ -272,7 +284,7 @@ class Session:
         if new & ~self._talk.problem.may_give(self._talk.state.visible.given):
             wanted = f"messages that may be said after {self.said}"
             raise InputError("session", tuple(names), wanted)
-        self._talk.hear(Given(new))
+        self._talk.hear(MessagesGiven(new))
 
     def observe(self, labels: ArrayLike) -> None:
         """Takes the user's labels of the first ``shown`` transitions, 1 = explicable.
@@ -287,7 +299,7 @@ class Session:
         if given.shape != (self.shown,) or not np.isin(given, (0, 1)).all():
             wanted = f"{self.shown} labels, 0 or 1 for each transition shown so far"
             raise InputError("labels", given.tolist(), wanted)
-        self._talk.hear(Labelled(tuple(given.astype(int).tolist())))
+        self._talk.hear(StepLabelled(tuple(given.astype(int).tolist())))
 
     def why(self) -> Why:
         """Returns the values behind the last decision.
@@ -296,7 +308,9 @@ class Session:
             InputError: there is no decision yet.
         """
         events, questions = self._talk.events, self._talk.problem.questions
-        decided = [i for i, event in enumerate(events) if isinstance(event, Asked | Given)]
+        decided = [
+            i for i, event in enumerate(events) if isinstance(event, QuestionAsked | MessagesGiven)
+        ]
         if not decided:
             raise InputError("session", 0, "messages() comes first")
         before, event = self._talk.at(decided[-1]), events[decided[-1]]
@@ -313,9 +327,9 @@ class Session:
             given=self._name_messages(visible.given),
             belief=self._name_types(before.state.belief),
             fit=before.problem.fit(before.state.belief),
-            chosen=self._name_messages(event.messages) if isinstance(event, Given) else (),
+            chosen=self._name_messages(event.messages) if isinstance(event, MessagesGiven) else (),
             values=messages,
-            asked=questions.question(event.question) if isinstance(event, Asked) else None,
+            asked=questions.question(event.question) if isinstance(event, QuestionAsked) else None,
             questions=tuple(asked),
         )
 
@@ -347,7 +361,8 @@ class Session:
         """
         talk = self._talk
         contents = [
-            self._name_messages(e.messages) if isinstance(e, Given) else e[0] for e in talk.events
+            self._name_messages(e.messages) if isinstance(e, MessagesGiven) else e[0]
+            for e in talk.events
         ]
         kinds = [KINDS[type(event)] for event in talk.events]
         state = {
@@ -370,9 +385,9 @@ class Session:
         ``asking`` is False, the action is not a question."""
         match self._talk.decide(asking):
             case AskQuestion(question):
-                self._talk.hear(Asked(question))
+                self._talk.hear(QuestionAsked(question))
             case action:
-                self._talk.hear(Given(messages_of(action)))
+                self._talk.hear(MessagesGiven(messages_of(action)))
 
     def _check_step_is_open(self, key: str, value: object) -> None:
         """Raises InputError if this step's messages were given, or the trace is at its end."""

@@ -16,7 +16,7 @@ from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import subsets
 from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset, inputs, make_labelled_inputs, query_index
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.evidence import Evidence
 from xplain.learning.types import Clustering, KnownTypes
 from xplain.randomness import derive_seed, stream
@@ -216,12 +216,12 @@ class LabelerTrainer:
         if self.confidence == "leaf" and not hasattr(self.classifier, "predict_proba"):
             raise InputError("labeler.classifier", self.classifier, "leaf needs predict_proba")
 
-    def adapt_to(self, observed: Observed) -> LabelerTrainer:
+    def adapt_to(self, observed: Observations) -> LabelerTrainer:
         """Returns a trainer that uses what is known about the observers' task and questions; by
         default, the trainer itself."""
         return self
 
-    def types_of(self, observed: Observed) -> KnownTypes | None:
+    def types_of(self, observed: Observations) -> KnownTypes | None:
         """Returns the types that are known without labels; None if labels are needed.
 
         Raises:

@@ -41,7 +41,7 @@ GRID = np.linspace(0.005, 0.995, 199)
 
 
 @dataclass(frozen=True)
-class Landing:
+class AcceptanceModel:
     """The acceptance of messages, and a model of the answers before and after messages: S hidden
     states, O people, Q queries.
 
@@ -94,7 +94,7 @@ class Landing:
         return np.asarray(expit(logit(result) + self.repeats * self.surprise[who, transition]))
 
 
-def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landing | None:
+def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> AcceptanceModel | None:
     """Learns how often messages are accepted.
 
     Args:
@@ -169,7 +169,7 @@ def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landin
     ]
     new = (np.log(prior)[:, wrong] + land).ravel()
     surprise, repeats = _compute_surprises(dataset, query, one, new)
-    return Landing(
+    return AcceptanceModel(
         accept=np.column_stack([accept, np.array(ends).reshape(n, 2)]),
         mean=float((corrected.sum() + 1) / (held.sum() + 2)),
         table=table,
@@ -189,8 +189,8 @@ def learn_landing(dataset: Dataset, table: NDArray[np.float64] | None) -> Landin
 def _compute_surprises(
     dataset: Dataset, query: NDArray[np.int64], one: NDArray[np.float64], new: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
-    """Computes ``surprise`` and ``repeats`` of :class:`Landing`. ``repeats`` is one Newton step
-    from 0.
+    """Computes ``surprise`` and ``repeats`` of :class:`AcceptanceModel`. ``repeats`` is one Newton
+    step from 0.
 
     Args:
         dataset: the answers.
@@ -228,7 +228,7 @@ def _predict_labels(
     """Computes P(f = 1) of each query in each hidden state.
 
     Args:
-        table, wrong, kept: see :class:`Landing`.
+        table, wrong, kept: see :class:`AcceptanceModel`.
         transition: [Q] transition of each query; f is 1 for an unknown transition (−1).
         told: [Q] message set of each query.
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from xplain.errors import Count, Range, checks
 from xplain.explanation.message_sets import bits_of, subsets
 from xplain.learning.data.dataset import Dataset, inputs, query_index
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.labelers import LabelerTrainer, by_sets, find_tested_messages
 from xplain.learning.types import Clustering
 from xplain.learning.user_types import Clusterer
@@ -180,11 +180,12 @@ class Partitioner(Protocol):
 @checks("clusterer")
 @dataclass(frozen=True)
 class Elbow(Clusterer):
-    """The paper's learner: observers are minimal message sets, partitioned into k = 1, 2, … groups.
-    k is at the elbow of the disagreements.
+    """The paper's learner. A minimal message set represents each observer, as a vector of bits. The
+    vectors are partitioned into k = 1, 2, … groups, and k is chosen at the elbow of the
+    disagreements.
 
     Attributes:
-        partition: clusters the vectors.
+        partition: clusters these vectors.
         few: share of disagreements that may remain if there is no elbow
             (:func:`xplain.learning.paper.elbow`).
         max_types: largest k that is tried; None is the number of observers (the paper).
@@ -194,7 +195,7 @@ class Elbow(Clusterer):
     few: Annotated[float, Range(0, 1, "[)")] = 0.01
     max_types: Count | None = None
 
-    def cluster(self, observed: Observed, seed: int) -> Clustering:
+    def cluster(self, observed: Observations, seed: int) -> Clustering:
         """Returns the partition at the elbow, with the curve of disagreements and the message sets.
 
         Raises:

@@ -11,7 +11,7 @@ from scipy.special import softmax
 
 from xplain.learning.answers import truth
 from xplain.learning.data.dataset import Dataset, places, query_index
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
 from xplain.learning.user_types import Single, TypeFinder, UserTypes
 from xplain.randomness import derive_seed, stream
@@ -107,7 +107,7 @@ def _predict_by_type(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[n
     return np.stack([one.probability(features, asked.message_set) for one in labelers], axis=1)
 
 
-class Tenth(NamedTuple):
+class CalibrationBin(NamedTuple):
     """One tenth of the held-out labels, in the order of the predicted P(label = 1).
 
     Attributes:
@@ -124,7 +124,7 @@ class Tenth(NamedTuple):
     labels: int
 
 
-def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Tenth, ...]:
+def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[CalibrationBin, ...]:
     """Compares predictions with labels, in ten groups of equal size: the labels are sorted by their
     predictions and then divided. Fewer than ten labels give one group for each label.
 
@@ -138,7 +138,7 @@ def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Ten
     for own in np.array_split(np.argsort(one, kind="stable"), min(10, len(one))):
         ones, count, said = int(label[own].sum()), len(own), float(one[own].mean())
         interval = binomtest(ones, count).proportion_ci(method="wilson")
-        found.append(Tenth(said, ones / count, interval.low, interval.high, count))
+        found.append(CalibrationBin(said, ones / count, interval.low, interval.high, count))
     return tuple(found)
 
 
@@ -159,7 +159,7 @@ class HeldOut:
     one_type: float
     question_mean: float
     gain: tuple[float, float]
-    calibration: tuple[Tenth, ...]
+    calibration: tuple[CalibrationBin, ...]
 
     @property
     def verdict(self) -> str:
@@ -198,7 +198,7 @@ def predict_held_out(
     rest, held = dataset.take(np.flatnonzero(~test)), dataset.take(np.flatnonzero(test))
     log.info("the types are found again without the held-out labels")
     of_types, of_one = (
-        log_likelihoods(rest, held, one.find(Observed(rest), seed))
+        log_likelihoods(rest, held, one.find(Observations(rest), seed))
         for one in (finder, Single(labeler=trainer))
     )
     others = [of_one, _predict_by_means(dataset, test)]

@@ -30,10 +30,10 @@ from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import DENSE, LabelTable, stack_types
 from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.evidence import Evidence
 from xplain.learning.labelers import Labeler, LabelerTrainer, fresh_accuracy
-from xplain.learning.landing import Landing, learn_landing
+from xplain.learning.landing import AcceptanceModel, learn_landing
 from xplain.learning.types import Clustering, KnownTypes, TraceTables, unless_too_large
 
 log = logging.getLogger(__name__)
@@ -61,7 +61,7 @@ def wrong_answers(types: UserTypes, dataset: Dataset) -> float:
 class TypeFinder(Protocol):
     """Finds user types: the interface of every component ``clusterer``."""
 
-    def find(self, observed: Observed, seed: int) -> UserTypes:
+    def find(self, observed: Observations, seed: int) -> UserTypes:
         """Finds the types of the observers, with one labeler for each type.
 
         Args:
@@ -87,11 +87,11 @@ class Clusterer(ABC):
     labeler: LabelerTrainer = field(default_factory=LabelerTrainer)
 
     @abstractmethod
-    def cluster(self, observed: Observed, seed: int) -> Clustering:
+    def cluster(self, observed: Observations, seed: int) -> Clustering:
         """Groups the observers: one cluster for each type. Arguments and errors are as in
         :meth:`TypeFinder.find`."""
 
-    def find(self, observed: Observed, seed: int) -> UserTypes:
+    def find(self, observed: Observations, seed: int) -> UserTypes:
         """Groups the observers and fits a labeler to the labels of each group; see
         :meth:`TypeFinder.find` for the arguments and errors."""
         trainer = self.labeler.adapt_to(observed)  # once: the trainer caches results about its task
@@ -110,7 +110,7 @@ class Perfect(Clusterer):
     """Perfect clustering: the true types, from which the oracle's labelers are learned
     (docs/method.md, section 6)."""
 
-    def cluster(self, observed: Observed, seed: int) -> Clustering:
+    def cluster(self, observed: Observations, seed: int) -> Clustering:
         """Groups the observers by their true types.
 
         Raises:
@@ -125,7 +125,7 @@ class Perfect(Clusterer):
 class Single(Clusterer):
     """One type for all observers (the paper's baseline)."""
 
-    def cluster(self, observed: Observed, seed: int) -> Clustering:
+    def cluster(self, observed: Observations, seed: int) -> Clustering:
         """Puts all O observers into cluster 0."""
         everybody = np.zeros(len(observed.dataset.observers), dtype=np.int64)
         return Clustering(everybody, "single", "one type")
@@ -154,7 +154,7 @@ class UserTypes:
     answers: AnswerModel | None = None
     evidence: Evidence | None = None
     everything: Labeler | None = None
-    landing: Landing | None = None
+    landing: AcceptanceModel | None = None
 
     @property
     def habits(self) -> Habits | None:
@@ -191,7 +191,7 @@ def label_table(
 
 
 @dataclass(frozen=True)
-class AskedOnce:
+class LabelTableCache:
     """A cache of label tables. Each labeler is called only once for each transition, even if
     several traces contain the transition: these calls may take longer than all later steps.
 
@@ -262,7 +262,7 @@ def learn_types(
 
 
 def find_types(
-    observed: Observed, trainer: LabelerTrainer, finder: TypeFinder, seed: int
+    observed: Observations, trainer: LabelerTrainer, finder: TypeFinder, seed: int
 ) -> KnownTypes:
     """Finds the user types that agents know, with a labeler for each: the types that the trainer
     knows, or otherwise the types that the finder finds in the labels.
@@ -286,7 +286,7 @@ def find_types(
     perfect = learn_perfect(observed, trainer, seed, types.by_observers)
     _require_tested(types.labelers)
     oracle, everything = oracle_labelers(perfect, observed), trainer.everything()
-    once = AskedOnce()
+    once = LabelTableCache()
 
     def tables(features: NDArray[np.float64], transitions: NDArray[np.int64]) -> TraceTables:
         return TraceTables(
@@ -314,7 +314,7 @@ def find_types(
 
 
 def learn_perfect(
-    observed: Observed,
+    observed: Observations,
     trainer: LabelerTrainer,
     seed: int,
     known: Mapping[tuple[int, ...], Labeler] | None = None,
@@ -331,7 +331,9 @@ def learn_perfect(
     return learn_types(observed.dataset, Perfect().cluster(observed, 0), trainer, seed, known)
 
 
-def oracle_labelers(perfect: UserTypes | None, observed: Observed) -> tuple[Labeler, ...] | None:
+def oracle_labelers(
+    perfect: UserTypes | None, observed: Observations
+) -> tuple[Labeler, ...] | None:
     """Returns [M] the labeler of each true type under perfect clustering; None if the true types
     are unknown, or if some type has no observer who behaves like it. The order of the clusters does
     not matter."""
@@ -343,7 +345,7 @@ def oracle_labelers(perfect: UserTypes | None, observed: Observed) -> tuple[Labe
     return tuple(perfect.labelers[perfect.clustering.assignment[int(o[0])]] for o in first)
 
 
-def _match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]:
+def _match_true_types(observed: Observations, types: UserTypes) -> NDArray[np.int64]:
     """Finds [N] the true type that most observers of each learned type have, as its number in
     ``Setting.distinct``; −1 if the true types are unknown."""
     matched = np.full(len(types.labelers), -1)
@@ -355,7 +357,7 @@ def _match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]
 
 
 def _measure_types(
-    observed: Observed,
+    observed: Observations,
     types: UserTypes,
     everyone: Labeler,
     perfect: UserTypes | None,
@@ -435,7 +437,7 @@ class TrueLabels(LabelerTrainer):
         """Takes no options."""
         super().__init__()
 
-    def types_of(self, observed: Observed) -> KnownTypes:
+    def types_of(self, observed: Observations) -> KnownTypes:
         """Returns the true types with their true labels. The labeler for all observers predicts the
         share of observers whose type gives label 1.
 

@@ -25,7 +25,7 @@ class Unknown(Exception):
     """The participant, the invitation or the key does not exist."""
 
 
-class Gone(Exception):
+class DataErased(Exception):
     """The data of this participant was erased."""
 
 
@@ -195,7 +195,7 @@ class Store(Log[Any]):
 
     def _resume_participant(self, who: str) -> str:
         if self.people[who].erased:
-            raise Gone
+            raise DataErased
         self.append(who, "server", "resume", {})
         return who
 

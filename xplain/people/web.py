@@ -22,7 +22,7 @@ from xplain.people.desk import desk
 from xplain.people.flow import Conflict, Full, Participant, State
 from xplain.people.server import LOOPBACK, Server
 from xplain.people.site import VISITOR, Site, Visit, Visiting
-from xplain.people.store import Gone, Store, Unknown
+from xplain.people.store import DataErased, Store, Unknown
 
 MAX_ITEMS = 50
 """Maximum number of events in a page's report."""
@@ -93,7 +93,7 @@ def enter(visit: Visiting) -> Response:
             raise Unknown
     except Unknown:
         raise HTTPException(403, "not_invited") from None
-    except Gone:
+    except DataErased:
         raise HTTPException(410, "erased") from None
     return visit.let_in(who)
 

@@ -22,7 +22,7 @@ from xplain.domains.users.setting import Setting
 from xplain.errors import Count, InputError, Range, TooLargeError, checks, whole_number
 from xplain.explanation.message_sets import indices, subsets
 from xplain.learning.data.dataset import places
-from xplain.learning.data.queries import Answer, Answered, ask_in_order, count_expected_visits
+from xplain.learning.data.queries import Answer, QueryAnswers, ask_in_order, count_expected_visits
 from xplain.learning.mixture.likelihood import grow
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derive_seed, stream
@@ -176,7 +176,7 @@ class Battery:
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
-    ) -> list[Answered]:
+    ) -> list[QueryAnswers]:
         """Asks each observer o the first ``sizes[o]`` questions of one list, which has at least
         ``max(sizes)`` questions."""
         known = hypotheses_of(setting.domain, self.hypotheses).drop_indistinguishable()
@@ -222,7 +222,7 @@ class Adaptive:
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
-    ) -> list[Answered]:
+    ) -> list[QueryAnswers]:
         """Asks each observer o for exactly ``sizes[o]`` labels; the last clip of an observer is
         shortened if necessary."""
         known = hypotheses_of(setting.domain, self.hypotheses).drop_indistinguishable()
@@ -341,8 +341,8 @@ def _find_likely(questions: Questionnaire) -> Posterior:
 
 def _collect_answers(
     questions: Questionnaire, transitions: NDArray[np.int64], likely: NDArray[np.int64]
-) -> Answered:
+) -> QueryAnswers:
     """Collects all questions of a questionnaire with their answers, one row for each label."""
     which, told, labels = questions.answers
     found = None if questions.hypotheses.further is None else likely
-    return Answered(transitions[which], told, labels, found)
+    return QueryAnswers(transitions[which], told, labels, found)

@@ -46,7 +46,7 @@ Question = tuple[int, int] | tuple[list[int], int]
 
 
 @dataclass(frozen=True)
-class Asked:
+class AnsweredQuestion:
     """A question with its answer: ``transitions`` with one message set, and one label for each
     transition."""
 
@@ -157,7 +157,7 @@ class Questionnaire:
         known = self.hypotheses
         self.given_prior = prior
         start = known.prior if prior is None else prior_over(prior, len(known.facts), "prior")
-        self.asked: list[Asked] = []
+        self.asked: list[AnsweredQuestion] = []
         self._pending: Question | None = None
         # log P(answers, layer, R): [2 + V, C]; the layers are the variants, and "none fits".
         share = np.append((1 - self.none_prior) * known.variant_prior, self.none_prior)
@@ -231,7 +231,7 @@ class Questionnaire:
             if isinstance(one, float) or one not in (0, 1):
                 raise InputError("answer", one, "a label, 0 or 1")
         self._add_answer(
-            Asked(tuple(transitions.tolist()), told, tuple(int(one) for one in labels))
+            AnsweredQuestion(tuple(transitions.tolist()), told, tuple(int(one) for one in labels))
         )
         self._pending = None
 
@@ -320,7 +320,7 @@ class Questionnaire:
         information. For a clip it is the sum over the single transitions."""
         return float(self._posterior.gains(*self._check_question(question)).sum())
 
-    def _add_answer(self, one: Asked) -> None:
+    def _add_answer(self, one: AnsweredQuestion) -> None:
         likelihood = self._posterior.likelihood(one.transitions, one.message_set, one.labels)
         with np.errstate(divide="ignore"):
             answer = np.log(likelihood)

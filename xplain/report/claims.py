@@ -276,9 +276,10 @@ def decomposition(summary: Summary) -> Table:
 
 
 def answer(summary: Summary) -> str:
-    """Returns sentences that say which solver or setting costs least, by how much, and if the 95 %
-    interval of the difference excludes 0; for Table 1, how many of the paper's claims are decided
-    and hold; "" if nothing competes."""
+    """Returns sentences with the solver or setting that costs least, the difference to the next
+    one, and whether the 95 % interval of this difference excludes 0. For Table 1, the sentences
+    have the number of the paper's claims that are decided, and the number that hold. Returns "" if
+    there is nothing to compare."""
     if not summary.results or not summary.is_table1:
         return compare.least_cost(summary)
     if summary.seeds == 1:

@@ -119,7 +119,7 @@ def difference(
 
 
 @dataclass(frozen=True)
-class Ranked:
+class RankedWay:
     """One way to solve a problem, ranked among all ways that the sweep compares.
 
     Attributes:
@@ -157,7 +157,7 @@ def select_shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> p
     return known[ways.groupby(problem).transform("nunique") == ways.nunique()]
 
 
-def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ranked]:
+def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[RankedWay]:
     """Ranks the ways to solve a problem by the mean of the measure that compares the sweep's jobs,
     the lowest first.
 
@@ -174,7 +174,7 @@ def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[
     measure = summary.measure.name
     order = sorted(groups, key=lambda item: round(float(item[1][measure].mean()), 9))
     return [
-        Ranked(
+        RankedWay(
             way,
             label(dict(zip(by, way, strict=True))),
             estimate(summary, own, measure),
@@ -186,7 +186,7 @@ def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[
 
 
 @lru_cache(maxsize=1)
-def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[Ranked]]]:
+def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[RankedWay]]]:
     """Ranks the ways to solve each problem of a sweep.
 
     Returns:
@@ -314,7 +314,7 @@ def _list_references(summary: Summary) -> list[str]:
     return ["clairvoyant", *(["oracle"] if summary.measure.name == "regret" else [])]
 
 
-def _choose_mark(summary: Summary, one: Ranked | None, best: Ranked | None) -> str:
+def _choose_mark(summary: Summary, one: RankedWay | None, best: RankedWay | None) -> str:
     if one is None or best is None or not summary.measure.fair:
         return ""
     if round(one.estimate.mean - best.estimate.mean, 9) == 0:
@@ -393,8 +393,9 @@ def _make_caption(summary: Summary, is_marked: bool) -> str:
 
 
 def least_cost(summary: Summary) -> str:
-    """Returns one or two sentences that say which solver or setting costs least, by how much, and
-    if the 95 % interval of the difference excludes 0; "" if nothing competes."""
+    """Returns one or two sentences with the solver or setting that costs least, the difference to
+    the next one, and whether the 95 % interval of this difference excludes 0. Returns "" if there
+    is nothing to compare."""
     found = verdicts(summary)
     if not found:
         return ""

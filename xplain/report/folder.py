@@ -20,7 +20,7 @@ SWEEP, FAILURE = "sweep.json", "failure.json"
 
 
 @dataclass(frozen=True)
-class Listed:
+class ListedJob:
     """A job in its sweep's list.
 
     Attributes:
@@ -60,26 +60,26 @@ class SweepFolder:
         )
 
     @cached_property
-    def jobs(self) -> tuple[Listed, ...]:
+    def jobs(self) -> tuple[ListedJob, ...]:
         """The jobs, in order."""
         return tuple(
-            Listed(**{**job, "overrides": tuple(job["overrides"])}) for job in self.about["jobs"]
+            ListedJob(**{**job, "overrides": tuple(job["overrides"])}) for job in self.about["jobs"]
         )
 
-    def of(self, job: Listed) -> Path:
+    def of(self, job: ListedJob) -> Path:
         """Returns the job's own folder in the sweep, whether the folder exists or not."""
         return self.path / "jobs" / job.fingerprint
 
-    def address(self, job: Listed) -> Path:
+    def address(self, job: ListedJob) -> Path:
         """Returns the folder where the job's result is stored, whether the folder exists or not."""
         return self.path / str(self.about["results"]) / job.fingerprint
 
-    def state(self, job: Listed) -> Literal["waiting", "finished", "failed"]:
+    def state(self, job: ListedJob) -> Literal["waiting", "finished", "failed"]:
         """Returns the state of the job."""
         if (self.address(job) / RESULTS).exists():
             return "finished"
         return "failed" if (self.of(job) / FAILURE).exists() else "waiting"
 
-    def error(self, job: Listed) -> str:
+    def error(self, job: ListedJob) -> str:
         """Reads the reason of the job's failure, in one line."""
         return str(json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))["error"])

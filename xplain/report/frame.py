@@ -20,7 +20,7 @@ import pandas as pd
 from xplain.errors import one_of
 from xplain.experiment.cache import SOURCE
 from xplain.experiment.results import Results, load_results
-from xplain.report.folder import Listed, SweepFolder
+from xplain.report.folder import ListedJob, SweepFolder
 
 ORDER = (
     "qmdp",
@@ -158,7 +158,7 @@ class Summary:
         self.folder = SweepFolder(folder)
         self.about, self.jobs = self.folder.about, self.folder.jobs
         self._asked = None if measure is None else one_of("measure", measure, REFERENCES)
-        self.results: list[tuple[Listed, Results]] = [
+        self.results: list[tuple[ListedJob, Results]] = [
             (job, load_results(self.folder.address(job)))
             for job in self.jobs
             if self.folder.state(job) == "finished"
@@ -185,7 +185,7 @@ class Summary:
         texts = {key: [job.values.get(key, "0") for job in self.jobs] for key in self.keys}
         return {key for key, own in texts.items() if all(map(is_number, own))}
 
-    def values_of(self, job: Listed, results: Results) -> dict[str, Value]:
+    def values_of(self, job: ListedJob, results: Results) -> dict[str, Value]:
         """Returns the values of the swept keys in one job, and its ``domain``, ``solver`` and
         ``lambda`` even if these are not swept."""
         texts = {key: job.values.get(key, "") for key in self.keys}
@@ -212,7 +212,7 @@ class Summary:
             frame["above_floor"] = frame["cost"] - frame["clairvoyant"]
         return frame
 
-    def _list_rows(self, job: Listed, results: Results) -> Iterator[dict[str, Any]]:
+    def _list_rows(self, job: ListedJob, results: Results) -> Iterator[dict[str, Any]]:
         swept = self.values_of(job, results)
         costs = {(e.solver, e.trace, e.type): e.cost for e in results.episodes}
         for episode in results.episodes:

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from xplain.explanation.message_sets import bits_of
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.prediction import Tenth
+from xplain.learning.prediction import CalibrationBin
 from xplain.learning.types import Clustering
 from xplain.report.compare import (
     estimate,
@@ -302,7 +302,7 @@ def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> F
     return draw(points, "message", "explicable labels in %:\ngiven − not given")
 
 
-def calibration(bins: Sequence[Tenth]) -> Figure:
+def calibration(bins: Sequence[CalibrationBin]) -> Figure:
     """Draws the share of held-out labels that are 1 against their predicted probability, with
     intervals."""
     found = pd.DataFrame(bins).rename(columns={"said": "x", "ones": "mean"})

@@ -280,14 +280,14 @@ def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
 _ONE_AT_A_TIME = threading.RLock()
 """A lock, because Hydra's composition uses global variables."""
 
-Asked = tuple[list[str], dict[str, list[Any]], Compose]
+CompositionRequest = tuple[list[str], dict[str, list[Any]], Compose]
 """Overrides, values from Python by key, and Hydra's composition."""
 
 
 @contextmanager
 def _compose_request(
     overrides: Sequence[str], keys: Mapping[str, Any], config_dir: str | None, of: str = "config"
-) -> Iterator[Asked]:
+) -> Iterator[CompositionRequest]:
     """Opens a context in which a function of this module composes configurations. An error in the
     ``with`` block that the caller can correct is raised as an XplainError with a text of one line.
     Progress is logged to standard error, unless the program configures logging itself.

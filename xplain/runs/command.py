@@ -85,7 +85,8 @@ def _check_job(made: Any) -> None:
 
 
 class SweepEnd(Callback):
-    """Hydra's callback after a sweep of any sweeper and launcher: report, MLflow, exit code."""
+    """Hydra's callback at the end of a sweep, for any sweeper and launcher. It makes the report,
+    logs to MLflow, and sets the exit code."""
 
     def __init__(self) -> None:
         self._began = time.time()

@@ -22,7 +22,7 @@ from xplain.errors import InputError, TooLargeError, one_of
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import read_questions, read_table
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.paper import smallest
 from xplain.learning.prediction import HeldOut, predict, predict_held_out
 from xplain.learning.saved import LearnedTypes
@@ -190,7 +190,7 @@ def discovery(cfg: DictConfig) -> Discovery:
         dataset = read_table(cfg.data, known.messages, cfg.features, cfg.ignore, like=like)
     sentences = sentences_of(cfg.sentences, dataset.messages)
     asked = None if cfg.predict is None else read_questions(cfg.predict, dataset)
-    types = finder.find(Observed(dataset), cfg.seed)
+    types = finder.find(Observations(dataset), cfg.seed)
     unseen = predict_held_out(dataset, finder, trainer, cfg.seed) if cfg.held_out else None
     answers = None
     if asked is not None:

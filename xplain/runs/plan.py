@@ -28,7 +28,7 @@ from omegaconf.errors import OmegaConfBaseException
 from xplain.errors import InputError, checks, mapping
 from xplain.experiment.config import GROUPS, missing_key
 from xplain.experiment.from_config import check
-from xplain.report.folder import FAILURE, Listed, SweepFolder
+from xplain.report.folder import FAILURE, ListedJob, SweepFolder
 from xplain.runs.job import Job
 
 log = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ class Plan:
     """
 
     folder: SweepFolder
-    jobs: tuple[Listed, ...]
+    jobs: tuple[ListedJob, ...]
     todo: Mapping[str, Job]
     finished: frozenset[str]
     config: DictConfig
@@ -95,7 +95,7 @@ class Plan:
         file = _File(**{key: value for key, value in keys.items() if not key.startswith("_")})
         settings = [{**file.params, **setting} for setting in file.settings or [{}]]
         composer = _Composer(compose, config)
-        jobs, rows = dict[str, Job](), dict[str, Listed]()
+        jobs, rows = dict[str, Job](), dict[str, ListedJob]()
         combinations = _list_combinations(settings, _parse(words))
         for texts, values in itertools.product(combinations, itertools.product(*given.values())):
             own = dict(zip(given, values, strict=True))
@@ -106,7 +106,9 @@ class Plan:
             job = Job.of(cfg, dict(cfg.hydra.runtime.choices) | set_values(cfg, others))
             if jobs.setdefault(job.fingerprint, job) is job:
                 shown = values_of([*texts, *others], job)
-                rows[job.fingerprint] = Listed("", _make_overrides(texts), shown, job.fingerprint)
+                rows[job.fingerprint] = ListedJob(
+                    "", _make_overrides(texts), shown, job.fingerprint
+                )
         composer.require_known([*rows.values()])
         name = config.hydra.runtime.choices.get("sweeps") or "multirun"
         digest = hashlib.sha256(json.dumps([*jobs]).encode()).hexdigest()[:10]
@@ -153,7 +155,7 @@ class _File:
         self.settings, self.pool, self.report = settings, list(pool or ()), report
 
 
-def label_jobs(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
+def label_jobs(jobs: Sequence[ListedJob]) -> tuple[ListedJob, ...]:
     """Returns the jobs with labels made from the swept keys, and with only these keys in
     ``values``. A key is swept if its value differs between jobs, or if some jobs lack the key. If
     no key is swept, domain, solver and λ are used instead."""
@@ -167,7 +169,7 @@ def label_jobs(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
         names = {key: "λ" if key == "lambda" else key.rpartition(".")[2] for key in values}
         words = [own if key in GROUPS else f"{names[key]}={own}" for key, own in values.items()]
         label = " ".join(words) or "only job"
-        found.append(Listed(label, job.overrides, values, job.fingerprint))
+        found.append(ListedJob(label, job.overrides, values, job.fingerprint))
     return tuple(found)
 
 
@@ -294,7 +296,7 @@ class _Composer:
             del values[key]
             return self.compose(values)
 
-    def require_known(self, jobs: Sequence[Listed]) -> None:
+    def require_known(self, jobs: Sequence[ListedJob]) -> None:
         """Logs the chosen components that lack a swept key.
 
         Raises:

@@ -22,7 +22,7 @@ from omegaconf import DictConfig
 from xplain.errors import InputError, first_line
 from xplain.experiment.fingerprint import code_version, git_state
 from xplain.experiment.results import RESULTS
-from xplain.report.folder import FAILURE, SWEEP, Listed, SweepFolder
+from xplain.report.folder import FAILURE, SWEEP, ListedJob, SweepFolder
 from xplain.report.stages import stages
 from xplain.runs.folder import Disk, alone, attempt, without_passwords
 from xplain.runs.job import Job, failing_into, save_batch
@@ -88,7 +88,9 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
     return returned
 
 
-def save_sweep(path: Path, jobs: Sequence[Listed], outputs: Path, about: Mapping[str, Any]) -> None:
+def save_sweep(
+    path: Path, jobs: Sequence[ListedJob], outputs: Path, about: Mapping[str, Any]
+) -> None:
     """Writes the description of a sweep: once, or again if the file is damaged.
 
     Args:
@@ -158,7 +160,7 @@ def list_job(job: Job, overrides: Sequence[str], folder: Path) -> None:
     """Writes the description of another sweeper's job into the job's folder."""
     texts = values_of([one.partition("=")[0] for one in overrides], job)
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(asdict(Listed("", (*overrides,), texts, job.fingerprint)))
+    text = json.dumps(asdict(ListedJob("", (*overrides,), texts, job.fingerprint)))
     write_text(folder / LISTED, text + "\n")
 
 
@@ -167,7 +169,7 @@ def find_ended(config: DictConfig) -> SweepFolder | None:
     jobs of another sweeper wrote. Returns None if no job ran."""
     folder = SweepFolder(Path(config.hydra.sweep.dir).absolute())
     paths = sorted(folder.path.glob(f"jobs/*/{LISTED}"), key=lambda path: path.stat().st_mtime_ns)
-    if rows := [Listed(**json.loads(path.read_text(encoding="utf-8"))) for path in paths]:
+    if rows := [ListedJob(**json.loads(path.read_text(encoding="utf-8"))) for path in paths]:
         about = {"name": "multirun", "command": command(config)}
         save_sweep(folder.path, label_jobs(rows), Path(config.outputs).absolute(), about)
     return folder if (folder.path / SWEEP).exists() else None
@@ -194,7 +196,7 @@ def _report_progress(plan: Plan) -> Iterator[None]:
     runs."""
     began, folder, done = time.time(), plan.folder, len(plan.finished)
     jobs = [job for job in plan.jobs if job.fingerprint in plan.todo]
-    progress, stop, said = stages(), threading.Event(), list[Listed]()
+    progress, stop, said = stages(), threading.Event(), list[ListedJob]()
 
     def ended(path: Path) -> bool:  # in this attempt, not an earlier one
         return path.exists() and path.stat().st_mtime >= began - 1

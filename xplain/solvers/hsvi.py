@@ -125,7 +125,7 @@ class Certified:
 
 
 @dataclass(frozen=True)
-class Searched:
+class SearchResult:
     """The result of a search from one belief.
 
     Attributes:
@@ -171,7 +171,7 @@ class CertifiedPolicy:
         brief: the effort of the search for a decision at another belief.
     """
 
-    found: Searched
+    found: SearchResult
     brief: Effort
 
     @property
@@ -215,7 +215,7 @@ class CertifiedPolicy:
 
 def search(
     problem: Problem, effort: Effort, told: Callable[[float], None] | None = None
-) -> Searched:
+) -> SearchResult:
     """Searches from the start of an explanation, within the effort. Ctrl-C stops the search at any
     time.
 
@@ -229,7 +229,7 @@ def search(
     """
     tell_when_compiling()
     process, tables, kept = _make_tables(problem, effort.memory_gib)
-    nothing = Searched(process, tables, kept, _allocate_store(tables, process.n_states))
+    nothing = SearchResult(process, tables, kept, _allocate_store(tables, process.n_states))
     return _Search(nothing, VisibleState(), process.start, effort, told).run()
 
 
@@ -238,7 +238,7 @@ class _Search:
 
     def __init__(
         self,
-        known: Searched,
+        known: SearchResult,
         visible: VisibleState,
         belief: NDArray[np.float64],
         effort: Effort,
@@ -272,7 +272,7 @@ class _Search:
         root = self.store.nodes[ROOT]
         return float(root["upper"] - root["lower"])
 
-    def run(self) -> Searched:
+    def run(self) -> SearchResult:
         """Searches until a limit is reached, or the gap cannot get smaller."""
         effort, tail_gap = self.effort, self.effort.gap * TAIL / self.process.n_steps
         limits = effort.nodes, CHUNK
@@ -294,7 +294,7 @@ class _Search:
                 self.asked = max(float(effort.gap), min(self.asked, self.gap) / COARSER)
         if self.gap > effort.gap:
             self._back_up_all(scratch)
-        return Searched(self.process, self.tables, self.kept, self.store)
+        return SearchResult(self.process, self.tables, self.kept, self.store)
 
     def _back_up_all(self, scratch: Scratch) -> None:
         """Backs up all nodes: later steps first, and within a step the nodes after more questions

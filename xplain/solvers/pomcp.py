@@ -1,9 +1,9 @@
 """POMCP with d-step lookahead: Monte-Carlo tree search over histories, with exact beliefs.
 
 Silver & Veness (2010) with the paper's two changes ("POMCP with d-step lookahead"): beliefs at the
-nodes are exact, and a simulation ends at depth d. At depth d, a history in the tree has QMDP's
-value at its belief. A history outside the tree is added and rolled out, at any depth. Actions are
-chosen by UCB1:
+nodes are exact, and a simulation ends at depth d. With ``backup="mean"`` (the paper), a history in
+the tree at depth d has QMDP's value at its belief. A history outside the tree is added and rolled
+out, at any depth. Actions are chosen by UCB1:
 
     search(b):  repeat
                     s ~ b; h ← root
@@ -19,12 +19,13 @@ because the other actions are often many and useless. A decision searches, takes
 best value, and searches again after each message until that action is *explain*. So a decision that
 is restored in the middle continues in the same way.
 
-``backup="max"`` is MaxUCT (Keller & Helmert 2013): the value of a node is that of its best action,
-not the mean over all tries. Exploration and first rollouts then do not affect the values; a mean
-includes their returns for long. The value of a history at depth d is the mean of its rollouts, not
-QMDP's value. QMDP's value is too high, and paths of messages reach depth d earlier than paths of
-labels. So a search with enough simulations is a step of policy improvement over QMDP, and is not
-worse than QMDP.
+``backup="max"`` (the default) is MaxUCT (Keller & Helmert 2013): the value of a node is the value
+of its best action, not the mean over all tries. So exploration and first rollouts do not affect the
+values; in a mean, their returns remain for many simulations. A history at depth d has the mean
+return of its rollouts, not QMDP's value. QMDP's value is too high, and if messages count as depth,
+it would favour paths with many messages. Rollouts follow QMDP's decisions. So a search with enough
+simulations is a step of policy improvement over QMDP, and is not worse than QMDP. If messages may
+be missed, QMDP's value replaces all rollouts, which would take too long.
 """
 
 from collections.abc import Mapping

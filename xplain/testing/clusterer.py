@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.types import Clustering, by_first_appearance
 from xplain.learning.user_types import UserTypes
 from xplain.testing.data import rule_data
@@ -56,8 +56,8 @@ class TypeFinderConformance(Conformance):
         if self.needs_truth:
             return
         data, truth = self._make_data()
-        blind = component.find(Observed(data), 3).clustering.assignment
-        seen = component.find(Observed(data, truth), 3).clustering.assignment
+        blind = component.find(Observations(data), 3).clustering.assignment
+        seen = component.find(Observations(data, truth), 3).clustering.assignment
         assert np.array_equal(blind, seen), "the clustering depends on the truth"
 
     def test_finds_plain_types(self, component: Any) -> None:
@@ -108,7 +108,9 @@ class TypeFinderConformance(Conformance):
             assert np.allclose(one, table[0, data.transition, data.message_set])
 
     def _find_types(self, component: Any, data: Dataset, truth: NDArray[np.int64]) -> UserTypes:
-        found: UserTypes = component.find(Observed(data, truth if self.needs_truth else None), 3)
+        found: UserTypes = component.find(
+            Observations(data, truth if self.needs_truth else None), 3
+        )
         return found
 
     @staticmethod

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting, UserType
-from xplain.learning.data.queries import Answered
+from xplain.learning.data.queries import QueryAnswers
 from xplain.testing.chosen import Chosen
 from xplain.testing.suite import Conformance
 
@@ -34,7 +34,7 @@ class QueriesConformance(Conformance):
 
     def test_everybody_is_asked_no_more_than_agreed(self, component: Any, setting: Setting) -> None:
         """Observer o answers at least one question and at most ``sizes[o]``. Each observer has one
-        ``Answered`` in the result."""
+        ``QueryAnswers`` in the result."""
         asked, _ = _ask_observers(component, setting)
         assert len(asked) == len(SIZES), "not one for each observer"
         counts = [len(one.labels) for one in asked]
@@ -85,19 +85,19 @@ def _make_setting(domain: Domain, wrong: int) -> Setting:
 
 def _ask_observers(
     design: Any, setting: Setting, seed: int = 0
-) -> tuple[list[Answered], list[Answered]]:
+) -> tuple[list[QueryAnswers], list[QueryAnswers]]:
     """Asks four observers by the design. Returns the design's result, and the questions and answers
     as the observers saw them."""
     rngs = [np.random.default_rng([o, seed]) for o in range(len(SIZES))]
     nothing = np.zeros((0, 3), dtype=np.int64)
-    heard = [Answered(nothing, nothing[:, 0], nothing[:, 0].astype(np.uint8)) for _ in SIZES]
+    heard = [QueryAnswers(nothing, nothing[:, 0], nothing[:, 0].astype(np.uint8)) for _ in SIZES]
 
     def answer(
         observer: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
         labels = rngs[observer].integers(0, 2, len(transitions)).astype(np.uint8)
         before = heard[observer]
-        heard[observer] = Answered(
+        heard[observer] = QueryAnswers(
             np.concatenate([before.transitions, transitions]),
             np.concatenate([before.message_sets, message_sets]),
             np.concatenate([before.labels, labels]),
@@ -107,7 +107,7 @@ def _ask_observers(
     return design.ask(setting, SIZES, answer, seed), heard
 
 
-def _are_equal(one: list[Answered], other: list[Answered]) -> bool:
+def _are_equal(one: list[QueryAnswers], other: list[QueryAnswers]) -> bool:
     return all(
         np.array_equal(a.transitions, b.transitions)
         and np.array_equal(a.message_sets, b.message_sets)

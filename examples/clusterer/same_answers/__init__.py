@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import connected_components
 
 from xplain import Clusterer, Clustering, InputError
 from xplain.learning.data.dataset import query_index
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class SameAnswers(Clusterer):
         if not 0 <= self.tolerance < 1:
             raise InputError("clusterer.tolerance", self.tolerance, "a share in [0, 1)")
 
-    def cluster(self, observed: Observed, seed: int) -> Clustering:
+    def cluster(self, observed: Observations, seed: int) -> Clustering:
         """Makes a graph of observers who agree; each connected part is a type."""
         dataset = observed.dataset
         question = query_index(dataset)

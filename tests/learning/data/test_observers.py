@@ -19,9 +19,9 @@ from xplain.learning.data.label_file import write_table
 from xplain.learning.data.observers import FileObservers, SimulatedObservers
 from xplain.learning.data.queries import (
     Answer,
-    Answered,
     Independent,
     Queries,
+    QueryAnswers,
     RandomTraces,
     Shared,
     count_expected_visits,
@@ -35,7 +35,7 @@ def corridor(starts: Sequence[int] = range(1, 5)) -> Setting:
     return Setting.build(Corridor(starts), (UserType("A", {"end": "left"}),))
 
 
-def asked(queries: Queries, sizes: list[int], setting: Setting | None = None) -> list[Answered]:
+def asked(queries: Queries, sizes: list[int], setting: Setting | None = None) -> list[QueryAnswers]:
     """Asks observers who all answer 1."""
 
     def answer(
@@ -176,7 +176,9 @@ def test_observers_are_asked_one_screen_after_the_other(setting: Setting) -> Non
     the number of questions on a screen, or on questions to others in between."""
 
     class OneByOne(Independent):
-        def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> list[Answered]:
+        def ask(
+            self, setting: Setting, sizes: Any, answer: Answer, seed: int
+        ) -> list[QueryAnswers]:
             whole = super().ask(setting, sizes, lambda o, t, h: np.zeros(len(t), np.uint8), seed)
             labels: list[list[int]] = [[] for _ in sizes]
             for i in range(int(sizes.max())):
@@ -187,7 +189,7 @@ def test_observers_are_asked_one_screen_after_the_other(setting: Setting) -> Non
                     ).tolist()
             told = [np.array(o, np.uint8) for o in labels]
             return [
-                Answered(one.transitions, one.message_sets, own)
+                QueryAnswers(one.transitions, one.message_sets, own)
                 for one, own in zip(whole, told, strict=True)
             ]
 

@@ -27,7 +27,7 @@ from xplain.people.collect.asking import (
     mean_posterior,
 )
 from xplain.people.collect.bot import Observer
-from xplain.people.collect.tables import Asked, collect_pages, listeners_in
+from xplain.people.collect.tables import PersonAnswers, collect_pages, listeners_in
 from xplain.people.store import Store
 
 MESSAGES = 3
@@ -66,7 +66,7 @@ def test_what_is_told_explains_a_step_and_is_asked_about_twice_more(held: int, n
     assert all(c.labels == (1,) for c in (*told, *later, *again))  # who never misses nor forgets
 
 
-def enumerated(asked: Asked, habits: Habits) -> NDArray[np.float64]:
+def enumerated(asked: PersonAnswers, habits: Habits) -> NDArray[np.float64]:
     """Computes [F] the posterior, over every way in which this person may miss and forget the
     messages of each page."""
     known, found = asked.known, np.zeros(len(habits))
@@ -124,7 +124,7 @@ def test_what_one_person_tells_equals_enumeration(seed: int) -> None:
     habits = Habits(
         rng.choice([0.1, 0.3], 3), rng.choice([1, 0.6], 3), [0, 0.3, 0.1], [0.5, 0.3, 0.2]
     )
-    asked = Asked(known, np.array([1, 3, 6]), rng.dirichlet(np.ones(3)), clips)
+    asked = PersonAnswers(known, np.array([1, 3, 6]), rng.dirichlet(np.ones(3)), clips)
     assert asked.posterior(habits) == pytest.approx(enumerated(asked, habits), abs=1e-9)
 
 

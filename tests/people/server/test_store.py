@@ -22,7 +22,7 @@ from tests.people.visitors import agreed, consent, differences, query
 from xplain.errors import InputError, Refused, XplainError
 from xplain.people.flow import Conflict, Full
 from xplain.people.log import read_plan
-from xplain.people.store import MAX_TAB_EVENTS, Clock, Gone, Store, Unknown
+from xplain.people.store import MAX_TAB_EVENTS, Clock, DataErased, Store, Unknown
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
@@ -410,9 +410,9 @@ def test_a_link_of_somebody_erased_makes_nobody_new(store: Store) -> None:
     for who in (invited, sent):
         store.erase_by(store.reference(who))
     before = whole(store)
-    with pytest.raises(Gone):
+    with pytest.raises(DataErased):
         store.enter_invited(token)
-    with pytest.raises(Gone):
+    with pytest.raises(DataErased):
         store.enter_from_platform(ids_of("P", "S", "X"), keep=False)
     assert whole(store) == before
 

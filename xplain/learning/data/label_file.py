@@ -136,13 +136,17 @@ class Column(NamedTuple):
                 log.warning(text, self.key, other, word, self.name)
 
     def features(self, like: Sequence[str] = ()) -> tuple[NDArray[Any], tuple[str, ...]]:
-        """Returns the features of each word [U, F], and their names.
+        """Returns the features [U, F] of the column's U distinct texts, and the names of the
+        features.
 
         Args:
-            like: names of features; they decide whether the column is read as numbers or text.
+            like: names of known features. A column with one of these names is read as numbers. If
+                some names have the form ``column=value``, the column is read as text, and only
+                these values are allowed. Otherwise the column's texts decide.
 
         Raises:
-            InputError: a value is missing, infinite, or not among the values in ``like``.
+            InputError: a text is missing, no number or infinite, or is a value that ``like`` does
+                not allow.
         """
         prefix = f"{self.name}="
         known = [name.removeprefix(prefix) for name in like if name.startswith(prefix)]

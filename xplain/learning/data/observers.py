@@ -21,7 +21,7 @@ from xplain.randomness import stream
 
 
 @dataclass(frozen=True)
-class Observed:
+class Observations:
     """The observers' labels and what is known about the observers. Types are learned from these
     data alone.
 
@@ -77,7 +77,7 @@ class Observed:
 class Observers(Protocol):
     """A source of labels: the interface of every component ``observers``."""
 
-    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observations:
         """Collects P labels of transitions of ``setting.domain``, with its features and its
         messages.
 
@@ -116,7 +116,7 @@ class SimulatedObservers:
         if counts.ndim > 1 or counts.dtype.kind != "i" or counts.min() < 1:
             raise InputError("observers.per_type", self.per_type, "a number ≥ 1, or one a type")
 
-    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observations:
         """Returns the labels of all observers and their true types.
 
         Raises:
@@ -156,7 +156,7 @@ class SimulatedObservers:
         )
         found = [one.likely for one in asked if one.likely is not None]
         likely = np.unique(np.concatenate(found)) if found else None
-        return Observed(dataset, truth, setting, likely)
+        return Observations(dataset, truth, setting, likely)
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class FileObservers:
         if not Path(self.path).is_file():
             raise InputError("observers.path", str(self.path), "no such file")
 
-    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observations:
         """Reads the table, with its features in the order of the domain's features. Labelers
         trained on it can then predict the domain's traces. ``queries`` and ``seed`` are unused,
         because these people have already answered.
@@ -189,4 +189,4 @@ class FileObservers:
         names, like = setting.message_names, transition_feature_names(setting.domain)
         own = self.features, self.ignore
         dataset = read_table(self.path, names, *own, like=like, key="observers.path")
-        return Observed(dataset, setting=setting)
+        return Observations(dataset, setting=setting)

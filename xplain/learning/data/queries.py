@@ -76,7 +76,7 @@ another answer."""
 
 
 @dataclass(frozen=True)
-class Answered:
+class QueryAnswers:
     """The questions and the answers of one observer, in order.
 
     Attributes:
@@ -97,7 +97,7 @@ class Queries(Protocol):
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
-    ) -> list[Answered]:
+    ) -> list[QueryAnswers]:
         """Asks O observers; each question may depend on all earlier answers.
 
         A design knows the domain. It must not use the types in ``setting``, because these types are
@@ -120,11 +120,11 @@ def ask_in_order(
     message_sets: NDArray[np.int64],
     sizes: NDArray[np.int64],
     answer: Answer,
-) -> list[Answered]:
+) -> list[QueryAnswers]:
     """Asks all observers the same questions in the same order; observer o receives the first
     ``sizes[o]`` questions."""
     each = [(transitions[:size], message_sets[:size]) for size in sizes]
-    return [Answered(*own, answer(o, *own)) for o, own in enumerate(each)]
+    return [QueryAnswers(*own, answer(o, *own)) for o, own in enumerate(each)]
 
 
 @dataclass(frozen=True)
@@ -166,12 +166,12 @@ class Independent(RandomTraces):
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
-    ) -> list[Answered]:
+    ) -> list[QueryAnswers]:
         """Asks observer o exactly ``sizes[o]`` questions, drawn independently for each observer."""
         asked = []
         for o, size in enumerate(sizes):
             questions = self.draw(setting, int(size), stream(seed, "queries", o))
-            asked.append(Answered(*questions, answer(o, *questions)))
+            asked.append(QueryAnswers(*questions, answer(o, *questions)))
         return asked
 
 
@@ -184,7 +184,7 @@ class Shared(RandomTraces):
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
-    ) -> list[Answered]:
+    ) -> list[QueryAnswers]:
         """Asks observer o the first ``sizes[o]`` questions of one common list."""
         battery = self.draw(setting, int(sizes.max()), stream(seed, "queries", "shared"))
         return ask_in_order(*battery, sizes, answer)

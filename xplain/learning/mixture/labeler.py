@@ -25,7 +25,7 @@ from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import bits_of, indices, names_of, subsets
 from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.evidence import DOUBTED, Evidence, predict_in_order
 from xplain.learning.labelers import (
     Labeler,
@@ -457,7 +457,7 @@ class HypothesisTrainer(LabelerTrainer):
     evidence: Evidence | None = None
     types: NDArray[np.int64] | None = None
 
-    def adapt_to(self, observed: Observed) -> LabelerTrainer:
+    def adapt_to(self, observed: Observations) -> LabelerTrainer:
         """Returns a trainer with the hypotheses of the observers' domain, extended by the fact sets
         that their answers made likely. A trainer that already has hypotheses is returned
         unchanged."""

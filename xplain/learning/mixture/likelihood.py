@@ -204,9 +204,9 @@ class KnownTransitions:
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
     def find_supported(self, answers: Answers) -> NDArray[np.int64]:
-        """Returns the essential facts of the candidates that are probable given the answers of one
-        type, ascending. If all fact sets are candidates, returns the essential facts of every
-        candidate."""
+        """Returns the distinct sets of essential facts (bitmasks, ascending) of the probable
+        candidates, given the answers of one type. If all fact sets are candidates, returns the sets
+        of all candidates."""
         if self.hypotheses.complete:
             return np.unique(self.essential)
         posterior = self._compute_posterior(self.hypotheses, answers)

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from xplain.errors import Count, Positive, Range, TooLargeError, checks
 from xplain.learning.answers import AnswerModel, CellAnswers, learn_answers
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.observers import Observed
+from xplain.learning.data.observers import Observations
 from xplain.learning.mixture.classes import answer_classes
 from xplain.learning.mixture.kernels import (
     REACH,
@@ -444,7 +444,7 @@ class DirichletMixture(Clusterer):
     updates: Count = 300_000
     heat: Annotated[float, Range(1)] = 4.0
 
-    def cluster(self, observed: Observed, seed: int) -> Clustering:
+    def cluster(self, observed: Observations, seed: int) -> Clustering:
         """Finds the types, the messages that each type needs, and the posterior over the number of
         types.
 

@@ -116,7 +116,7 @@ class ClipStage(Stage["Collection", CollectState]):
         return state.to(stage=self.name, clip=replace(clip, bits=float(bits)))
 
 
-class Listening(ClipStage):
+class ListeningStage(ClipStage):
     """Clips with messages that stay valid on later pages, and later clips without messages."""
 
     LASTING: ClassVar = True
@@ -167,7 +167,7 @@ class Collection(Flow[CollectPlan, CollectState]):
         CollectPractice("practice", "example"),
         LookingAhead("ahead", "ahead"),
         ClipStage("clips", "labels"),
-        Listening("listening", "labels"),
+        ListeningStage("listening", "labels"),
         BeliefStage("beliefs", "beliefs"),
         QuestionStage("questions", "answers"),
     )

@@ -343,7 +343,7 @@ FACT_SETS = 64
 
 
 @dataclass(frozen=True)
-class Asked:
+class PersonAnswers:
     """The answered pages of one person, and the fact sets that the person may believe incorrectly.
 
     Attributes:
@@ -401,7 +401,7 @@ class Asked:
         return np.asarray(belief.sum(axis=0))
 
 
-def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
+def listeners_in(database: Path, stream: str = "person") -> list[PersonAnswers]:
     """Lists the people of a stream whose labels are used, except those whom no hypothesis fits.
 
     Args:
@@ -424,7 +424,7 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
     return [collect_pages(plan, state) for state in kept]
 
 
-def collect_pages(plan: CollectPlan, state: CollectState) -> Asked:
+def collect_pages(plan: CollectPlan, state: CollectState) -> PersonAnswers:
     """Collects the pages of a person who answered all clips."""
     known = plan.hypotheses
     before = np.bincount(known.classes, prior(plan, state.others))
@@ -432,4 +432,4 @@ def collect_pages(plan: CollectPlan, state: CollectState) -> Asked:
     held = np.array(sorted(shares, key=lambda facts: -shares[facts])[:FACT_SETS])
     own = before[known.classes[known.row(held)]]
     clips = tuple(clip for clip in state.answered if clip.purpose != ATTENTION)
-    return Asked(known, held, own / own.sum(), clips)
+    return PersonAnswers(known, held, own / own.sum(), clips)

@@ -38,7 +38,7 @@ TRACES = 5
 
 
 @dataclass(frozen=True)
-class Served:
+class ServedTask:
     """The task that a service explains and asks about.
 
     Attributes:
@@ -180,7 +180,7 @@ class Served:
         }
 
 
-def make_served(cfg: DictConfig) -> Served:
+def make_served(cfg: DictConfig) -> ServedTask:
     """Makes the task of a configuration (conf/serve.yaml).
 
     Raises:
@@ -208,7 +208,7 @@ def make_served(cfg: DictConfig) -> Served:
         ask=Limits(cfg.ask.cost, cfg.ask.most, cfg.ask.when) if cfg.ask.kinds else None,
     )
     shown = {} if domain is None or known is None else _make_map(domain, known, cfg)
-    return Served(
+    return ServedTask(
         explainer,
         known,
         {name: sentences.get(name) or name for name in types.messages},

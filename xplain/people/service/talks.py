@@ -18,7 +18,7 @@ from xplain.explanation.message_sets import names_of
 from xplain.learning.data.label_file import columns_of
 from xplain.people.flow import Event, State
 from xplain.people.log import Log
-from xplain.people.service.served import Served
+from xplain.people.service.served import ServedTask
 from xplain.randomness import derive_seed
 
 Json = dict[str, Any]
@@ -35,14 +35,14 @@ class Conflict(Exception):
     """The request contradicts an earlier request, or another request must come next."""
 
 
-class Explanation:
+class ExplanationTalk:
     """The explanation of a trace to one person.
 
     Attributes:
         decided: the latest action; empty before the first decision.
     """
 
-    def __init__(self, task: Served, begun: Json) -> None:
+    def __init__(self, task: ServedTask, begun: Json) -> None:
         trace = [task.row(one) for one in begun["trace"]]
         self.decided: Json = {}
         self.task = task
@@ -97,14 +97,14 @@ class Explanation:
         }
 
 
-class Asking:
+class QuestionnaireTalk:
     """A questionnaire for one person.
 
     Attributes:
         decided: the latest action; empty before the first decision.
     """
 
-    def __init__(self, task: Served, begun: Json) -> None:
+    def __init__(self, task: ServedTask, begun: Json) -> None:
         self.decided: Json = {}
         self.task = task
         self.questionnaire = task.questionnaire.restart(None, begun["seed"])
@@ -138,17 +138,17 @@ class Asking:
         return {"believes_incorrectly": wrong, **sure}
 
 
-Talk = Explanation | Asking
-KINDS: dict[str, type[Explanation] | type[Asking]] = {
-    "session": Explanation,
-    "questionnaire": Asking,
+Talk = ExplanationTalk | QuestionnaireTalk
+KINDS: dict[str, type[ExplanationTalk] | type[QuestionnaireTalk]] = {
+    "session": ExplanationTalk,
+    "questionnaire": QuestionnaireTalk,
 }
 
 
 class Talks(Log[State]):
     """All talks of a service. Safe to call from several threads."""
 
-    def __init__(self, path: Path, task: Served) -> None:
+    def __init__(self, path: Path, task: ServedTask) -> None:
         """Opens or creates the file.
 
         Raises:
@@ -213,7 +213,7 @@ class Talks(Log[State]):
                     return found
                 number, waits = talk.decided["number"], talk.decided["kind"] in ("wait", "end")
                 due = "more of the trace" if waits else f"answer {number}"
-                if key.startswith("trace") and isinstance(talk, Explanation):
+                if key.startswith("trace") and isinstance(talk, ExplanationTalk):
                     due = f"trace {len(talk.session.trace)}"
                 if key != due:
                     raise Conflict(f"{key}: the next request must be {due}")

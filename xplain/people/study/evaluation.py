@@ -16,12 +16,12 @@ from xplain.explanation.asking import bitmask
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.message_sets import indices
 from xplain.interaction.dialogue import (
-    Answered,
-    Asked,
     Dialogue,
     DialogueState,
-    Given,
-    Labelled,
+    MessagesGiven,
+    QuestionAnswered,
+    QuestionAsked,
+    StepLabelled,
 )
 from xplain.people import flow as core
 from xplain.people.flow import CANNOT_TELL, Flow, Form, OneLabel, Stage, choices, small
@@ -127,7 +127,7 @@ class StudyState(core.State):
 
 
 @dataclass(frozen=True)
-class Explaining(Flow[StudyPlan, StudyState]):
+class ExplanationFlow(Flow[StudyPlan, StudyState]):
     """A flow that explains a trace.
 
     Attributes:
@@ -179,7 +179,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
             one = AskedQuestion(state.step, action.question, len(state.heard), worth, belief)
             return state.to(stage="asking", asked=(*state.asked, one))
         new = messages_of(action)
-        talk.hear(Given(new))
+        talk.hear(MessagesGiven(new))
         shown = {str(int(mask)): value for mask, value in said.items()}
         return state.to(
             stage="evaluation",
@@ -215,16 +215,16 @@ class Explaining(Flow[StudyPlan, StudyState]):
         }
 
 
-class Evaluation(Stage["Explaining", StudyState]):
+class Evaluation(Stage["ExplanationFlow", StudyState]):
     """The robot's steps, one after the other, with the policy's messages."""
 
-    def enter(self, flow: Explaining, state: StudyState) -> StudyState:
+    def enter(self, flow: ExplanationFlow, state: StudyState) -> StudyState:
         """Returns the state of the first page: the policy's first decision from the initial
         belief."""
         belief = tuple(flow.plan.problem_of(state.condition or "").start.tolist())
         return flow.next_step(replace(state, wrong=False, belief=belief))
 
-    def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
+    def view(self, flow: ExplanationFlow, state: StudyState) -> dict[str, Any]:
         """Shows the steps so far, the labels, the old messages and the new messages."""
         plan = flow.plan
         return flow.collect_content(state) | {
@@ -234,7 +234,7 @@ class Evaluation(Stage["Explaining", StudyState]):
             "labels": state.labels,
         }
 
-    def read(self, flow: Explaining, state: StudyState, form: Form) -> dict[str, Any]:
+    def read(self, flow: ExplanationFlow, state: StudyState, form: Form) -> dict[str, Any]:
         """Reads the labels; an earlier label that is not sent again keeps its value."""
         kept = [*state.labels[: state.step], None]
         sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
@@ -242,13 +242,13 @@ class Evaluation(Stage["Explaining", StudyState]):
         return {"labels": [old if label is None else label for label, old in pairs]}
 
     def advance(
-        self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
+        self, flow: ExplanationFlow, state: StudyState, payload: Mapping[str, Any]
     ) -> StudyState:
         """Moves to the next step, or to the next stage after the last step."""
         count = [CANNOT_TELL + 1] * (state.step + 1)
         chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
         talk = flow.talk(state)
-        talk.hear(Labelled(chosen))
+        talk.hear(StepLabelled(chosen))
         belief = tuple(talk.state.belief.tolist())
         state = replace(
             state,
@@ -263,12 +263,12 @@ class Evaluation(Stage["Explaining", StudyState]):
         return flow.next_step(replace(state, step=state.step + 1))
 
 
-class Asking(OneLabel["Explaining", StudyState]):
+class ClipQuestion(OneLabel["ExplanationFlow", StudyState]):
     """A question: does one step of the task, on the trace or not, make sense?"""
 
     WITHIN: ClassVar = "evaluation"
 
-    def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
+    def view(self, flow: ExplanationFlow, state: StudyState) -> dict[str, Any]:
         """Shows the transition that is asked about, and the messages given so far."""
         question = state.asked[-1].question
         return flow.collect_content(state) | {
@@ -278,13 +278,13 @@ class Asking(OneLabel["Explaining", StudyState]):
         }
 
     def advance(
-        self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
+        self, flow: ExplanationFlow, state: StudyState, payload: Mapping[str, Any]
     ) -> StudyState:
         """Moves to another question, or to the next step. The answer "I cannot tell" is no
         evidence."""
         label, talk = self.label(flow, payload), flow.talk(state)
         if label != CANNOT_TELL:
-            talk.hear(Asked(state.asked[-1].question), Answered(label))
+            talk.hear(QuestionAsked(state.asked[-1].question), QuestionAnswered(label))
         belief = tuple(talk.state.belief.tolist())
         answered = replace(state.asked[-1], answer=label, after=flow.of_types(belief))
         return flow.next_step(replace(state, belief=belief, asked=(*state.asked[:-1], answered)))

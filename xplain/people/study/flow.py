@@ -40,9 +40,9 @@ from xplain.people.plan import Way
 from xplain.people.study.evaluation import (
     ENDS,
     EVALUATING,
-    Asking,
+    ClipQuestion,
     Evaluation,
-    Explaining,
+    ExplanationFlow,
     StudyState,
 )
 from xplain.people.study.plan import ASKING, StudyPlan
@@ -165,7 +165,7 @@ class LastQuestions(QuestionStage["Study", StudyState]):
 
 
 @dataclass(frozen=True)
-class Study(Explaining):
+class Study(ExplanationFlow):
     """A running plan with its policies.
 
     A *place* is one numbered opening for a participant of one type and condition. The places are
@@ -187,7 +187,7 @@ class Study(Explaining):
         LookingAhead("ahead", "ahead"),
         Eligibility("eligibility", "eligibility"),
         Evaluation("evaluation", "labels"),
-        Asking("asking", "clip"),
+        ClipQuestion("asking", "clip"),
         Quiz("quiz", "quiz"),
         LastQuestions("questions", "answers"),
     )

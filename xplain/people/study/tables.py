@@ -11,7 +11,7 @@ import numpy as np
 
 from xplain.errors import InputError, one_of
 from xplain.explanation.belief import NO_FIT
-from xplain.explanation.listening import Explained
+from xplain.explanation.listening import ExplanationRecord
 from xplain.explanation.message_sets import names_of
 from xplain.people.export import Row, measure_seconds, write
 from xplain.people.flow import CANNOT_TELL, STREAMS, Event, Participant, People
@@ -352,7 +352,7 @@ def _measure_passed(first: Event, last: Event) -> tuple[float, float]:
     return own / 1000, (last.payload["at"] - first.payload["at"]) / 1000
 
 
-def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
+def listeners_in(database: Path, stream: str = "person") -> list[ExplanationRecord]:
     """Reads what participants were told and how they labelled (``study habits``).
 
     Args:
@@ -374,7 +374,7 @@ def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
     if not labelled:
         raise InputError("database", str(database), f"a database with answers (stream {stream})")
     return [
-        Explained(
+        ExplanationRecord(
             plan.problem,
             [step.page.new for step in steps],
             [np.array(step.labels, np.uint8) for step in steps],
