@@ -1,6 +1,8 @@
 """Handmade values that stages pass to one another."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,3 +72,15 @@ def an_episode(rng: np.random.Generator, steps: int, types: int = 2) -> Episode:
         inexplicability=float(rng.uniform(0, 5)),
         cost=float(rng.uniform(0, 10)),
     )
+
+
+def a_file(path: Path, content: Any) -> Path:
+    """Writes arrays by name, one array, or bytes; None writes nothing."""
+    if isinstance(content, dict):
+        with path.open("wb") as file:
+            np.savez(file, **content)
+    elif isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None:
+        np.save(path, content)
+    return path

@@ -7,9 +7,8 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
+from xplain import LabelTable, Problem
 from xplain.explanation.habits import Habits
-from xplain.explanation.label_table import LabelTable
-from xplain.explanation.problem import Problem
 from xplain.testing.problems import random_problem
 
 
@@ -33,9 +32,10 @@ def misleading_problem() -> Problem:
     return problem.with_habits(Habits(rates, np.ones(2), np.zeros(2), np.full(2, 0.5)))
 
 
-def pair_of_problems(rng: np.random.Generator, types: int, steps: int, n: int) -> Any:
-    """Makes (by type, dense): types that test up to three messages each, with pads anywhere, and
+def random_pair(rng: np.random.Generator) -> Any:
+    """Draws (by type, dense): types that test up to three messages each, with pads anywhere, and
     with costs of all kinds, so that in some problems messages pay only by delay."""
+    types, steps, n = (int(rng.integers(1, most + 1)) for most in (3, 3, 5))
     width = int(rng.integers(0, min(n, 3) + 1))
     relevant = np.full((types, width), -1)
     for row in relevant:
@@ -70,15 +70,6 @@ def pair_of_problems(rng: np.random.Generator, types: int, steps: int, n: int) -
     return tuple(problem.with_habits(habits) for problem in both)
 
 
-def random_pair(
-    rng: np.random.Generator, types: int = 3, steps: int = 3, messages: int = 5
-) -> tuple[Problem, Problem]:
-    """Draws (by type, dense) with at most these numbers of types, steps and messages."""
-    sizes = (int(rng.integers(1, most + 1)) for most in (types, steps, messages))
-    one, other = pair_of_problems(rng, *sizes)
-    return one, other
-
-
 def plain(problem: Problem) -> dict[str, Any]:
     """Returns every field, with arrays as lists."""
     values = {field.name: getattr(problem, field.name) for field in fields(problem)}
@@ -87,7 +78,7 @@ def plain(problem: Problem) -> dict[str, Any]:
     values |= {f"habits.{name}": rates for name, rates in asdict(habits).items()}
     values["habits"] = len(habits)
     asked = problem.questions
-    values["questions"] = asked.limits, asked.shows.tolist(), asked.texts
+    values["questions"] = asked.limits, asked.shows.tolist(), asked.texts, asked.right.tolist()
     values["asked"] = [a.tolist() for a in (asked.table.relevant, asked.table.p)]
     values["asked_answers"] = asked.table.answers.tolist()
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}

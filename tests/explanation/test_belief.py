@@ -1,7 +1,7 @@
-"""Beliefs after labels: Bayes' rule, the labels that count as evidence, impossible labels, and all
-ways to miss and forget messages."""
+"""Beliefs after labels: Bayes' rule, what counts as evidence, impossible labels, all ways to miss
+and forget messages. Questions: which ones may be asked, and what they are worth."""
 
-from itertools import product
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.decisions import belief_over_rows, messages_given, states_after, worths
-from tests.explanation.problems import tiny_problems
+from xplain import LabelTable, Problem
+from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleState
+from xplain.explanation.asking import Limits, Questions, alike_first, nearest_first
 from xplain.explanation.belief import (
     Independent,
     Persistent,
@@ -18,36 +20,19 @@ from xplain.explanation.belief import (
     update_by_messages,
 )
 from xplain.explanation.habits import Habits, habits_of
-from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
-from xplain.explanation.problem import Problem
-from xplain.interaction.dialogue import Dialogue, MessagesGiven, StepLabelled
+from xplain.interaction.dialogue import (
+    Dialogue,
+    MessagesGiven,
+    QuestionAnswered,
+    QuestionAsked,
+    StepLabelled,
+)
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.process import PATIENCE
-from xplain.testing.literal_pomdp import (
-    EXPLAIN,
-    LiteralPOMDP,
-)
-from xplain.testing.problems import random_problem
-
-
-@settings(deadline=None, max_examples=60)
-@given(tiny_problems(), st.data())
-def test_belief_update_is_bayes_by_enumeration(problem: Problem, data: st.DataObject) -> None:
-    """P(t | labels of the first k steps) from the joint probability of everything seen. Labels
-    that no type can give leave the belief as it was."""
-    n_steps = data.draw(st.integers(1, problem.n_steps))
-    belief, joint, shown = problem.prior, problem.prior.copy(), 0
-    for k in range(n_steps):
-        shown |= data.draw(st.integers(0, (1 << problem.n_messages) - 1))
-        labels = data.draw(st.sampled_from(list(product((0, 1), repeat=k + 1))))
-        after = joint.copy()
-        for i, label in enumerate(labels):
-            p = problem.table.answered[i, shown]
-            after *= p if label else 1 - p
-        joint = after if after.sum() > 0 else joint
-        belief = update(problem, belief, shown, np.array(labels, dtype=np.uint8))
-        assert belief == pytest.approx(joint / joint.sum(), abs=1e-9)
+from xplain.testing.literal_pomdp import EXPLAIN as EXPLAIN_
+from xplain.testing.literal_pomdp import LiteralPOMDP, literal_optimal_value
+from xplain.testing.problems import random_problem, with_questions
 
 
 def test_labels_that_types_cannot_give_rule_them_out_or_nobody() -> None:
@@ -148,12 +133,13 @@ def problem_of(seed: int, types: int = 2, steps: int = 2, messages: int = 2) -> 
             return problem.with_habits(habits(rng, int(rng.integers(1, 3))))
 
 
-@settings(max_examples=60, deadline=None)
-@given(seeds)
-def test_the_belief_is_that_over_the_states_of_the_literal_pomdp(seed: int) -> None:
+@settings(max_examples=100, deadline=None)
+@given(seeds, st.booleans())
+def test_the_belief_is_that_over_the_states_of_the_literal_pomdp(seed: int, land: bool) -> None:
     """There are random messages, also repeated ones, and random answers."""
-    problem = problem_of(seed, steps=3)
-    pomdp, rng = LiteralPOMDP(problem), np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng) if land else problem_of(seed, steps=3)
+    pomdp = LiteralPOMDP(problem)
     states, belief, mask = pomdp.initial(), problem.start, 0
     for k in range(problem.n_steps):
         for j in range(problem.n_messages):
@@ -161,13 +147,15 @@ def test_the_belief_is_that_over_the_states_of_the_literal_pomdp(seed: int) -> N
                 states = states_after(pomdp, states, j)
                 belief, mask = update_by_messages(problem, belief, 1 << j), mask | 1 << j
         labels = rng.integers(0, 2, k + 1)
-        heard = states_after(pomdp, states, EXPLAIN, tuple(labels.tolist()))
+        heard = states_after(pomdp, states, EXPLAIN_, tuple(labels.tolist()))
         if not heard:  # nobody can answer so
             return
         states = heard
         belief = update(problem, belief, mask, labels.astype(np.uint8))
         expected = belief_over_rows(problem, states)
-        assert belief == pytest.approx(expected.ravel(), abs=1e-9)
+        own = belief.reshape(-1, problem.n_types)
+        assert own.sum(axis=0) == pytest.approx(expected.sum(axis=0), abs=1e-9)
+        assert problem.messages_land or own == pytest.approx(expected, abs=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
@@ -203,3 +191,82 @@ def test_a_message_that_changes_answers_alone_has_an_effect() -> None:
     table.answers[:, 2:] = 0.7
     assert table.effective() == [(1,)]
     assert table.effective_of_any() == (1,)
+
+
+def test_what_a_question_is_worth_by_hand() -> None:
+    """Type 0 needs the message (1.0 of λ C_e) or pays 3 over two steps, type 1 needs nothing, and
+    labels come too late. The question separates them for κ = 0.2: 0.2 + ½ · 1 instead of 1."""
+    p = np.array([[[0, 1], [0, 1]], [[1, 1], [1, 1]]], dtype=float)
+    problem = Problem(p, np.array([1.0]), discount=1.0, inexplicability_cost=10.0)
+    table = LabelTable.dense(np.array([[[0, 0]], [[1, 1]]], dtype=float))
+    asking = replace(problem, questions=Questions(table, Limits(cost=0.2)))
+    assert literal_optimal_value(problem) == pytest.approx(-1.0)
+    assert literal_optimal_value(asking) == pytest.approx(-0.7)
+
+
+def test_second_opinions_come_after_every_kind() -> None:
+    rng = np.random.default_rng(1)
+    kinds = np.array([[0, 1, 1], [1, 0, 1], [0, 0, 1]])
+    which = rng.integers(3, size=40)
+    p = np.where(kinds[which] == 1, 0.9, 0.1).T[:, :, None]
+    kept = alike_first(LabelTable.dense(p), 5)
+    firsts = [int(np.flatnonzero(which == kind)[0]) for kind in range(3)]
+    assert set(firsts) <= set(kept.tolist())
+    assert len(kept) == 5
+    seconds = sorted(int(np.flatnonzero(which == kind)[1]) for kind in range(3))
+    assert sorted(set(kept.tolist()) - set(firsts)) == seconds[:2]
+
+
+def test_the_nearest_differ_in_the_fewest_features() -> None:
+    trace = np.array([[0.0, 0.0], [5.0, 1.0]])
+    clips = np.array([[4.0, 7.0], [5.0, 1.0], [10.0, 1.0], [3.0, 1.0]])
+    assert nearest_first(clips, trace).tolist() == [1, 3, 2, 0]  # in 0, 1, 1 and 2 features
+
+
+@dataclass
+class AsksAll:
+    """A policy that asks every possible question, and gives no messages."""
+
+    problem: Problem
+
+    def decide(self, visible: VisibleState, belief: np.ndarray) -> Action:
+        left = [q for q in range(len(self.problem.questions)) if not visible.asked >> q & 1]
+        return AskQuestion(left[0]) if left else EXPLAIN
+
+    def values(self, visible: VisibleState, belief: np.ndarray) -> dict[Action, float]:
+        return {EXPLAIN: 0.0}
+
+
+def clip_of_the_second_transition() -> Problem:
+    rng = np.random.default_rng(4)
+    problem = Problem(rng.uniform(0.2, 0.8, (2, 3, 2)), np.ones(1))
+    table = problem.table.of_steps([1])
+    shows = np.array([[False, True, False]])
+    return replace(problem, questions=Questions(table, Limits(), shows))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_questions_that_do_not_say_what_they_show_show_nothing_of_the_trace(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    problem = with_questions(rng, random_problem(rng))
+    asking = problem.questions
+    beliefs = []
+    for shows in (np.zeros((len(asking), problem.n_steps), np.bool_), np.empty((0, 0), np.bool_)):
+        own = replace(problem, questions=replace(asking, shows=shows))
+        talk = Dialogue(own, AsksAll(own), Persistent())
+        talk.hear(QuestionAsked(0), QuestionAnswered(1))
+        talk.hear(*(StepLabelled((1,) * k) for k in range(1, own.n_steps + 1)))
+        beliefs.append(talk.state.belief)
+    assert np.array_equal(*beliefs)
+
+
+def test_what_was_answered_as_a_label_is_not_asked_again() -> None:
+    problem = clip_of_the_second_transition()
+    for way, again in ((Persistent(), EXPLAIN), (Independent(), AskQuestion(0))):
+        talk = Dialogue(problem, AsksAll(problem), way)
+        talk.hear(StepLabelled((1,)))
+        assert talk.decide() == AskQuestion(0)  # the second transition was not shown yet
+        talk.hear(StepLabelled((1, 0)))
+        assert talk.decide() == again
+        talk.hear(MessagesGiven(1))
+        assert talk.decide() == AskQuestion(0)  # after a message it is another question

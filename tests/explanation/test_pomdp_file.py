@@ -12,9 +12,8 @@ import pytest
 from hypothesis import example, given, settings
 
 from tests.explanation.problems import misleading_problem, tiny_problems
-from xplain.errors import InputError
+from xplain import InputError, Problem
 from xplain.explanation.files import pomdp_lines
-from xplain.explanation.problem import Problem
 from xplain.testing.literal_pomdp import (
     EXPLAIN,
     LiteralPOMDP,

@@ -1,4 +1,4 @@
-"""Problems keep their values, in memory and in files."""
+"""Problems keep their values, in memory and in files; tables by type say what dense tables say."""
 
 import re
 from dataclasses import MISSING, fields, replace
@@ -7,17 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from tests.explanation.problems import plain
+from tests.explanation.problems import plain, random_pair
+from tests.handmade import a_file
 from tests.refusals import refused
-from xplain.errors import InputError
+from xplain import InputError, Problem, TooLargeError
 from xplain.explanation.asking import Limits, Questions, make_question
+from xplain.explanation.belief import update
 from xplain.explanation.files import load, save
 from xplain.explanation.habits import Habits
-from xplain.explanation.label_table import LabelTable
-from xplain.explanation.problem import Problem
+from xplain.explanation.label_table import LabelTable, join_steps, stack_types
 from xplain.testing.problems import random_problem, with_questions
 
 HALF = np.full((1, 1, 2), 0.5)
@@ -41,21 +40,25 @@ def unusual() -> Problem:
     asked = LabelTable.dense(*rng.random((2, 2, 3, 4)))
     limits = Limits(cost=0.3, most=2, when="first")
     shows = np.array([[True, False, False], [False] * 3, [False, False, True]])
-    texts = "goes left", "goes right", "waits"
-    problem = replace(problem, questions=Questions(asked, limits, shows, texts))
+    texts, right = ("It needs fuel.\nIt needs none.", "goes right", "waits"), np.array([1, -1, -1])
+    problem = replace(problem, questions=Questions(asked, limits, shows, texts, right))
     habits = Habits(*np.array([[0.1, 0.3], [1.0, 0.8], [0.0, 0.1], [0.4, 0.6]]))
     as_found = np.array([True, False, True, False])
     return replace(problem.with_habits(habits), as_found=as_found)
 
 
 def test_every_field_comes_back_from_a_file(tmp_path: Path) -> None:
-    problem = unusual()
+    """Also sixty messages, in a small file, and questions without texts."""
+    problem, path, rng = unusual(), tmp_path / "problem.npz", np.random.default_rng(1)
     default = Problem(problem.p_explicable, np.ones(2))
     for field in fields(problem):
         if field.default is not MISSING or field.default_factory is not MISSING:
             assert plain(problem)[field.name] != plain(default)[field.name], field.name
-    save(problem, tmp_path / "problem.npz")
-    assert plain(load(tmp_path / "problem.npz")) == plain(problem)
+    for one in (problem, with_questions(rng, random_problem(rng)), large()):
+        save(one, path)
+        assert plain(load(path)) == plain(one)
+    assert large().table.relevant.tolist() == [[3, 59], [2, 40], [17, -1]]
+    assert path.stat().st_size < 20_000
 
 
 def test_a_file_may_hold_tables_and_costs_alone(tmp_path: Path) -> None:
@@ -131,16 +134,8 @@ def test_a_mixture_by_hand() -> None:
 def test_a_file_of_anything_else_is_refused_in_a_line(
     tmp_path: Path, name: str, content: Any, said: str
 ) -> None:
-    path = tmp_path / name
-    if isinstance(content, dict):
-        with path.open("wb") as file:
-            np.savez(file, **content)
-    elif isinstance(content, bytes):
-        path.write_bytes(content)
-    elif content is not None:
-        np.save(path, content)
     with refused(said):
-        load(path)
+        load(a_file(tmp_path / name, content))
 
 
 @pytest.mark.parametrize(
@@ -177,38 +172,6 @@ def test_a_bad_field_is_named(key: str, value: Any) -> None:
         Problem(**values | {name: value})
 
 
-@given(st.integers(0, 2**32 - 1), st.booleans())
-@settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_a_saved_problem_carries_its_questions(tmp_path: Path, seed: int, words: bool) -> None:
-    rng = np.random.default_rng(seed)
-    problem = with_questions(rng, random_problem(rng))
-    asked = problem.questions
-    assert asked is not None
-    if words:
-        right = rng.integers(-1, 2, len(asked))
-        texts = tuple(
-            f"“{q}” is so.\nIt is not." if r >= 0 else f"{q}" for q, r in enumerate(right)
-        )
-        shows = rng.random((len(asked), problem.n_steps)) < 0.5
-        asked = replace(asked, texts=texts, right=right, shows=shows)
-        problem = replace(problem, questions=asked)
-    save(problem, tmp_path / "problem.npz")
-    loaded = load(tmp_path / "problem.npz").questions
-    assert loaded is not None
-    assert (loaded.limits, loaded.texts) == (asked.limits, asked.texts)
-    np.testing.assert_array_equal(loaded.right, asked.right)
-    np.testing.assert_array_equal(loaded.shows, asked.shows)
-    for given_ in range(1 << problem.n_messages):
-        for table in ("label_probabilities", "answer_probabilities"):
-            one, other = (getattr(q.table, table)(len(asked), given_) for q in (asked, loaded))
-            np.testing.assert_array_equal(one, other)
-    assert [loaded.question(q) for q in range(len(asked))] == [
-        asked.question(q) for q in range(len(asked))
-    ]
-
-
 def test_a_belief_shows_its_sentences_in_the_order_given() -> None:
     for right in (0, 1):
         question = make_question(3, "It needs fuel.\nIt needs none.", right)
@@ -216,3 +179,104 @@ def test_a_belief_shows_its_sentences_in_the_order_given() -> None:
         assert question.replies[right][1] == 1
         assert question.replies[1 - right][1] == 0
         assert "fuel" in str(question)
+
+
+def test_it_says_what_the_dense_table_says(rng_of_the_day: np.random.Generator) -> None:
+    """Labels, beliefs, relevant messages, and problems of the table are the same."""
+    rng = rng_of_the_day
+    for _ in range(60):
+        by_type, dense = random_pair(rng)
+        assert np.array_equal(by_type.p_explicable, dense.p_explicable)
+        for shown in range(1 << dense.n_messages):
+            count = int(rng.integers(1, dense.n_steps + 1))
+            labels = rng.integers(0, 2, count).astype(np.uint8)
+            tables = [one.table.label_probabilities(count, shown) for one in (by_type, dense)]
+            assert np.array_equal(*tables)
+            assert update(by_type, by_type.prior, shown, labels) == pytest.approx(
+                update(dense, dense.prior, shown, labels), abs=1e-12
+            )
+        found = dense.table.select_messages(dense.table.effective())
+        assert found.rows == [list(row) for row in by_type.table.effective()]
+        every = by_type.table.effective_of_any()
+        assert every == dense.table.effective_of_any() == tuple(sorted(set().union(*found.rows)))
+        whole = found.select_messages([range(dense.n_messages)] * dense.n_types)
+        assert np.array_equal(whole.p, dense.table.p)
+        last = dense.n_types - 1
+        made = [
+            (one.with_types(one.table.of_types([last]), ("last",)), one.mixture(one.prior))
+            for one in (by_type, dense)
+        ]
+        for mine, other in zip(*made, strict=True):
+            assert mine.p_explicable == pytest.approx(other.p_explicable, abs=1e-12)
+            assert mine.message_names == other.message_names
+            assert mine.message_cost.tolist() == other.message_cost.tolist()
+            assert (mine.type_names, mine.prior.tolist()) == (
+                other.type_names,
+                other.prior.tolist(),
+            )
+
+
+def large(n: int = 60) -> Problem:
+    """Makes a table of 60 messages; each of three types tests one or two of them."""
+    rng = np.random.default_rng(1)
+    relevant = np.array([[3, 59], [40, 2], [17, -1]])
+    return Problem(LabelTable.by_type(relevant, rng.random((3, 4, 4))), np.ones(n))
+
+
+@pytest.mark.parametrize("many", [20, 21])
+def test_twenty_relevant_messages_are_the_most(many: int) -> None:
+    """The limit holds for one type, for all types together, and for one type over the parts of a
+    trace."""
+    half = many // 2
+    table = np.arange(many)[None], np.broadcast_to(0.5, (1, 1, 1 << many))
+    parts = [
+        LabelTable.by_type([own], np.random.default_rng(0).random((1, 1, 1 << len(own))))
+        for own in ([*range(half)], [*range(half, many)])
+    ]
+    both = Problem(stack_types(parts), np.ones(many))
+    if many == 20:
+        assert LabelTable.by_type(*table).p.shape[1] == 1 << 20
+        whole = join_steps(parts)
+        for given in (0, 5, 1 << half, (1 << many) - 1):
+            each = [part.label_probabilities(1, given)[0, 0] for part in parts]
+            assert whole.label_probabilities(2, given)[0].tolist() == each
+    else:
+        with pytest.raises(InputError, match=r"at most 2\*\*20"):
+            LabelTable.by_type(*table)
+        with pytest.raises(TooLargeError, match="at most 20"):
+            join_steps(parts)
+        for refused in (lambda: both.mixture(both.prior), lambda: both.p_explicable):
+            with pytest.raises(TooLargeError, match="at most 20"):
+                refused()
+
+
+HALVES = np.full((2, 3, 4), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        ("relevant", {"relevant": [[0, 5], [1, 2]]}),
+        ("relevant", {"relevant": [[0, -2], [1, 2]]}),
+        ("relevant", {"relevant": [[0, 0], [1, 2]]}),
+        ("relevant", {"relevant": [[0.5, 1], [1, 2]]}),
+        ("relevant", {"relevant": [0, 1]}),
+        ("p_relevant", {"relevant": [[0], [1]]}),
+        ("relevant", {"relevant": [[0, 1]]}),
+        ("p_relevant", {"p_relevant": np.full((2, 3, 8), 0.5)}),
+        ("p_relevant", {"p_relevant": np.full((2, 12), 0.5)}),
+        ("p_relevant", {"p_relevant": np.where(np.arange(4) == 2, 1.5, HALVES)}),
+        ("p_relevant", {"p_relevant": np.where(np.arange(4) == 2, np.nan, HALVES)}),
+        ("message_cost", {"message_cost": np.ones(63)}),
+        ("message_cost", {"message_cost": 1.0}),
+        ("message_cost", {"message_names": ("one",)}),
+    ],
+)
+def test_bad_tables_are_named(key: str, changes: dict[str, Any]) -> None:
+    def problem(relevant: Any = ((0, 1), (1, 2)), p_relevant: Any = HALVES, **rest: Any) -> Problem:
+        table = LabelTable.by_type(relevant, p_relevant)
+        return Problem(table, **{"message_cost": np.ones(5)} | rest)
+
+    problem()
+    with refused(f"^{key}="):
+        problem(**changes)

@@ -1,17 +1,28 @@
-"""Compares episodes with Definition 2 of the paper and with Bayes' rule."""
+"""Compares episodes with Definition 2 of the paper and with Bayes' rule. Simulated users: costs
+count their thoughts, beliefs use their answers, and they have their own random stream."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xplain import Independent, InputError, LabelTable, Persistent, Problem
 from xplain.explanation.actions import Action, VisibleState, give
-from xplain.explanation.belief import Independent, Persistent
-from xplain.explanation.label_table import LabelTable
-from xplain.explanation.problem import Problem
 from xplain.interaction.episode import explain
-from xplain.interaction.explainees import SimulatedUser
+from xplain.interaction.explainees import (
+    Between,
+    Exact,
+    Expert,
+    Heedless,
+    LearnsUntold,
+    Misreads,
+    Reaction,
+    SimulatedUser,
+    Slips,
+    Sticky,
+)
 from xplain.solvers.base import CachedPolicy
+from xplain.solvers.simple import Silent
 
 
 class Scripted:
@@ -107,3 +118,217 @@ def test_a_user_answers_alike_whatever_messages_the_table_is_over(interaction):
     )
     assert np.array_equal(one.labels, other.labels)
     assert one.cost == other.cost
+
+
+PEOPLE = 200
+STEPS = 8
+
+
+def labels(seed: int = 0, messages: int = 2) -> LabelTable:
+    rng = np.random.default_rng(seed)
+    return LabelTable.dense(rng.integers(0, 2, (1, STEPS, 1 << messages)))
+
+
+def reactions(explainee, table=None, said=(0,) * STEPS, same=None, seed=0) -> list[Reaction]:
+    same = np.arange(STEPS) if same is None else same
+    person = explainee.meet(table or labels(), same, seed)
+    given = np.bitwise_or.accumulate(np.array(said)).tolist()
+    found = []
+    for k, new in enumerate(said):
+        person.hear(new)
+        found.append(person.react(given[k], k + 1))
+    return found
+
+
+def within(count: int, of: int, probability: float) -> bool:
+    """Returns True if a count is plausible for a binomial; a right count fails once in 15,000
+    times."""
+    return abs(count - of * probability) <= 4 * (of * probability * (1 - probability)) ** 0.5
+
+
+def test_who_never_errs_answers_what_they_think() -> None:
+    table = labels()
+    for k, (thoughts, answers) in enumerate(
+        reactions(Exact(), table, said=(0, 1, 0, 2, 0, 0, 0, 0))
+    ):
+        given = 0 if k < 1 else 1 if k < 3 else 3
+        assert thoughts.tolist() == table.p[: k + 1, given, 0].tolist()
+        assert np.array_equal(thoughts, answers)
+
+
+def mistakes(repeats: bool, said: tuple[int, ...], seed: int) -> list[list[int]]:
+    found = reactions(Slips(0.5, repeats), said=said, seed=seed)
+    return [(thoughts != answers).astype(int).tolist() for thoughts, answers in found]
+
+
+def test_a_mistake_is_made_again_until_something_new_is_told() -> None:
+    told = [mistakes(True, (0, 0, 0, 0, 1, 0, 0, 0), seed) for seed in range(PEOPLE)]
+    for rows in told:
+        for earlier, later in zip(rows[:3] + rows[4:7], rows[1:4] + rows[5:], strict=True):
+            assert later[: len(earlier)] == earlier
+    kept = sum(rows[4][i] == rows[3][i] for rows in told for i in range(4))
+    assert within(kept, 4 * PEOPLE, 0.5)  # a message is a new question
+
+
+def test_afresh_each_answer_is_drawn_for_itself() -> None:
+    rows = [mistakes(False, (0,) * STEPS, seed) for seed in range(PEOPLE)]
+    kept = sum(r[7][i] == r[6][i] for r in rows for i in range(7))
+    assert within(kept, 7 * PEOPLE, 0.5)
+
+
+def test_a_person_errs_alike_about_copies_of_a_transition() -> None:
+    same = np.array([0, 1, 0, 3, 1, 5, 0, 7])
+    for repeats in (True, False):
+        for seed in range(20):
+            thoughts, answers = reactions(Slips(0.5, repeats), same=same, seed=seed)[-1]
+            wrong = thoughts != answers
+            assert np.array_equal(wrong, wrong[same])
+
+
+def knowing(steps: int = STEPS) -> LabelTable:
+    """Makes a table of transitions that make sense exactly if message 0 is known."""
+    return LabelTable.dense(np.tile([0.0, 1.0], (1, steps, 1)))
+
+
+@pytest.mark.parametrize(("accept", "forget"), [(0.7, 0.0), (1.0, 0.2)])
+def test_messages_are_taken_in_and_facts_lost_with_their_probabilities(
+    accept: float, forget: float
+) -> None:
+    """Facts are lost after the labels of a step; without forgetting what is known stays."""
+    said, known = (1,) + (0,) * (STEPS - 1), np.zeros(STEPS)
+    for seed in range(PEOPLE):
+        found = reactions(Heedless(accept, forget), knowing(), said, seed=seed)
+        row = np.array([thoughts.all() for thoughts, _ in found])
+        assert (np.diff(row.astype(int)) <= 0).all(), "nobody remembers again by themselves"
+        assert forget or row.all() == row.any()
+        known += row
+    assert all(within(int(known[k]), PEOPLE, accept * (1 - forget) ** k) for k in range(STEPS))
+
+
+def told(person, new: int):
+    person.hear(new)
+    return person
+
+
+def test_what_was_told_again_may_be_taken_in_then() -> None:
+    """A repeated message may be accepted."""
+    person = [Heedless(0.5).meet(knowing(), np.arange(STEPS), seed) for seed in range(PEOPLE)]
+    first, second = (
+        sum(told(p, 1).react(1, count).thoughts.all() for p in person) for count in (1, 2)
+    )
+    assert within(first, PEOPLE, 0.5)
+    assert within(second, PEOPLE, 0.75)
+
+
+def test_costs_are_by_thoughts_and_beliefs_by_answers() -> None:
+    """Two people with equal thoughts and opposite answers cost the same, and the beliefs about them
+    are opposite."""
+
+    class Contrary:
+        def hear(self, new: int) -> None:
+            pass
+
+        def react(self, given: int, count: int) -> Reaction:
+            thoughts = SimulatedUser.of(np.zeros((STEPS, 1))).labels(count, given)
+            return Reaction(thoughts, 1 - thoughts)
+
+    problem = Problem(np.array([0.9, 0.1])[:, None, None].repeat(STEPS, 1), np.empty(0))
+    plain, contrary = (
+        explain(problem, CachedPolicy(Silent().plan(problem)), user, Independent())
+        for user in (SimulatedUser.of(np.zeros((STEPS, 1))), Contrary())
+    )
+    assert plain.cost == contrary.cost == STEPS * (STEPS + 1) / 2
+    assert plain.beliefs[-1] == pytest.approx(contrary.beliefs[-1][::-1])
+    assert plain.beliefs[-1, 1] > 0.99
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: Slips(1.5), lambda: Heedless(accept=-0.1), lambda: Heedless(forget=2)]
+)
+def test_a_probability_out_of_range_is_refused(make) -> None:
+    with pytest.raises(InputError, match=r"explainee\.(rate|accept|forget)=.*a number in"):
+        make()
+
+
+def error_rates(explainee, step: int) -> tuple[float, float]:
+    """Returns the error rates at a step of people who think 0, and of people who think 1."""
+    wrong, thought, truth = np.zeros(2), np.zeros(2), reactions(Exact())[step].thoughts
+    for seed in range(PEOPLE):
+        thoughts, answers = reactions(explainee, seed=seed)[step]
+        assert np.array_equal(thoughts, truth)
+        thought += np.bincount(thoughts, minlength=2)
+        wrong += np.bincount(thoughts[thoughts != answers], minlength=2)
+    return tuple((wrong / thought).tolist())
+
+
+@pytest.mark.parametrize(
+    ("explainee", "step", "zero", "one"),
+    [
+        (Slips(0.0, True, polite=0.5), 7, 0.5, 0.0),
+        (Slips(0.3, True), 7, 0.3, 0.3),
+        (Slips(0.5, False), 7, 0.5, 0.5),
+        (Slips(0.0, False, tires=0.03), 1, 0.06, 0.06),
+        (Slips(0.1, False, tires=0.2), 7, 0.5, 0.5),
+    ],
+)
+def test_people_err_in_either_direction_at_the_rate_of_the_step(
+    explainee, step: int, zero: float, one: float
+) -> None:
+    for found, rate in zip(error_rates(explainee, step), (zero, one), strict=True):
+        assert found == pytest.approx(rate, abs=0.04)
+        assert (found == 0) == (rate == 0)
+
+
+def test_the_sticky_repeat_their_answer_to_the_transition_before() -> None:
+    """Thoughts alternate, so an answer is wrong if it was repeated an odd number of times: with
+    probability 0.4 · 0.6 + 0.4³ · 0.6 + … = 0.4 · 0.6 / (1 − 0.16) in the limit."""
+    table = LabelTable.dense(np.tile([[0.0], [1.0]], (STEPS // 2, 1))[None])
+    wrong = 0
+    for seed in range(PEOPLE):
+        thoughts, answers = reactions(Sticky(0.4), table, seed=seed)[-1]
+        assert thoughts.tolist() == table.p[:, 0, 0].tolist()
+        assert answers[0] == thoughts[0]
+        wrong += int(answers[-1] != thoughts[-1])
+    assert within(wrong, PEOPLE, 0.4 * 0.6 / 0.84)
+
+
+def test_experts_find_everything_explicable() -> None:
+    for thoughts, answers in reactions(Expert()):
+        assert thoughts.all()
+        assert answers.all()
+
+
+def test_those_between_have_one_fact_right_at_half_of_the_transitions() -> None:
+    table, right = knowing(), 0
+    for seed in range(PEOPLE):
+        user = Between().meet(table, np.arange(STEPS), seed)
+        right += int(user.react(0, STEPS).thoughts.sum())
+        assert user.react(1, STEPS).thoughts.all()
+    assert within(right, PEOPLE * STEPS, 0.5)
+
+
+def test_messages_that_are_misread_tell_each_others_facts() -> None:
+    table = labels(messages=3)
+    for seed in range(20):
+        user = Misreads().meet(table, np.arange(STEPS), seed)
+        means = {
+            j: {
+                k
+                for k in range(3)
+                if np.array_equal(user.react(1 << j, STEPS).thoughts, table.p[:, 1 << k, 0])
+            }
+            for j in range(3)
+        }
+        assert sorted(len(found) for found in means.values()) == [1, 1, 1]
+        assert sum(found != {j} for j, found in means.items()) == 2
+        for told_ in (0, 7):
+            assert user.react(told_, STEPS).thoughts.tolist() == table.p[:, told_, 0].tolist()
+
+
+def test_a_fact_is_found_out_two_steps_after_it_mattered() -> None:
+    """From the third transition on, every label depends on the message."""
+    table = LabelTable.dense([[[1.0, 1.0]] * 2 + [[0.0, 1.0]] * (STEPS - 2)])
+    zeros = [int((thoughts == 0).sum()) for thoughts, _ in reactions(LearnsUntold(), table)]
+    assert zeros == [0, 0, 1, 2, 0, 0, 0, 0]
+    told = [int((t == 0).sum()) for t, _ in reactions(LearnsUntold(), table, (0, 0, 1, *(0,) * 5))]
+    assert sum(told) == 0

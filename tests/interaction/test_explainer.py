@@ -11,16 +11,20 @@ import numpy as np
 import pytest
 
 from tests.refusals import refused
-from xplain import Explainer, GivenTypes, Hypotheses
+from xplain import (
+    Clustering,
+    Dataset,
+    Explainer,
+    GivenTypes,
+    Hypotheses,
+    Independent,
+    LabelTable,
+    LearnedTypes,
+)
+from xplain import GivenTypes as Types
 from xplain.explanation.anybody import Open
-from xplain.explanation.belief import Independent
-from xplain.explanation.label_table import LabelTable
 from xplain.explanation.listening import learn_habits
-from xplain.interaction.explainer import GivenTypes as Types
-from xplain.learning.data.dataset import Dataset
 from xplain.learning.mixture.labeler import HypothesisTrainer
-from xplain.learning.saved import LearnedTypes
-from xplain.learning.types import Clustering
 from xplain.learning.user_types import learn_types
 from xplain.solvers.greedy import QMDP, Conformant
 from xplain.solvers.lookahead import Lookahead

@@ -13,9 +13,20 @@ from numpy.typing import NDArray
 from sklearn.tree import DecisionTreeClassifier
 
 from tests.decisions import belief_over_rows, states_after
-from xplain import Explainer, GivenTypes, LabelTable, LearnedTypes
-from xplain.explanation.asking import Limits, Question
-from xplain.explanation.belief import Independent, Persistent
+from xplain import (
+    Clustering,
+    Dataset,
+    Explainer,
+    GivenTypes,
+    Independent,
+    LabelerTrainer,
+    LabelTable,
+    LearnedTypes,
+    Limits,
+    Persistent,
+    Question,
+    Session,
+)
 from xplain.explanation.message_sets import indices
 from xplain.interaction.dialogue import (
     Dialogue,
@@ -24,10 +35,6 @@ from xplain.interaction.dialogue import (
     QuestionAsked,
     StepLabelled,
 )
-from xplain.interaction.session import Session
-from xplain.learning.data.dataset import Dataset
-from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.types import Clustering
 from xplain.learning.user_types import learn_types
 from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate

@@ -10,10 +10,12 @@ must pass without a mistake (`make mutants` runs them before).
 """
 
 import argparse
+import ast
 import difflib
 import json
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -73,15 +75,32 @@ def draw(area: str, paths: list[Path], seed: int) -> Iterator[Mutant]:
             yield Mutant(area, str(path.relative_to(ROOT)), operator, occurrence, change)
 
 
+STUB = (ROOT / "xplain" / "__init__.pyi").read_text("utf-8")
+PUBLIC = {
+    f"xplain.{name}": module
+    for module, name in re.findall(r"^from (\S+) import (\w+)", STUB, re.MULTILINE)
+}
+"""The module of each public name."""
+
+
+def imported(path: Path) -> set[str]:
+    """Lists the modules that a file imports, or imports a name from."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {str(node.module), *(PUBLIC.get(name, name) for name in names)}
+    return found
+
+
 def stages(mutant: Mutant) -> list[list[str]]:
     """Lists the test files for a mutant: files that import its module, then the files of the
     mirrored folder."""
     module = mutant.path.removesuffix(".py").replace("/", ".")
-    package, _, name = module.rpartition(".")
     near, mirror = [], []
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
-        text, test = path.read_text("utf-8"), str(path.relative_to(ROOT))
-        if f"{module} import" in text or f"from {package} import {name}" in text:
+        test = str(path.relative_to(ROOT))
+        if module in imported(path):
             near.append(test)
         elif path.relative_to(ROOT / "tests").parts[0] == mutant.area:
             mirror.append(test)

@@ -7,12 +7,11 @@ import pytest
 
 from tests.decisions import question_asked, worth_by_enumeration
 from tests.solvers.test_optimum import asking
+from xplain import LabelTable, Problem
 from xplain.explanation.actions import EXPLAIN, Action, AskQuestion, VisibleState
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import update_by_answer
-from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
-from xplain.explanation.problem import Problem
 from xplain.solvers.base import best_action
 from xplain.solvers.bounds import bounds
 from xplain.solvers.evaluate import evaluate

@@ -9,11 +9,9 @@ import pytest
 from tests.decisions import messages_given, worths
 from tests.explanation.problems import random_pair
 from tests.refusals import refused
-from xplain.errors import TooLargeError
+from xplain import LabelTable, Problem, TooLargeError
 from xplain.explanation.habits import habits_of
-from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
-from xplain.explanation.problem import Problem
 from xplain.solvers.base import GIB, Solver, check_memory
 from xplain.solvers.bounds import bounds, known_type_value
 from xplain.solvers.evaluate import evaluate
@@ -22,26 +20,6 @@ from xplain.solvers.hsvi import Certified
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp import POMCP
 from xplain.solvers.simple import QHR
-
-Both = tuple[Problem, Problem]
-
-
-def assert_alike(solver: Solver, both: Both, sure: bool = False) -> None:
-    """Checks that two policies give the same messages with the same values at random beliefs."""
-    policies = [solver.plan(problem, seed=3) for problem in both]
-    rng = np.random.default_rng(0)
-    types, n = both[1].n_types, both[1].n_messages
-    for _ in range(8):
-        belief = rng.dirichlet(np.ones(types))
-        if sure:
-            belief = np.eye(types)[rng.integers(types)]
-        k, shown = int(rng.integers(both[1].n_steps)), int(rng.integers(1 << n))
-        mine, other = (messages_given(policy, k, shown, belief) for policy in policies)
-        assert mine == other
-        values = [worths(policy, k, shown, belief) for policy in policies]
-        for chosen in values[0].keys() & values[1].keys():
-            assert values[0][chosen] == pytest.approx(values[1][chosen], abs=1e-9)
-
 
 SOLVERS: list[tuple[Solver, int, bool]] = [
     (QMDP(), 40, False),
@@ -62,13 +40,24 @@ SOLVERS: list[tuple[Solver, int, bool]] = [
 def test_solvers_answer_alike(
     solver: Solver, problems: int, sure: bool, rng_of_the_day: np.random.Generator
 ) -> None:
-    """POMCP's random streams are the same. Problems are compared if no sum is rounded differently,
-    because rounding may decide between equal actions."""
+    """Policies give the same messages with the same values at random beliefs. POMCP's random
+    streams are the same. Problems are compared if no sum is rounded differently, because rounding
+    may decide between equal actions."""
+    rng = np.random.default_rng(0)
     for _ in range(problems):
-        one, other = random_pair(rng_of_the_day)
+        both = random_pair(rng_of_the_day)
         if isinstance(solver, POMCP) and not sure:
-            one, other = (replace(each, discount_per="step") for each in (one, other))
-        assert_alike(solver, (one, other), sure)
+            both = tuple(replace(each, discount_per="step") for each in both)
+        policies = [solver.plan(problem, seed=3) for problem in both]
+        types, n = both[1].n_types, both[1].n_messages
+        for _ in range(8):
+            belief = np.eye(types)[rng.integers(types)] if sure else rng.dirichlet(np.ones(types))
+            k, shown = int(rng.integers(both[1].n_steps)), int(rng.integers(1 << n))
+            mine, other = (messages_given(policy, k, shown, belief) for policy in policies)
+            assert mine == other
+            values = [worths(policy, k, shown, belief) for policy in policies]
+            for chosen in values[0].keys() & values[1].keys():
+                assert values[0][chosen] == pytest.approx(values[1][chosen], abs=1e-9)
 
 
 def test_bounds_and_values_are_alike(rng_of_the_day: np.random.Generator) -> None:

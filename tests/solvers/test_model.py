@@ -1,30 +1,30 @@
-"""Compares tables with direct recursion, and tests properties of the simple solvers."""
+"""Compares tables with direct recursion; tests properties of the simple solvers, and exact and
+simulated values of policies."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.strategies import composite
+from numpy.typing import NDArray
 
 from tests.decisions import messages_given, plain_optimal_value, worths
 from tests.explanation.problems import tiny_problems
-from xplain.errors import InputError
-from xplain.explanation.actions import give
+from xplain import InputError, LabelTable, Problem
+from xplain.explanation.actions import Action, VisibleState, give
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import Assumed, habits_of
-from xplain.explanation.label_table import LabelTable
-from xplain.explanation.problem import Problem
-from xplain.solvers.base import Solver, best_action
-from xplain.solvers.evaluate import evaluate
+from xplain.solvers.base import CachedPolicy, Solver, best_action
+from xplain.solvers.evaluate import evaluate, simulate
 from xplain.solvers.greedy import QMDP, Baseline, Conformant, KnownType
 from xplain.solvers.hsvi import Certified
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp import POMCP
 from xplain.solvers.process import known_values, make_process
-from xplain.solvers.simple import QHR
+from xplain.solvers.simple import QHR, SayAll, Silent
 from xplain.testing.literal_pomdp import literal_optimal_value
+from xplain.testing.problems import random_problem
 
 
 @settings(deadline=None, max_examples=30)
@@ -87,18 +87,10 @@ def test_a_message_that_changes_an_answer_alone_is_an_action() -> None:
     assert evaluate(problem, policy).value == pytest.approx(optimum)
 
 
-@composite
-def situations(draw: st.DrawFn) -> tuple[Problem, int, int]:
-    """Draws a problem with a step and some given messages."""
-    problem = draw(tiny_problems())
-    step = draw(st.integers(0, problem.n_steps - 1))
-    return problem, step, draw(st.integers(0, (1 << problem.n_messages) - 1))
-
-
 @settings(deadline=None, max_examples=30)
-@given(situations())
-def test_qhr_is_the_best_set_of_its_closed_form(situation: tuple[Problem, int, int]) -> None:
-    problem, step, shown = situation
+@given(tiny_problems(), st.integers(0, 2), st.integers(0, 3))
+def test_qhr_is_the_best_set_of_its_closed_form(problem: Problem, step: int, shown: int) -> None:
+    step, shown = step % problem.n_steps, shown % (1 << problem.n_messages)
 
     def closed_form(new: int) -> float:
         cost = problem.trade_off * sum(
@@ -170,20 +162,14 @@ def test_ties_prefer_explain_then_the_first_message() -> None:
     assert messages_given(QHR().plan(cheap), 0, 0, even.prior) == 0b01
 
 
-def needs_two_or_one(price: float = 1.0) -> Problem:
-    """Makes a problem in which {0, 1} and {2} make all transitions explicable at the same price;
-    {3} does so, too, and is more expensive."""
+@pytest.mark.parametrize("solver", [QHR(), Certified(), Lookahead()])
+def test_of_equal_sets_the_smaller_is_given(solver: Solver) -> None:
+    """{0, 1} and {2} make all transitions explicable at the same price; {3} does so, too, and is
+    more expensive. The mask of {0, 1} is less than the mask of {2}."""
     p = np.zeros((1, 1, 16))
     for shown in range(16):
         p[:, :, shown] = shown & 0b0011 == 0b0011 or shown & 0b1100 != 0
-    cost = np.array([1.0, 1.0, 2.0, 2.5]) * price
-    return Problem(p, cost, inexplicability_cost=5.0 * price, discount=1.0)
-
-
-@pytest.mark.parametrize("solver", [QHR(), Certified(), Lookahead()])
-def test_of_equal_sets_the_smaller_is_given(solver: Solver) -> None:
-    """The mask of {0, 1} is less than the mask of {2}."""
-    problem = needs_two_or_one()
+    problem = Problem(p, np.array([1.0, 1.0, 2.0, 2.5]), inexplicability_cost=5.0, discount=1.0)
     assert messages_given(solver.plan(problem), 0, 0, problem.prior) == 0b0100
 
 
@@ -196,3 +182,59 @@ def test_the_best_set_is_the_smallest_of_the_best_then_the_first(values: dict[in
     fewest = min(bin(chosen).count("1") for chosen in tied)
     first = min(chosen for chosen in tied if bin(chosen).count("1") == fewest)
     assert best_action({give(one): value for one, value in values.items()}) == give(first)
+
+
+def test_simulation_has_no_noise_where_the_type_is_known() -> None:
+    """Only the labels are random then, and they change no decision."""
+    labels = np.random.default_rng(7).random((3, 6, 8))[1:2] < 0.6
+    cost = np.array([0.3, 0.9, 0.5])
+    alone = Problem(np.where(labels, 0.95, 0.05), cost, inexplicability_cost=1.5, discount=0.8)
+    # Two messages at once: the order of their prices matters.
+    assert messages_given(QMDP().plan(alone), 1, 0, alone.prior) == 0b011
+    for policy in (QMDP().plan(alone), Conformant().plan(alone), Counting()):
+        worth, exact = simulate(alone, CachedPolicy(policy), 5, seed=2), evaluate(alone, policy)
+        assert (worth.value, worth.cost) == (pytest.approx(exact.value), pytest.approx(exact.cost))
+        assert max(worth.value_se, worth.cost_se) < 1e-12
+
+
+@dataclass
+class Counting:
+    """A silent policy that counts its decisions."""
+
+    asked: int = 0
+
+    def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
+        self.asked += 1
+        return give(0)
+
+    def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> dict[Action, float]:
+        return {}
+
+
+def test_beliefs_are_evaluated_once_each() -> None:
+    """With four equal transitions and two types, the number of labels 1 so far decides the belief.
+    Labels that all types give alike give no information."""
+    policy, p = Counting(), np.array([0.9, 0.4])[:, None, None] * np.ones((1, 4, 1))
+    worth = evaluate(Problem(p, np.empty(0), discount=1.0), policy)
+    assert policy.asked == 1 + 2 + 4 + 7  # 0, 1, 3 and 6 labels seen
+    assert worth.cost == pytest.approx((1 + 2 + 3 + 4) * (0.1 + 0.6) / 2)
+    policy, p = Counting(), np.array([0.3, 0.8, 0.5])[None, :, None] * np.ones((4, 1, 1))
+    evaluate(Problem(p, np.empty(0)), policy)
+    assert policy.asked == 3
+
+
+def test_what_they_are_worth_is_a_sum_over_prefixes(rng_of_the_day: np.random.Generator) -> None:
+    """The value is an expectation without a belief: transition i is labelled at the steps i … m −
+    1."""
+    for _ in range(30):
+        problem = random_problem(rng_of_the_day)
+        m, everything = problem.n_steps, (1 << problem.n_messages) - 1
+        zeros = problem.prior @ (1 - problem.p_explicable).transpose(1, 0, 2)  # [m, 2^n]
+        for solver, said in ((Silent(), 0), (SayAll(), everything)):
+            weights = np.arange(m, 0, -1)
+            expected = problem.inexplicability_cost * (weights @ zeros[:, said])
+            if said:
+                expected += problem.trade_off * problem.message_cost.sum()
+            worth = evaluate(problem, solver.plan(problem), beliefs=100_000)
+            assert worth.value_is == "exact"
+            assert worth.cost == pytest.approx(expected)

@@ -1,13 +1,12 @@
 """Bounds, plans and values of policies against brute force, on random problems of every kind."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import combinations, product
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tests.decisions import (
     messages_given,
@@ -17,11 +16,10 @@ from tests.decisions import (
     worths,
 )
 from tests.explanation.test_belief import problem_of
+from xplain import LabelTable, Problem
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import update_by_messages
 from xplain.explanation.habits import habits_of
-from xplain.explanation.label_table import LabelTable
-from xplain.explanation.problem import Problem
 from xplain.solvers.base import CachedPolicy
 from xplain.solvers.bounds import bounds, known_type_value
 from xplain.solvers.evaluate import evaluate, simulate
@@ -278,20 +276,15 @@ def test_a_message_that_hardly_pays_waits_while_the_state_is_in_doubt(seed: int)
             assert not said
 
 
-def in_the_middle(problem: Problem, seed: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Yields given messages, which may be repeated, and a belief."""
-    rng, n = np.random.default_rng(seed), problem.n_messages
-    belief = rng.dirichlet(np.ones(problem.start.size))
-    for first in range(1 << n):
-        yield first | int(rng.integers(1 << n)), belief
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_in_the_middle_a_search_finds_what_certified_does(seed: int) -> None:
     """The actions are messages, *explain* and questions."""
-    problem = discounted(needy(np.random.default_rng(seed), True, 3), DISCOUNTS[seed])
+    rng = np.random.default_rng(seed)
+    problem = discounted(needy(rng, True, 3), DISCOUNTS[seed])
     policy = POMCP(simulations=100_000, depth=None, exploration=2.0).plan(problem)
     certified = Certified(gap=1e-9).plan(problem)
-    for said, belief in in_the_middle(problem, seed):
+    for first in range(1 << problem.n_messages):  # given messages may be repeated
+        said = first | int(rng.integers(1 << problem.n_messages))
+        belief = rng.dirichlet(np.ones(problem.start.size))
         exact, found = worths(certified, 1, said, belief), worths(policy, 1, said, belief)
         assert max(found.values()) == pytest.approx(max(exact.values()), abs=0.02)

@@ -6,10 +6,9 @@ from itertools import product
 import numpy as np
 import pytest
 
+from xplain import LabelTable, Problem
 from xplain.explanation.belief import update, update_by_messages
 from xplain.explanation.habits import Habits
-from xplain.explanation.label_table import LabelTable
-from xplain.explanation.problem import Problem
 from xplain.solvers.process import (
     before_step,
     expected_after_forgetting,

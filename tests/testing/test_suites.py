@@ -7,12 +7,9 @@ from inspect import signature
 import numpy as np
 import pytest
 
-from xplain.domains.base import Parameter
-from xplain.domains.users.setting import Setting, UserType
+from xplain import Clustering, LabelerTrainer, Parameter, Setting, UserType
 from xplain.explanation.actions import EXPLAIN, GiveMessages, give
 from xplain.learning.data.queries import Independent
-from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.types import Clustering
 from xplain.learning.user_types import UserTypes
 from xplain.solvers.greedy import QMDP
 from xplain.testing import (
@@ -119,98 +116,72 @@ SOURCES = [
 ]
 
 
-@dataclass(frozen=True)
-class Asks:
+def asks(
+    wrong=lambda one, setting: one,
+    sizes=lambda sizes: sizes,
+    stream=lambda setting, seed: seed,
+):
     """Independent questions with a fault: ``wrong(answered, setting)`` of each observer, other
     ``sizes`` than agreed, or another ``stream`` of the setting and the seed."""
 
-    wrong: object = lambda one, setting: one
-    sizes: object = lambda sizes: sizes
-    stream: object = lambda setting, seed: seed
+    def ask(design, setting, agreed, answer, seed):
+        asked = design.ask(setting, sizes(agreed), answer, stream(setting, seed))
+        return [wrong(one, setting) for one in asked]
 
-    def ask(self, setting, sizes, answer, seed):
-        seed = self.stream(setting, seed)
-        asked = Independent().ask(setting, self.sizes(sizes), answer, seed)
-        return [self.wrong(one, setting) for one in asked]
-
-
-def impossible(one, setting):
-    """Makes a transition that ends at its start, which no action of the robot does."""
-    return replace(one, transitions=one.transitions[:, [0, 1, 0]])
-
-
-def invented(one, setting):
-    return replace(one, message_sets=one.message_sets | 1 << setting.n_messages)
+    return Wrapped(Independent(), ask=ask)
 
 
 QUERIES = [
-    ("no_more_than_agreed", Asks(sizes=lambda sizes: sizes + 1)),
-    ("no_more_than_agreed", Asks(sizes=lambda sizes: sizes[1:])),
-    ("no_more_than_agreed", Asks(lambda one, _: replace(one, transitions=one.transitions[1:]))),
-    ("no_more_than_agreed", Asks(lambda one, _: replace(one, message_sets=one.message_sets[1:]))),
-    ("answers_are", Asks(lambda one, _: replace(one, labels=one.labels[::-1]))),
-    ("answers_are", Asks(lambda one, _: replace(one, labels=1 - one.labels))),
-    ("answers_are", Asks(lambda one, _: replace(one, message_sets=one.message_sets[::-1]))),
-    ("answers_are", Asks(lambda one, _: replace(one, transitions=one.transitions[::-1]))),
-    ("what_the_robot_does", Asks(impossible)),
-    ("what_the_robot_does", Asks(invented)),
-    ("what_the_robot_does", Asks(lambda one, _: replace(one, message_sets=-1 - one.message_sets))),
-    ("same_seed", Asks(stream=lambda setting, seed: next(counter))),
+    ("no_more_than_agreed", asks(sizes=lambda sizes: sizes + 1)),
+    ("no_more_than_agreed", asks(sizes=lambda sizes: sizes[1:])),
+    ("no_more_than_agreed", asks(lambda one, _: replace(one, transitions=one.transitions[1:]))),
+    ("no_more_than_agreed", asks(lambda one, _: replace(one, message_sets=one.message_sets[1:]))),
+    ("answers_are", asks(lambda one, _: replace(one, labels=one.labels[::-1]))),
+    ("answers_are", asks(lambda one, _: replace(one, labels=1 - one.labels))),
+    ("answers_are", asks(lambda one, _: replace(one, message_sets=one.message_sets[::-1]))),
+    ("answers_are", asks(lambda one, _: replace(one, transitions=one.transitions[::-1]))),
+    # A transition that ends at its start, which no action of the robot does.
+    (
+        "what_the_robot_does",
+        asks(lambda one, _: replace(one, transitions=one.transitions[:, [0, 1, 0]])),
+    ),
+    (
+        "what_the_robot_does",
+        asks(lambda one, s: replace(one, message_sets=one.message_sets | 1 << s.n_messages)),
+    ),
+    ("what_the_robot_does", asks(lambda one, _: replace(one, message_sets=-1 - one.message_sets))),
+    ("same_seed", asks(stream=lambda setting, seed: next(counter))),
     (
         "true_types",
-        Asks(stream=lambda setting, seed: rescue.parameters.index(parameter_of(setting))),
+        asks(stream=lambda setting, seed: len(next(iter(setting.types[0].inaccurate)))),
     ),
 ]
 
 
-def parameter_of(setting):
-    """Returns the parameter that the first type believes incorrectly."""
-    wrong = setting.types[0].inaccurate
-    return next(p for p in setting.domain.parameters if p.name in wrong)
+def fits(data=lambda dataset: dataset, **faults):
+    """A trainer that learns from other data, or whose labelers have faults."""
+    return Wrapped(
+        LabelerTrainer(),
+        fit=lambda trainer, dataset, seed: Wrapped(trainer.fit(data(dataset), seed), **faults),
+    )
 
 
-class Sure:
-    """A labeler that is certain of its predictions."""
-
-    def fit(self, dataset, seed):
-        labeler = LabelerTrainer().fit(dataset, seed)
-        return Wrapped(labeler, probability=lambda whole, x, h: whole.predict(x, h).astype(float))
+def moody(dataset):
+    noisy = dataset.label ^ (RNG.random(len(dataset)) < 0.2)
+    return replace(dataset, label=noisy).take(np.arange(200))
 
 
-class Ignorant:
-    def fit(self, dataset, seed):
-        labeler = LabelerTrainer().fit(dataset, seed)
-        return Wrapped(labeler, predict=lambda whole, x, h: np.ones(len(x), np.uint8))
-
-
-class Moody:
-    def fit(self, dataset, seed):
-        noisy = dataset.label ^ (RNG.random(len(dataset)) < 0.2)
-        return LabelerTrainer().fit(replace(dataset, label=noisy).take(np.arange(200)), seed)
-
-
-class Hopeful:
-    def fit(self, dataset, seed):
-        labeler = LabelerTrainer().fit(dataset, seed)
-        return Wrapped(labeler, probability=lambda whole, x, h: np.full(len(x), 0.7))
-
-
-class Hasty:
-    """A labeler that learns from the first two hundred labels only."""
-
-    def fit(self, dataset, seed):
-        return LabelerTrainer().fit(dataset.take(np.arange(200)), seed)
-
-
+SURE = fits(probability=lambda labeler, x, h: labeler.predict(x, h).astype(float))
+IGNORANT = fits(predict=lambda labeler, x, h: np.ones(len(x), np.uint8))
 LABELERS = [
-    ("order_of_the_labels", Hasty()),
-    ("never_certain", Sure()),
-    ("table_says", Sure()),
-    ("plain_rule", Ignorant()),
-    ("labels_follow", Ignorant()),
-    ("same_seed", Moody()),
-    ("one_kind", Hopeful()),
-    ("figures", Moody()),
+    ("order_of_the_labels", fits(lambda dataset: dataset.take(np.arange(200)))),
+    ("never_certain", SURE),
+    ("table_says", SURE),
+    ("plain_rule", IGNORANT),
+    ("labels_follow", IGNORANT),
+    ("same_seed", fits(moody)),
+    ("one_kind", fits(probability=lambda labeler, x, h: np.full(len(x), 0.7))),
+    ("figures", fits(moody)),
 ]
 
 
@@ -245,27 +216,17 @@ CLUSTERERS = [
 ]
 
 
-@dataclass(frozen=True)
-class Groups:
-    """``split(vectors, k)``."""
-
-    split: object
-
-    def partition(self, vectors, k, seed):
-        return self.split(vectors, k)
-
-
-def spoil(vectors, k):
-    vectors[:] = 0
-    return vectors[:, 0]
+def groups(split):
+    """A partition by ``split(vectors, k)``."""
+    return Wrapped(None, partition=lambda _, vectors, k, seed: split(vectors, k))
 
 
 PARTITIONS = [
-    ("at_most_k", Groups(lambda v, k: np.unique(v, axis=0, return_inverse=True)[1].ravel())),
-    ("at_most_k", Groups(lambda v, k: v[:, 0] * 0)),
-    ("stay_together", Groups(lambda v, k: np.arange(len(v)) % k)),
-    ("same_groups", Groups(lambda v, k: RNG.integers(0, k, len(v)))),
-    ("as_they_were", Groups(spoil)),
+    ("at_most_k", groups(lambda v, k: np.unique(v, axis=0, return_inverse=True)[1].ravel())),
+    ("at_most_k", groups(lambda v, k: v[:, 0] * 0)),
+    ("stay_together", groups(lambda v, k: np.arange(len(v)) % k)),
+    ("same_groups", groups(lambda v, k: RNG.integers(0, k, len(v)))),
+    ("as_they_were", groups(lambda v, k: np.copyto(v, 0))),
 ]
 
 FAULTS = [
