@@ -231,7 +231,7 @@ def bots(
     """
     from requests import RequestException
 
-    from xplain.people.bots import Researcher, crowd
+    from xplain.people.bots import Refusal, Researcher, crowd
 
     own = import_module(f"xplain.people.{name}.bot")
     options = [
@@ -247,6 +247,9 @@ def bots(
         archive = researcher.archive() if save else b""
     except (RequestException, ConnectionError, TimeoutError) as error:
         raise XplainError(f"--url={url}: the server does not answer ({error})") from None
+    except Refusal as error:
+        status, stage = error.args
+        raise XplainError(f"--url={url}: status {status} for a bot on the page {stage}") from None
     if save:
         save.write_bytes(archive)
     print(", ".join(f"{number} {stage}" for stage, number in stages.most_common()))

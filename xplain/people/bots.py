@@ -200,7 +200,8 @@ def walk(
 
 
 class Refusal(Exception):
-    """The server did not accept an answer. Arguments: the HTTP status, and the page's stage."""
+    """The server did not accept an answer. Arguments: the HTTP status, and the page's stage
+    (``entrance``: the server did not admit the person)."""
 
 
 def visit(
@@ -225,8 +226,10 @@ def visit(
     with browser.session:
         page = Page.of_html(browser.get(f"/?invitation={invitation}")[1])
         sent = [*page.hidden.items(), ("invitation", invitation)]
-        page = Page.of_html(browser.post("/enter", sent)[1])
-        return walk(page, answer, person, think)
+        status, html = browser.post("/enter", sent)
+        if status >= 400:
+            raise Refusal(status, "entrance")
+        return walk(Page.of_html(html), answer, person, think)
 
 
 @dataclass(frozen=True, kw_only=True)

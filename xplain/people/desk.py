@@ -115,6 +115,8 @@ def invitations(visit: Signed) -> Response:
     if not count or count > MOST_INVITATIONS or stream not in STREAMS:
         said = f"1 to {MOST_INVITATIONS} invitations: {', '.join(STREAMS)}."
         raise HTTPException(400, said)
+    if stream == "person" and "invitation" not in visit.site.server.entry:
+        raise HTTPException(400, "People need server.entry=[invitation]; pilots and bots do not.")
     made, name = visit.site.invitations, secrets.token_hex(8)
     made[name] = visit.site.store.invite(count, stream)
     for old in list(made)[:-MOST_BATCHES]:

@@ -133,8 +133,9 @@ class Server:
     """Settings of the server of the pages; not part of the study's plan.
 
     Attributes:
-        entry: ways to enter: "invitation"; "platform", with ids in the link (anybody can invent
-            ids); "signed", with ids that the platform or the lab has signed; "open", as a pilot.
+        entry: ways to enter for people: "invitation"; "platform", with ids in the link (anybody can
+            invent ids); "signed", with ids that the platform or the lab has signed; "open", as a
+            pilot. Invitations for pilots and bots are always valid.
         id_names: names of the link's parameters with the person's id and, if present, the ids of
             study and session.
         studies: ids of the platform's studies whose people may take part; none allows all studies.

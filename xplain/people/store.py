@@ -123,16 +123,20 @@ class Store(Log[Any]):
             self.append("", "server", stream, {"tokens": hashed})
         return tokens
 
-    def enter_invited(self, token: str) -> str:
+    def enter_invited(self, token: str, persons: bool = True) -> str:
         """Returns the participant of an invitation; its first use creates the participant.
 
+        Args:
+            token: the token of the invitation.
+            persons: False admits only pilots and bots.
+
         Raises:
-            Unknown: the token does not exist.
-            Gone: the participant's data was erased.
+            Unknown: the token does not exist, or is not for a participant of this kind.
+            DataErased: the participant's data was erased.
         """
         key = self.hash_texts("token", token)
         with self.changes():
-            if key not in self.invited:
+            if key not in self.invited or (self.invited[key] == "person" and not persons):
                 raise Unknown
             who = self.keys.get(key)
             return (
@@ -152,7 +156,7 @@ class Store(Log[Any]):
 
         Raises:
             Unknown: this person consented earlier, in another session.
-            Gone: the person's data was erased.
+            DataErased: the person's data was erased.
         """
         person, _, session = (*ids.values(), "", "")[:3]
         key, hashed = self.hash_texts("platform", person), self.hash_texts("session", session)

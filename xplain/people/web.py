@@ -77,17 +77,17 @@ def enter(visit: Visiting) -> Response:
         raise HTTPException(403, "not_ready")
     if not visit.genuine(visitor):
         raise HTTPException(403, "old_form")
-    ids = {key: visit.field(f"id_{key}").strip() for key in server.id_names}
-    if "signed" in server.entry:
-        ids = server.verify(visit.field(f"id_{server.signed_name}"))
     # A link may end with the full stop of a sentence, or be typed in small letters.
     invitation = re.sub("[^A-Z]", "", visit.field("invitation").upper())
+    ids = {key: visit.field(f"id_{key}").strip() for key in server.id_names}
+    if "signed" in server.entry and not invitation:
+        ids = server.verify(visit.field(f"id_{server.signed_name}"))
     try:
-        if server.from_platform and server.lets_in([*ids.values()]):
+        if invitation:
+            who = store.enter_invited(invitation, "invitation" in server.entry)
+        elif server.from_platform and server.lets_in([*ids.values()]):
             who = store.enter_from_platform(ids, server.keep_ids)
-        elif invitation and "invitation" in server.entry:
-            who = store.enter_invited(invitation)
-        elif "open" in server.entry and not invitation:
+        elif "open" in server.entry:
             who = store.enter_as_pilot()
         else:
             raise Unknown

@@ -61,6 +61,10 @@ def test_entry_is_as_configured(store: Store) -> None:
     for data in (*refused, *(ids | one for one in wrong)):
         assert platform.post("/enter", data={"token": token} | data).status_code == 403, data
     assert platform.post("/enter", data=ids | {"token": token}).status_code == 303
+    for stream, status in (("bot", 303), ("pilot", 303), ("person", 403)):
+        query = f"invitation={store.invite(1, stream)[0]}"
+        for server in (PLATFORM, replace(GENEROUS, entry=("open",))):
+            assert comes(store, server, query, invitation=query[11:]) == status, stream
     for settings, key in (
         ({"entry": ["anybody"]}, "entry"),
         ({"entry": ["platform", "open"], "studies": ["ours"]}, "entry"),  # a paid person's pilot
