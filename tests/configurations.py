@@ -1,4 +1,4 @@
-"""Composed configurations of a run, with a change of every key."""
+"""Composed configurations of a run, with a change of every key, and the traces of such runs."""
 
 from collections.abc import Iterator
 from copy import deepcopy
@@ -10,6 +10,9 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.experiment.config import CONF, register
+from xplain.experiment.explanations import Costs
+from xplain.experiment.from_config import components_of, costs_of
+from xplain.experiment.pipeline import PreparedData, prepare
 
 Path = tuple[str | int, ...]
 
@@ -59,6 +62,13 @@ def _composed(overrides: tuple[str, ...]) -> DictConfig:
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         return compose("config", [*overrides])
+
+
+@cache
+def world(*overrides: str) -> tuple[PreparedData, Costs]:
+    """Returns traces and costs of a run; everybody reads the same ones."""
+    cfg = composed(*overrides)
+    return prepare(components_of(cfg)), costs_of(cfg)
 
 
 def dotted(path: Path) -> str:

@@ -9,23 +9,20 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from tests.configurations import composed
+from tests.configurations import composed, world
 from tests.report import handmade
 from xplain.domains.base import transition_features
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
 from xplain.experiment.asking import CaseQuestions, belief_questions, merge_questions
-from xplain.experiment.cache import source_fingerprint
 from xplain.experiment.explanations import (
-    Costs,
     evaluate,
     problem_of_types,
     true_thoughts,
     with_true_labels,
 )
-from xplain.experiment.fingerprint import configuration
-from xplain.experiment.from_config import components_of, costs_of
-from xplain.experiment.pipeline import PreparedData, observe, prepare
+from xplain.experiment.from_config import components_of
+from xplain.experiment.pipeline import observe
 from xplain.experiment.results import EPISODES, episode_lines
 from xplain.experiment.strangers import with_others
 from xplain.explanation.asking import SENSE, Limits, Pool
@@ -43,12 +40,6 @@ ROOMS = ("domain=four_rooms", *TRUE, "discount=1", "traces=3")
 CLIPS = (*ROOMS, "ask=clips")
 ASKED = (*TRUE, "discount=1", "traces=3", "lambda=0.5", "ask=clips", "ask.cost=0.2")
 TWO = (*TRUE, "traces=2")
-
-
-@cache
-def world(*overrides: str) -> tuple[PreparedData, Costs]:
-    cfg = composed(*overrides)
-    return prepare(components_of(cfg)), costs_of(cfg)
 
 
 def questions(*overrides: str) -> CaseQuestions:
@@ -116,10 +107,7 @@ def test_an_episode_costs_its_questions_too(
 def test_each_question_is_told_with_its_step_and_its_answer_and_the_report_counts_it(
     tmp_path: Any,
 ) -> None:
-    prepared, records = (
-        world(*ASKED)[0],
-        records_of(QMDP(), None, *ASKED),
-    )
+    prepared, records = world(*ASKED)[0], records_of(QMDP(), None, *ASKED)
     text = episode_lines(prepared, records)
     (tmp_path / EPISODES).write_text(text)
     messages = handmade.results("run", {}, ()).messages
@@ -176,14 +164,6 @@ def test_who_missed_a_message_answers_without_it() -> None:
         answers.append(person.answer(1, 1))
         assert answers[-1] == person.knows
     assert {*answers} == {0, 1}
-
-
-def test_asking_is_learned_once_whatever_it_costs() -> None:
-    def key(*more: str) -> str:
-        return source_fingerprint(configuration(composed(*ROOMS, *more)))
-
-    assert key("ask=clips") == key("ask=clips", "ask.cost=0.5", "ask.most=3", "ask.when=first")
-    assert len({key(), key("ask=clips"), key("ask=clips", "ask.clips=9")}) == 3
 
 
 def test_true_labels_answer_questions_too() -> None:

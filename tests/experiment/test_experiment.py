@@ -58,10 +58,6 @@ def test_a_solver_is_compared_with_those_that_can_be(
         assert met == [(trace, user) for trace in range(len(prepared.cases)) for user in users]
 
 
-def test_without_certificates_there_are_none() -> None:
-    assert EXPERIMENT.certificates(a_prepared(), SILENT) == {}
-
-
 def costs(records: list[Record]) -> dict[tuple[str, int, int], float]:
     return {(r.solver, r.trace, r.user_type): r.episode.cost for r in records}
 

@@ -6,15 +6,11 @@ import sys
 from importlib import metadata
 from types import SimpleNamespace
 
-import numba
-import numpy as np
-import pandas as pd
 import pytest
-import scipy
-import sklearn
 
 from tests.configurations import CHOICES, composed, dotted, each_changed
 from xplain.experiment import fingerprint as fingerprints
+from xplain.experiment.cache import source_fingerprint
 from xplain.experiment.fingerprint import (
     NOT_IN_NUMBERS,
     clear_caches,
@@ -60,6 +56,15 @@ def fresh(config):
     return fingerprint(config)
 
 
+def assert_counts(config, file, *contents):
+    """Checks that each content of a file gives another fingerprint in a new process."""
+    found = set()
+    for content in contents:
+        file.write_text(content)
+        found.add(fresh(config))
+    assert len(found) == len(contents)
+
+
 NO_NUMBER = {
     "hydra": "where and how jobs run; only what a sweep is planned with has it",
     "outputs": "where files are written",
@@ -70,19 +75,51 @@ NO_NUMBER = {
 """Top-level keys of a run that change no number, with reasons. All other keys must count."""
 
 
+NOT_OF_THE_SOURCE = {
+    "lambda": "a price, met when explaining",
+    "message_cost": "a price",
+    "inexplicability_cost": "a price",
+    "discount": "of plans; the task's own is the domain's",
+    "discount_per": "of plans",
+    "prior": "of plans; the observers' shares are kept beside the cases",
+    "solver": "explains what is there",
+    "belief": "of the explanation",
+    "explainee": "who it is explained to",
+    "ask.cost": "a price",
+    "ask.most": "of the explanation",
+    "ask.when": "of the explanation",
+    "certify": "judges the explanation",
+    "points": "reaches the data through observers.points alone",
+    "outputs": "where files are written",
+    "tracking": "where results go besides the disk",
+    "resume": "which jobs of a sweep run again",
+    "dry_run": "which jobs a sweep would run",
+}
+"""Keys that data, types and traces do not depend on, and why. All others must count."""
+
+
+def both(cfg):
+    """Returns the fingerprint of a run, and that of its data, types and traces."""
+    config = configuration(cfg)
+    return fingerprint(config), source_fingerprint(config)
+
+
 @pytest.mark.parametrize("choices", CHOICES, ids=" ".join)
 def test_every_key_counts_but_those_without_a_number(choices):
     cfg = composed(*choices)
-    before = fingerprint(configuration(cfg))
-    paths = []
+    (run, source), paths = both(cfg), []
     for path in each_changed(cfg):
         paths.append(path)
-        counts = fingerprint(configuration(cfg)) != before
-        assert counts == (path[0] not in NO_NUMBER), dotted(path)
+        run_now, source_now = both(cfg)
+        assert (run_now != run) == (path[0] not in NO_NUMBER), dotted(path)
+        # Simulated observers answer as many questions as ``points`` says.
+        asked = path == ("points",) and "observers=file" not in choices
+        apart = {path[0], ".".join(map(str, path[:2]))} & NOT_OF_THE_SOURCE.keys()
+        assert (source_now != source) == (asked or not apart), dotted(path)
     assert {path[0] for path in paths} == set(cfg)
     assert set(NOT_IN_NUMBERS) == NO_NUMBER.keys() <= {*cfg, "hydra"}  # no dead one
-    assert fingerprint(configuration(cfg)) == before  # all was put back
-    assert fingerprint(configuration(cfg) | {"new": 1}) != before
+    assert both(cfg) == (run, source)  # all was put back
+    assert fingerprint(configuration(cfg) | {"new": 1}) != run
 
 
 def test_values_count_and_order_does_not():
@@ -123,22 +160,15 @@ def test_an_installed_plugin_counts_by_the_hashes_of_its_files(plugin):
     installed.mkdir()
     (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: their-solver\nVersion: 1.0\n")
     (installed / "top_level.txt").write_text("their_solver\n")
-    found = set()
-    for content in ("aaa", "bbb"):
-        (installed / "RECORD").write_text(f"their_solver/__init__.py,sha256={content},23\n")
-        found.add(fresh(CONFIG))
-        assert component_code(CONFIG).keys() == {"their_solver"}
-    assert len(found) == 2
+    records = [f"their_solver/__init__.py,sha256={own},23\n" for own in ("aaa", "bbb")]
+    assert_counts(CONFIG, installed / "RECORD", *records)
+    assert component_code(CONFIG).keys() == {"their_solver"}
 
 
 def test_the_script_that_runs_counts_by_its_source(tmp_path, monkeypatch):
     script, config = tmp_path / "script.py", {"solver": {"_target_": "__main__.Mine"}}
     monkeypatch.setitem(sys.modules, "__main__", SimpleNamespace(__file__=str(script)))
-    found = set()
-    for source in ("class Mine: ...\n", "class Mine: ...\n# edited\n"):
-        script.write_text(source)
-        found.add(fresh(config))
-    assert len(found) == 2
+    assert_counts(config, script, "class Mine: ...\n", "class Mine: ...\n# edited\n")
 
 
 def test_plugged_in_code_is_not_run(plugin):
@@ -158,7 +188,6 @@ def test_what_a_package_imports_of_its_own_is_no_other_package(plugin):
 def test_what_a_component_declares_counts(plugin):
     """Examples are a file beside the code that no key names, a server's version, a licence."""
     weights = plugin / "weights.bin"
-    weights.write_bytes(b"1")
     (plugin / "their_helper.py").write_text(
         "from pathlib import Path\n"
         "class Model:\n"
@@ -167,9 +196,10 @@ def test_what_a_component_declares_counts(plugin):
         f"        return {{'weights': Path({str(weights)!r}), 'version': self.version}}\n"
     )
     config = {"labeler": {"_target_": "their_helper.Model", "version": 1}, "lambda": 1.0}
+    weights.write_text("1")
     before = fingerprint(config)
     assert fingerprint(config) == before
-    weights.write_bytes(b"2")
+    weights.write_text("2")
     assert fingerprint(config) != before
     config["labeler"]["_target_"] = "their_helper.Absent"  # the experiment says what is wrong
     assert fingerprint(config) != before
@@ -184,10 +214,8 @@ NAMED = {
 @pytest.mark.parametrize("how", NAMED)
 def test_code_counts_wherever_it_is_named(plugin, how):
     config = {"domain": NAMED[how]}
-    before = fresh(config)
+    assert_counts(config, plugin / "their_helper.py", "ANSWER = 42\n", "ANSWER = 43\n")
     assert set(component_code(config)) == {"their_helper"}
-    (plugin / "their_helper.py").write_text("ANSWER = 43\n")
-    assert fresh(config) != before
 
 
 def test_our_own_code_and_libraries_are_covered_elsewhere():
@@ -209,20 +237,21 @@ def test_the_content_of_files_counts(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     task = tmp_path / "some_tasks" / "inner" / "task.pddl"
     for named in (str(task), "pkg://some_tasks/inner/task.pddl"):
-        config, found = {"domain": {"file": named}}, []
+        cfg, found = composed("observers=file", f"observers.path='{named}'"), []
         for content in "121":
             task.write_text(content)
-            found.append(fingerprint(config))
-        assert found[0] == found[2] != found[1]
+            found.append(both(cfg))
+        assert found[0] == found[2]
+        assert not {*found[0]} & {*found[1]}
     for absent in ("nowhere", "no.where", "no-where", ""):  # whoever reads it will say so
         assert fingerprint({"domain": {"file": f"pkg://{absent}/task.pddl"}})
 
 
 def test_the_versions_of_libraries_that_run_count(monkeypatch):
     versions, before = fingerprints.library_versions(), fingerprint({})
-    for name, module in (("numpy", np), ("scipy", scipy), ("numba", numba), ("pandas", pd)):
+    for name in ("numpy", "scipy", "numba", "pandas", "scikit-learn"):
+        module = importlib.import_module({"scikit-learn": "sklearn"}.get(name, name))
         assert versions[name] == module.__version__
-    assert versions["scikit-learn"] == sklearn.__version__
     assert versions["python"] == f"{sys.version_info.major}.{sys.version_info.minor}"
     monkeypatch.setattr(fingerprints, "library_versions", lambda: {"numpy": "0.1"})
     assert fingerprint({}) != before

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from xplain.experiment.config import compose_config
+from tests.configurations import composed, world
 from xplain.experiment.explanations import Costs, evaluate
 from xplain.experiment.from_config import components_of
-from xplain.experiment.pipeline import prepare
 from xplain.experiment.strangers import with_others
 from xplain.explanation.belief import Independent
 from xplain.interaction.explainees import (
@@ -48,13 +47,12 @@ def wrong_of(explainee: Explainee, name: str, told: set[str]) -> set[str]:
 
 @pytest.mark.parametrize("explainee", [AllWrong(), Union(), Unseen(), Backlash()])
 def test_their_labels_are_those_of_the_task_that_they_believe_in(explainee: Explainee) -> None:
-    components = components_of(compose_config("config", TRUE))
-    prepared = prepare(components)
-    others = with_others(prepared, components, explainee)
-    domain, names = components.domain, prepared.messages
+    components, observed = components_of(composed(*TRUE)), world(*TRUE)[0]
+    others = with_others(observed, components, explainee)
+    domain, names = components.domain, observed.messages
     assert others.types
     for t, name in enumerate(others.types):
-        assert others.distinct[t] not in prepared.distinct
+        assert others.distinct[t] not in observed.distinct
         for given in (0, 1, 21, 63):
             told = {names[j] for j in range(6) if given >> j & 1}
             wrong = wrong_of(explainee, name, told)
@@ -73,9 +71,8 @@ def test_their_labels_are_those_of_the_task_that_they_believe_in(explainee: Expl
 def test_nobody_costs_less_than_their_own_clairvoyant(explainee: Explainee) -> None:
     """Without a discount this holds, because the clairvoyant plans with this person's thoughts."""
     costs = Costs(1.0, 1.0, 1.0, 1.0, "action", "uniform")
-    prepared = prepare(components_of(compose_config("config", TRUE)))
     solvers = {"clairvoyant": KnownType("labels"), "qmdp": QMDP(), "everything": SayAll()}
-    records = evaluate(prepared, costs, solvers, Independent(), explainee, seed=3)
+    records = evaluate(world(*TRUE)[0], costs, solvers, Independent(), explainee, 3)
     paid = {(one.solver, one.trace, one.user_type): one.episode.cost for one in records}
     for (solver, trace, user), own in paid.items():
         assert own >= paid["clairvoyant", trace, user] - 1e-9, solver
