@@ -48,12 +48,14 @@ def test_a_run_comes_out_as_it_is_kept(name: str, tmp_path: Path) -> None:
 
 
 def test_differences_are_seen() -> None:
-    kept = {"cost": 2.5, "messages": [["fire"], []], "rows": [["a", "0.25"]]}
-    assert not differences(kept, {**kept, "cost": 2.5 + 1e-12})
-    assert differences(kept, {**kept, "cost": 2.5001})
-    assert differences(kept, {**kept, "messages": [[], ["fire"]]})
-    assert differences(kept, {**kept, "rows": [["a", "0.250001"]]})
-    assert differences(kept, {**kept, "rows": [["a"]]})
-    assert differences(kept, {"cost": 2.5})
-    assert differences(kept, {**kept, "cost": math.nan})
-    assert not differences({"cost": math.nan}, {"cost": math.nan})
+    kept = {"cost": 2.5, "messages": [["fire"], []], "rows": [["a", "0.25"]], "none": math.nan}
+    assert not differences(kept, kept | {"cost": 2.5 + 1e-12, "none": math.nan})
+    for other in (
+        {"cost": 2.5001},
+        {"messages": [[], ["fire"]]},
+        {"rows": [["a", "0.250001"]]},
+        {"rows": [["a"]]},
+        {"cost": math.nan},
+        {"more": 1},
+    ):
+        assert differences(kept, kept | other), other

@@ -85,17 +85,6 @@ def column(summary, number):
     return table(summary).frame.iloc[:, number].tolist()
 
 
-def test_solvers_share_an_oracle_and_are_compared_by_regret(tmp_path):
-    regrets = {"qmdp": 1.0, "qhr": 2.0, "baseline": 0.5}
-    jobs = product(solver="qmdp,qhr,baseline", seed="0,1,2")
-    summary = made(tmp_path, jobs, lambda v: 3.0, lambda v: regrets[v["solver"]])
-    assert (summary.measure.name, summary.measure.fair) == ("regret", True)
-    assert column(summary, 0) == ["Baseline", "QMDP", "QHR"]
-    heads = list(table(summary).frame)
-    assert heads.index("clairvoyant's cost") < heads.index("oracle's cost")
-    assert answer(summary).startswith("Baseline costs least, 0.50 less than QMDP. Decided")
-
-
 def test_learners_have_oracles_of_their_own_and_the_least_cost_wins(tmp_path):
     summary = learned(tmp_path)
     assert summary.measure.name == "above_floor"
@@ -397,16 +386,6 @@ def test_one_trace_and_one_seed_have_no_intervals_and_say_so(tmp_path, capsys):
     out = " ".join(capsys.readouterr().out.split())
     assert "no intervals" in out
     assert "±" not in out
-
-
-def test_the_console_shows_every_number_of_the_table_with_its_headings(tmp_path, capsys):
-    jobs = product(users__count="2,3", solver="qmdp,qhr", trade_off="0.5,1")
-    print_sweep(summary_of(tmp_path, jobs))
-    out = capsys.readouterr().out
-    for job in jobs:
-        assert f"{np.mean([distinct(job, t) for t in range(4)]):.2f} ±" in out
-    assert re.search(r"users\.count +λ +oracle's cost +QMDP +QHR", out)
-    assert "paper" not in out.lower()
 
 
 def test_a_way_that_sets_nothing_has_a_name(tmp_path):
