@@ -11,7 +11,13 @@ class Progress:
     """Receives the progress and ignores it; subclasses display it. No result depends on it."""
 
     def track(self, items: Iterable[T], what: str, count: int) -> Iterator[T]:
-        """Yields the ``count`` items; ``what`` is the activity for each."""
+        """Yields the items, and reports the progress after each item.
+
+        Args:
+            items: the items.
+            what: name of the stage, such as "certificates".
+            count: number of items.
+        """
         with self.stage(what, count):
             for done, item in enumerate(items, start=1):
                 yield item

@@ -333,13 +333,14 @@ def _pad_rows(rows: Rows, width: int) -> NDArray[np.int64]:
 
 
 def _locate_subsets(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.int64]:
-    """Finds the subsets of some messages in a table over other messages. A message that is not in
-    the table has no effect.
+    """Computes, for each subset of the messages ``row``, its index in a table over the messages
+    ``old``. A message that is not in ``old`` has no effect.
 
     Args:
         row: messages; bit i of a subset's number is message ``row[i]``.
         old: relevant messages of the table.
-        width: at least the number of messages in ``row``.
+        width: number of bits of a subset's number, at least ``len(row)``; further bits have no
+            effect.
 
     Returns:
         [2^width] the index of each subset in the table.

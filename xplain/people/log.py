@@ -303,11 +303,11 @@ def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
 
 
 def read(path: Path, plan: type[Plan], state: type[S]) -> tuple[Plan, list[Participant[S]]]:
-    """Reads the plan and all participants whose data is not erased, with their events, in order of
-    arrival. The file is a snapshot, or a database that no server has open.
+    """Reads the plan, and all participants whose data is not erased, with their events, in order of
+    arrival. The file must be a snapshot, or a database that no server has open.
 
     Raises:
-        InputError: the file is not a database of such a flow.
+        InputError: the file is not a database with a plan of this kind.
     """
     if not path.is_file() or read_plan(path, plan) is None:
         raise InputError("database", str(path), f"a database in which {plan.OF} was started")

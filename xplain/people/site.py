@@ -1,5 +1,5 @@
-"""What all pages of a study or a collection use: the flow with its store, and the class of a
-request with its responses."""
+"""The classes that all pages of a study or a collection use: :class:`Site`, the flow with its store,
+and :class:`Visit`, a request with its responses."""
 
 import hashlib
 import re

@@ -27,8 +27,8 @@ class OwnTransitions:
         images: path or address of an image of each transition; "" without an image.
         features: [T, F] all other columns of the table; None if there are none.
         feature_names: F names.
-        facts: for each transition, the facts that make it inexplicable to people who believe one of
-            these facts incorrectly; None if the table has no facts.
+        facts: the facts of each transition: a person who believes one or more of them incorrectly
+            labels the transition 0; None if the table has no facts.
         alts: description of each image; "" without one.
     """
 

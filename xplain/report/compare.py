@@ -274,8 +274,9 @@ def table(summary: Summary) -> Table:
 
 def _list_combinations(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
     """Makes the table with a row for each combination of the keys' values, and a column for each
-    measure. If the combinations are ways that compete, the best comes first, and marks show the
-    lowest cost and costs that are not distinguishable from it."""
+    measure. If ``compete`` is True, the combinations are different ways to explain: the best is in
+    the first row, and marks show the lowest cost and the costs that cannot be distinguished from
+    it."""
     questions = ["questions"] if summary.episodes["questions"].any() else []
     measures = [summary.measure.name, "cost", *_list_references(summary)]
     shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *questions])

@@ -309,9 +309,10 @@ class Summary:
 
     @cached_property
     def measure(self) -> Measure:
-        """The paper's regret if all compared jobs have the same oracle. Otherwise the cost above
-        the clairvoyant's cost. If jobs discount differently, their clairvoyants differ, and the
-        measure is the cost itself."""
+        """The measure that compares the jobs. It is the paper's regret if all compared jobs have
+        the same oracle. If only their clairvoyants are the same, it is the cost above the
+        clairvoyant's cost. If the clairvoyants differ too, for example because jobs discount
+        differently, it is the cost itself. A measure that the user chose is used in any case."""
         same = self.keys if self.is_table1 else [k for k in self.keys if is_in(k, PROBLEM)]
         shared = [*(key for key in same if key != "solver"), "seed", "trace", "type"]
         fair = {n: column is None or self._is_shared(shared, column) for n, column in _PAIRS}

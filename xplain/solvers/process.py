@@ -245,7 +245,8 @@ def make_process(problem: Problem, dense: bool = False) -> Process:
 
 def row_messages(problem: Problem, dense: bool = False) -> list[tuple[int, ...]]:
     """Lists for each type the messages that the tables contain for it, by ascending index; see
-    ``dense`` of :func:`make_process`. Messages must always correct the fact."""
+    ``dense`` of :func:`make_process`. The result is valid only if messages always correct the
+    fact."""
     own = problem.table.effective()
     union = problem.messages_with_effect
     together = tuple(sorted({j for row in own for j in row}))
@@ -278,8 +279,9 @@ def _sort_by_price(table: LabelTable, price: FloatArray) -> LabelTable:
 
 
 def _make_row_cells(table: LabelTable, messages: int) -> Cells:
-    """Makes the indices of a flat label table [..., 2^r · N]. Messages must always correct the
-    fact."""
+    """Computes the indices into a flat label table [..., 2^r · N]: the index of each type without
+    messages, and the number that each message adds. They are valid only if messages always correct
+    the fact."""
     stride = np.zeros((messages, table.n_types), np.int64)
     whose, bit = np.nonzero(table.relevant != NONE)
     stride[table.relevant[whose, bit], whose] = table.n_types << bit

@@ -98,7 +98,8 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
 
     def at_asking(self, page: Page) -> tuple[Fields, float]:
-        """Answers the question about a transition; the answer is wrong as often as a new label."""
+        """Answers the question about a transition. The answer is wrong with the probability
+        ``label_noise``, like the labels of the trace."""
         labels, habits, (clip,) = self.plan.clip_labels, self.habits, page.steps
         assert labels is not None, "a plan that asks has the answers of simulated people"
         truth = labels.of_steps([clip]).label_probabilities(1, self.known)[self.user_type, 0]

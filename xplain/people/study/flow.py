@@ -293,8 +293,8 @@ class Study(ExplanationFlow):
         raise Full("full")
 
     def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the changes of the state at the consent: the assigned place with its type and
-        condition, and the orders of the questions.
+        """Returns the fields of the state that change when a participant consents: the assigned
+        place with its type and condition, and the orders of the questions.
 
         Raises:
             Refused: the browser window is too narrow.
