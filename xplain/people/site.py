@@ -1,5 +1,5 @@
-"""The classes that all pages of a study or a collection use: :class:`Site`, the flow with its store,
-and :class:`Visit`, a request with its responses."""
+"""The classes that all pages of a study or a collection use: :class:`Site`, the flow with its
+store, and :class:`Visit`, a request with its responses."""
 
 import hashlib
 import re
