@@ -10,10 +10,8 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from xplain.domains.base import Domain
-from xplain.domains.users.setting import Setting
+from xplain import Domain, Setting, stream
 from xplain.experiment.config import CONF
-from xplain.randomness import stream
 
 PRIMARY = {
     "defaults": [
@@ -59,3 +57,10 @@ def setting_of(*overrides: str, seed: int = 0) -> Setting:
     types = instantiate(configured(*overrides).users)
     domain = domain_of(*overrides)
     return Setting.build(domain, types.types(domain, stream(seed, "users")))
+
+
+def believed(domain: Any, *wrong: str) -> Any:
+    """Makes the model of a person who believes these parameters incorrectly, or of the robot."""
+    return domain.model(
+        {p.name: p.inaccurate if p.name in wrong else p.accurate for p in domain.parameters}
+    )

@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 
 from tests.domains.configs import domain_of
 from tests.domains.users.corridor import Corridor
+from tests.handmade import a_file
 from tests.questions.tables import random_hypotheses
 from tests.refusals import refused
+from xplain import Hypotheses, Setting, UserType
 from xplain.domains.users import hypotheses as hypotheses_module
-from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.inaccurate_values import (
     AS_ASSUMED,
     NUDGES,
     OPPOSITE,
     FactLabels,
 )
-from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import DomainError, XplainError
 from xplain.experiment.config import compose_config
 
@@ -65,13 +65,9 @@ def test_classes_are_the_candidates_that_no_question_tells_apart(seed):
 def test_of_a_domain_they_are_the_labels_of_its_inaccurate_values():
     corridor = Corridor()
     hypotheses = Hypotheses.of_domain(corridor)
-    names = [parameter.name for parameter in corridor.parameters]
-    wrong = {parameter.name: parameter.inaccurate for parameter in corridor.parameters}
-    for row, facts in enumerate(hypotheses.facts.tolist()):
-        held = {name: wrong[name] for j, name in enumerate(names) if facts >> j & 1}
-        setting = Setting.build(corridor, (UserType("one", held),))
-        table = setting.label_table(setting.reachable)[0]
-        assert np.array_equal(table[:, 0], hypotheses.labels[row])
+    for facts, labels in zip(hypotheses.facts.tolist(), hypotheses.labels, strict=True):
+        held = {p.name: p.inaccurate for j, p in enumerate(corridor.parameters) if facts >> j & 1}
+        assert np.array_equal(labels_at(corridor, held), labels)
 
 
 @pytest.mark.parametrize("limit", [12, 59, 60, 63, 64])
@@ -178,17 +174,24 @@ def test_bad_tables_are_one_line(labels, about, said):
         Hypotheses.of(labels, **about)
 
 
-def test_bad_files_are_one_line(tmp_path):
-    text, other, one = (tmp_path / name for name in ("text.npz", "other.npz", "one.npy"))
-    text.write_text("no arrays")
-    np.savez(other, table=np.eye(2))
-    np.save(one, np.eye(2))
-    np.savez(tmp_path / "more.npz", labels=[[1], [0]], why=np.eye(2))
-    with refused("hypotheses='why': arrays labels, facts"):
-        Hypotheses.load(tmp_path / "more.npz")
-    for path in (text, other, one, tmp_path / "none.npz", tmp_path):
-        with refused("npz"):
-            Hypotheses.load(path)
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        (
+            "more",
+            {"labels": [[1], [0]], "why": np.eye(2)},
+            "hypotheses='why': arrays labels, facts",
+        ),
+        ("other.npz", {"table": np.eye(2)}, "npz"),
+        ("one.npy", np.eye(2), "npz"),
+        ("text.npz", b"no arrays", "npz"),
+        ("none.npz", None, "npz"),
+        ("", None, "npz"),
+    ],
+)
+def test_bad_files_are_one_line(tmp_path, name, content, said):
+    with refused(said):
+        Hypotheses.load(a_file(tmp_path / name, content))
 
 
 class Toll(Corridor):
