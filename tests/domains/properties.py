@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Domain
-from xplain.domains.users.setting import Setting
+from xplain import Domain, Setting
 from xplain.learning.data.queries import sample_trace
 
 LARGEST_TRADE_OFF = 2.5

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.domains.configs import domain_of, given
+from tests.domains.configs import believed, domain_of, given
 from tests.refusals import refused
-from xplain.domains import mdp
 from xplain.errors import InputError, XplainError
 
 gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")
@@ -19,24 +18,10 @@ from xplain.domains.gym import Gymnasium, read_model  # noqa: E402
 NAMES = ["taxi", "cliff_walking", "frozen_lake"]
 
 
-def domain(name: str) -> Gymnasium:
-    made = domain_of(f"domain={name}")
-    assert isinstance(made, Gymnasium)
-    return made
-
-
-def held(name: str, *wrong: str) -> mdp.MDP:
-    """Returns the model of a person who believes these parameters incorrectly."""
-    parameters = domain(name).parameters
-    return domain(name).model(
-        {p.name: p.inaccurate if p.name in wrong else p.accurate for p in parameters}
-    )
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_the_robots_model_is_what_the_environment_does(name: str) -> None:
     """Played at random, every outcome has its probability and reward, and ends when it should."""
-    model, arguments = held(name), given(name)
+    model, arguments = believed(domain_of(f"domain={name}")), given(name)
     environment = gymnasium.make(arguments["id"], **(arguments["arguments"] or {})).unwrapped
     rng = np.random.default_rng(0)
     counts: dict[tuple[int, int], list[int]] = {}
@@ -59,20 +44,10 @@ def test_the_robots_model_is_what_the_environment_does(name: str) -> None:
             assert abs(seen - p) <= 5 * np.sqrt(p * (1 - p) / len(reached)) + 1e-9
 
 
-def test_an_added_reward_is_added_where_the_change_says() -> None:
-    before, after = held("cliff_walking"), held("cliff_walking", "rocks")
-    difference = after.reward - before.reward
-    cells = np.array([domain("cliff_walking").position(s) for s in range(48)])
-    rocks = np.isin(cells[:, 0], [1, 2]) & (cells[:, 1] == 5)
-    assert np.array_equal(difference != 0, rocks[before.successor])
-    assert set(difference[difference != 0]) == {-6.0}
-    assert np.array_equal(before.successor, after.successor)
-
-
 def test_a_changed_transition_leads_where_the_change_says() -> None:
-    before, after = held("taxi"), held("taxi", "bridge")
+    taxi = domain_of("domain=taxi")
+    before, after = believed(taxi), believed(taxi, "bridge")
     changed = (before.successor != after.successor).any(axis=2)
-    taxi = domain("taxi")
     for s, a in np.argwhere(changed):
         assert taxi.position(s) == taxi.position(before.successor[s, a, 0])  # a wall
         row, column = taxi.position(after.successor[s, a, 0])
@@ -81,21 +56,6 @@ def test_a_changed_transition_leads_where_the_change_says() -> None:
             taxi.state_features[s][2:], taxi.state_features[after.successor[s, a, 0]][2:]
         )
     assert changed.sum() == 2 * 5 * 4
-
-
-def test_like_another_action() -> None:
-    """The change is in one row of frozen_lake: its states, probabilities and rewards. All else
-    stays the same."""
-    arguments = given("frozen_lake")
-    wrong = [{"when": {"row": 3}, "actions": ["left"], "like": "down"}]
-    arguments["parameters"] = {"mirror": {"inaccurate": wrong, "message": "Left is left."}}
-    made = Gymnasium(**arguments)
-    before, after = made.model({"mirror": []}), made.model({"mirror": wrong})
-    left, down = made.actions.index("left"), made.actions.index("down")
-    for s, a in product(range(before.n_states), range(before.n_actions)):
-        like = down if a == left and made.position(s)[0] == 3 else a
-        for key in ("successor", "probability", "reward"):
-            assert np.array_equal(getattr(after, key)[s, a], getattr(before, key)[s, like])
 
 
 def shown(table: dict[int, dict[int, list[Any]]], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,8 +83,8 @@ def test_arguments_of_all_parameters_count_and_the_others_stay() -> None:
     made = Gymnasium(**arguments)
     for held_ice, held_lake in product([[], ice], [[], lake]):
         expected = arguments["arguments"].copy()
-        for changes in (held_ice, held_lake):
-            expected |= {k: v for change in changes for k, v in change["arguments"].items()}
+        for change in (*held_ice, *held_lake):
+            expected |= change["arguments"]
         theirs = gymnasium.make("FrozenLake-v1", **expected).unwrapped.P
         model = made.model({"ice": held_ice, "lake": held_lake})
         for s, a in product(range(16), range(4)):
@@ -135,22 +95,43 @@ def test_arguments_of_all_parameters_count_and_the_others_stay() -> None:
         assert set(np.flatnonzero(model.terminal)) == ends
 
 
-def test_a_reward_is_added_where_an_earlier_change_leads() -> None:
-    """Changes are applied one after the other: the first lets "up" lead to the start, the second
-    gives the start a reward."""
-    arguments = given("cliff_walking")
-    moved = {"actions": ["up"], "to": {"row": 3, "column": 0}}
-    paid = {"next": {"row": 3, "column": 0}, "add": 2.0}
-    arguments["parameters"] = {"lift": {"inaccurate": [moved, paid], "message": "No lift."}}
-    made = Gymnasium(**arguments)
-    before, after = (made.model({"lift": value}) for value in ([], [moved, paid]))
-    start = next(s for s in range(48) if made.position(s) == (3, 0))
-    up = made.actions.index("up")
-    assert (after.successor[:, up] == start).all()
-    gained = after.reward - before.reward
-    assert (gained[:, up] == 2).all()
-    others = np.arange(4) != up
-    assert np.array_equal(gained[:, others], 2.0 * (before.successor[:, others] == start))
+EFFECTS = [{"add": 2.0}, {"add": -1.0, "next": {"row": [1, 2]}}, {"like": "up"}, {"to": {"row": 0}}]
+WHERE = [{}, {"when": {"row": [0, 2], "column": 1}}, {"actions": ["left", "down"]}]
+CELLS = [{"row": row, "column": column} for row in range(4) for column in range(4)]
+
+
+def meets(state: int, condition: dict[str, Any]) -> bool:
+    """True if a state meets a condition."""
+    wanted = {
+        key: value if isinstance(value, list) else [value] for key, value in condition.items()
+    }
+    return all(CELLS[state][key] in values for key, values in wanted.items())
+
+
+def test_changes_are_applied_one_after_the_other(rng_of_the_day: np.random.Generator) -> None:
+    """Each outcome of frozen_lake is compared with a loop over random changes."""
+    rng = rng_of_the_day
+    for _ in range(10):
+        changes = [EFFECTS[rng.integers(4)] | WHERE[rng.integers(3)] for _ in range(3)]
+        wrong = {"x": {"inaccurate": changes, "message": "No."}}
+        made = Gymnasium(**given("frozen_lake") | {"parameters": wrong})
+        before, after = believed(made), believed(made, "x")
+        for s, a, k in np.ndindex(before.successor.shape):
+            like, led, reward = a, before.successor[s, a, k], before.reward[s, a, k]
+            for one in changes:
+                if not meets(s, one.get("when", {})):
+                    continue
+                if made.actions[a] not in one.get("actions", made.actions):
+                    continue
+                if "like" in one:
+                    like = made.actions.index(one["like"])
+                    led, reward = before.successor[s, like, k], before.reward[s, like, k]
+                elif "to" in one:
+                    led = CELLS.index(CELLS[s] | one["to"])
+                elif meets(led, one.get("next", {})):
+                    reward += one["add"]
+            assert (after.successor[s, a, k], after.reward[s, a, k]) == (led, reward)
+            assert after.probability[s, a, k] == before.probability[s, like, k]
 
 
 def test_an_outcome_that_never_comes_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -257,7 +238,7 @@ def test_an_end_that_depends_on_the_way_is_refused(monkeypatch: pytest.MonkeyPat
 
 
 def test_phrases_name_what_changes() -> None:
-    taxi = domain("taxi")
+    taxi = domain_of("domain=taxi")
     state = int(np.ravel_multi_index((0, 0, 0, 1), (5, 5, 5, 4)))
     aboard = int(np.ravel_multi_index((0, 0, 4, 1), (5, 5, 5, 4)))
     pick_up = taxi.actions.index("pick up")

@@ -1,5 +1,4 @@
-"""Compares PDDL tasks with unified-planning's simulator and with Fast Downward, and tests their
-words."""
+"""Compares PDDL tasks with unified-planning's simulator, and tests their words."""
 
 import warnings
 from importlib.util import find_spec
@@ -10,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.domains.configs import domain_of, given
-from tests.domains.downward import plan_cost
+from tests.domains.configs import believed, domain_of, given
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.task import Source
 
@@ -19,48 +17,25 @@ pytestmark = pytest.mark.skipif(
     find_spec("unified_planning") is None, reason="pip install 'xplain-hri[pddl]'"
 )
 
-NAMES = ["blocks", "logistics", "rover", "search_and_rescue"]
 
-
-def domain(name: str) -> PDDL:
-    made = domain_of(f"domain={name}")
-    assert isinstance(made, PDDL)
-    return made
-
-
-@pytest.fixture
-def problem(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Reads the task of this name with unified-planning."""
+@pytest.mark.parametrize("name", ["blocks", "logistics", "rover", "search_and_rescue"])
+def test_the_robots_model_is_what_the_simulator_does(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On random walks the same actions are applicable, and lead to the same atoms."""
+    from unified_planning.engines import UPSequentialSimulator
     from unified_planning.environment import get_environment
     from unified_planning.io import PDDLReader
 
     environment = get_environment()
     monkeypatch.setattr(environment, "error_used_name", False)
     monkeypatch.setattr(environment, "credits_stream", None)
-    texts = [Source.read("", given(request.param)[key]).text for key in ("file", "problem")]
+    texts = [Source.read("", given(name)[key]).text for key in ("file", "problem")]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an object may share its name with a type
-        return PDDLReader().parse_problem_string(*texts)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_best_plan_costs_what_fast_downwards_costs(name: str, tmp_path: Path) -> None:
-    files = []
-    for key in ("file", "problem"):
-        files.append(tmp_path / f"{key}.pddl")
-        files[-1].write_text(Source.read("", given(name)[key]).text, encoding="utf-8")
-    made = domain(name)
-    robot = made.model({p.name: p.accurate for p in made.parameters})
-    assert robot.to_go[0] == plan_cost(*files, tmp_path)
-
-
-@pytest.mark.parametrize(("problem", "name"), [(n, n) for n in NAMES], indirect=["problem"])
-def test_the_robots_model_is_what_the_simulator_does(problem: Any, name: str) -> None:
-    """On random walks the same actions are applicable, and lead to the same atoms."""
-    from unified_planning.engines import UPSequentialSimulator
-
-    made = domain(name)
-    robot = made.model({p.name: p.accurate for p in made.parameters})
+        problem = PDDLReader().parse_problem_string(*texts)
+    made: Any = domain_of(f"domain={name}")
+    robot = believed(made)
     rng = np.random.default_rng(0)
     fluents = {
         " ".join([f.name, *(str(o) for o in objects)]).lower(): f(*objects)
@@ -115,7 +90,7 @@ def test_starts_are_where_they_are_said_to_be() -> None:
     arguments = given("search_and_rescue")
     assert PDDL(**arguments | {"starts": "initial"}).starts.tolist() == [0]
     made = PDDL(**arguments | {"starts": 2})
-    robot = made.model({p.name: p.accurate for p in made.parameters})
+    robot = believed(made)
     within = {0}
     for _ in range(2):
         within |= {
@@ -131,10 +106,8 @@ def test_starts_are_where_they_are_said_to_be() -> None:
 def test_who_believes_in_another_start_holds_on_to_it_until_the_robot_touches_it() -> None:
     """Fetching the medkit from the store makes no sense to people who believe that it is in the
     office; later steps make sense."""
-    made = domain("search_and_rescue")
-    accurate = {p.name: p.accurate for p in made.parameters}
-    fact = next(p for p in made.parameters if p.name == "medkit")
-    robot, wrong = made.model(accurate), made.model(accurate | {"medkit": fact.inaccurate})
+    made: Any = domain_of("domain=search_and_rescue")
+    robot, wrong = believed(made), believed(made, "medkit")
     before = []
     for transition in robot.on_policy(made.starts):
         state = int(transition[0])
@@ -153,13 +126,13 @@ def test_who_believes_in_another_start_holds_on_to_it_until_the_robot_touches_it
 def test_phrases_come_from_names_and_templates(tmp_path: Path) -> None:
     arguments = given("blocks")
     plain = PDDL(**{k: v for k, v in arguments.items() if k != "words"})
-    robot = plain.model({p.name: p.accurate for p in plain.parameters})
+    robot = believed(plain)
     a = plain.actions.index("unstack c b")
     transition = np.array([0, a, int(robot.successor[0, a, 0])])
     assert plain.describe(transition) == "unstack block c block b"
     told = {"now clear b", "now holding c", "no longer clear c", "no longer handempty"}
     assert set(plain.changes(transition)) == told | {"no longer c on b"}
-    assert domain("blocks").describe(transition) == "takes c off b"
+    assert domain_of("domain=blocks").describe(transition) == "takes c off b"
     told = {p.name: (p.message, p.belief) for p in plain.parameters}
     assert told["top"] == ("The goal needs: d on a.", "The goal does not need: d on a.")
 
@@ -181,12 +154,9 @@ def test_any_number_of_goals_may_be_held_wrong(facts: int, tmp_path: Path) -> No
     )
     wrong = {f"f{i}": {"change": {"add_goal": f"(on l{i})"}} for i in range(1, facts + 1)}
     made = PDDL(str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), facts=wrong)
-    accurate = {p.name: p.accurate for p in made.parameters}
     first = {name: a for a, name in enumerate(made.actions)}
     for held in ([], [1], [facts], [1, facts], range(1, facts + 1)):
-        model = made.model(
-            accurate | {p.name: p.inaccurate for p in made.parameters if int(p.name[1:]) in held}
-        )
+        model = believed(made, *(f"f{i}" for i in held))
         assert model.to_go[0] == 1 + len(held)
         for i in range(facts + 1):
             after = int(model.successor[0, first[f"turn l{i}"], 0])

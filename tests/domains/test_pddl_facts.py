@@ -1,7 +1,6 @@
 """Tests differences of two tasks, the sentences of facts, changes in YAML, and facts without
 effect."""
 
-import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.domains.configs import given
+from tests.domains.configs import believed, given
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.facts import Words, describe, find_differences, read_changes
 from xplain.domains.pddl.task import Source, apply_changes, read_task, texts
@@ -185,15 +184,15 @@ def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: 
         ("medkit", "At the start: not a medkit in office. At the start: a medkit in store."),
     ]
     assert made.parameters[0].belief == "The action lift does not need: the victim treated."
-    wrong = made.model({p.name: p.inaccurate for p in made.parameters})
+    wrong = believed(made, "lift_needs_treated", "medkit")
     other = {"top": {"change": {"action": "treat", "cost": 2}}}
     theirs = PDDL(**own | paths | {"facts": other})
-    task = theirs.model({p.name: p.accurate for p in theirs.parameters})
+    task = believed(theirs)
     assert wrong.imagined is not None
     assert wrong.to_go[wrong.imagined[0]] == task.to_go[0]
     number = {theirs.state(s): s for s in range(len(theirs.state_features))}
     action = {name: a for a, name in enumerate(theirs.actions)}
-    robot = made.model({p.name: p.accurate for p in made.parameters})
+    robot = believed(made)
     seen = 0
     for s, a, after in robot.on_policy(made.starts).tolist():
         before, then = (made.state(int(wrong.imagined[x])) for x in (s, after))
@@ -213,11 +212,9 @@ def test_a_fact_without_effect_is_named(caplog: pytest.LogCaptureFixture) -> Non
         "battery": own["facts"]["battery"],
         "silent": {"change": {"action": "charge", "cost": 900}},
     }
-    with caplog.at_level(logging.WARNING):
-        PDDL(**own | {"facts": {"battery": own["facts"]["battery"], "view": silent}})
+    PDDL(**own | {"facts": {"battery": own["facts"]["battery"], "view": silent}})
     assert not caplog.messages
-    with caplog.at_level(logging.WARNING):
-        PDDL(**own | {"facts": facts, "starts": "initial"})
+    PDDL(**own | {"facts": facts, "starts": "initial"})
     (message,) = caplog.messages
     assert message.startswith("domain.facts.silent has no effect")
 
@@ -234,16 +231,11 @@ def test_a_fact_that_matters_only_with_another_is_not_said_to_have_no_effect(
         "jam": own["facts"]["jam"],
         "letter": own["facts"]["letter"],
     }
-    with caplog.at_level(logging.WARNING):
-        made = PDDL(**own | {"facts": facts})
-    accurate = {p.name: p.accurate for p in made.parameters}
-    transitions = made.model(accurate).on_policy(made.starts)
-    values = {p.name: p.inaccurate for p in made.parameters}
-    alone = made.model(accurate | {"longer": values["longer"]}).labels(transitions)
-    assert alone.all()
-    jam = made.model(accurate | {"jam": values["jam"]}).labels(transitions)
-    both = made.model(values | {"letter": []}).labels(transitions)
-    assert not np.array_equal(jam, both)
+    made = PDDL(**own | {"facts": facts})
+    transitions = believed(made).on_policy(made.starts)
+    assert believed(made, "longer").labels(transitions).all()
+    jam = believed(made, "jam").labels(transitions)
+    assert not np.array_equal(jam, believed(made, "longer", "jam").labels(transitions))
     assert not caplog.messages
 
 

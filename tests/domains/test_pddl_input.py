@@ -1,13 +1,11 @@
 """Bad input gives one line that says what to correct."""
 
-import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.domains.configs import given
-from tests.domains.downward import plan_cost
+from tests.domains.configs import believed, given
 from tests.refusals import refused
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.task import Source
@@ -31,8 +29,6 @@ def edited(tmp_path: Path, key: str, old: str, new: str) -> dict[str, Any]:
 ACTIONS = "(:action pick-up"
 DERIVED = f"(:derived (above ?x ?y - block) (on ?x ?y))\n{ACTIONS}"
 COST = "(increase (total-cost) 1)"
-EFFECT = f"(not (handempty))\n                 {COST}"
-REQUIRES = ":requirements :strips"
 PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
 
 
@@ -87,38 +83,6 @@ PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
 def test_a_bad_file_is_one_line(key: str, old: str, new: str, text: str, tmp_path: Path) -> None:
     with refused(text, kind=XplainError):
         PDDL(**edited(tmp_path, key, old, new))
-
-
-@pytest.mark.parametrize(
-    ("key", "old", "new"),
-    [
-        ("file", REQUIRES, f"{REQUIRES} :durative-actions"),  # tags that nothing uses
-        ("file", REQUIRES, f"{REQUIRES} :adl :derived-predicates :fluents"),
-        ("file", PRECONDITION, "(ontable ?x) (not (and (clear ?x) (holding ?x))) (handempty))"),
-        (
-            "file",
-            PRECONDITION,
-            "(clear ?x) (ontable ?x) (exists (?y - block) (not (on ?y ?x))) (handempty))",
-        ),
-        ("file", EFFECT, f"(forall (?y - block) (not (holding ?y))) (holding ?x) {EFFECT}"),
-        ("file", EFFECT, f"(forall (?y - block) (when (on ?x ?y) (clear ?y))) {EFFECT}"),
-        ("file", "(holding ?x - block)", "(holding ?x - (either block object))"),
-        ("file", "(on ?x - block ?y - block)", "(on ?x - block ?x - block)"),
-        ("problem", "a b c d - block", "thing - object a b c d - block spare - object"),
-    ],
-)
-def test_what_fast_downward_reads_costs_what_it_says(
-    key: str, old: str, new: str, tmp_path: Path
-) -> None:
-    own = edited(tmp_path, key, old, new) | {"words": {}}
-    made = PDDL(**own)
-    files = []
-    for name in ("file", "problem"):
-        text = re.sub(r"\(:requirements.*?\)", "", Source.read(name, own[name]).text)
-        files.append(tmp_path / f"plain_{name}.pddl")
-        files[-1].write_text(text, encoding="utf-8")
-    robot = made.model({p.name: p.accurate for p in made.parameters})
-    assert robot.to_go[0] == plan_cost(*files, tmp_path)
 
 
 def change(**fields: Any) -> dict[str, Any]:
@@ -211,10 +175,8 @@ def test_an_action_without_a_cost_does_not_exist(tmp_path: Path) -> None:
     path.write_text(text.replace("(= (length office north) 5)", ""), encoding="utf-8")
     made = PDDL(**own | {"problem": str(path)})
     drive = made.actions.index("drive truck1 office north")
-    accurate = {p.name: p.accurate for p in made.parameters}
-    wrong = {p.name: p.inaccurate for p in made.parameters if p.name == "new_road"}
-    assert not made.model(accurate).probability[:, drive].any()
-    assert made.model(accurate | wrong).probability[:, drive].any()
+    assert not believed(made).probability[:, drive].any()
+    assert believed(made, "new_road").probability[:, drive].any()
 
 
 def test_a_type_whose_beliefs_leave_no_plan_is_named() -> None:

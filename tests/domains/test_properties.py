@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROOT
-from tests.domains.configs import configured, domain_of, setting_of
+from tests.domains.configs import configured, setting_of
 from tests.domains.properties import (
     count_traces,
     inexplicable_alone,
@@ -16,10 +16,9 @@ from tests.domains.properties import (
     share_through,
 )
 from tests.domains.users.corridor import Corridor
+from xplain import Setting, UserType, stream
 from xplain.domains.base import cell_name
 from xplain.domains.four_rooms import DOORS
-from xplain.domains.users.setting import Setting, UserType
-from xplain.randomness import stream
 
 FOUR_ROOMS, RESCUE = "domain=four_rooms", "domain=rescue"
 
@@ -29,22 +28,16 @@ def traces_of(domain: str) -> list[np.ndarray]:
     return on_policy_traces(setting_of(domain), 200, stream(0, "domain properties"))
 
 
-def test_four_rooms_is_walked_through() -> None:
+def test_four_rooms_is_a_real_task() -> None:
+    """The robot walks through the rooms, and each fact that is believed incorrectly matters now and
+    then. Drawn types, 2, 3 and 4 as in the paper, need about one message."""
     setting, traces = setting_of(FOUR_ROOMS), traces_of(FOUR_ROOMS)
     assert len(setting.reachable) >= 100
     assert count_traces(setting) >= 500
     assert np.mean([len(trace) for trace in traces]) >= 6
     assert share_through(setting.domain, traces, DOORS) >= 1 / 3
-
-
-def test_each_fact_of_four_rooms_held_wrong_alone_matters_now_and_then() -> None:
-    alone = inexplicable_alone(domain_of(FOUR_ROOMS), traces_of(FOUR_ROOMS))
+    alone = inexplicable_alone(setting.domain, traces)
     assert all(0.05 <= share <= 0.4 for share in alone.values()), alone
-
-
-def test_drawn_types_of_four_rooms_need_about_one_message() -> None:
-    """Figures are over settings with 2, 3 and 4 types, as in the paper."""
-    traces = traces_of(FOUR_ROOMS)
     found = [
         problems(setting_of(FOUR_ROOMS, f"users.count={count}", seed=seed), traces)
         for count in (2, 3, 4)
@@ -54,21 +47,16 @@ def test_drawn_types_of_four_rooms_need_about_one_message() -> None:
     assert 1 / 4 <= np.mean([(p.smallest == 0).mean() for p in found]) <= 2 / 3
 
 
-def test_rescue_needs_two_facts_early() -> None:
-    found = problems(setting_of(RESCUE), traces_of(RESCUE))
+def test_rescue_is_a_real_task() -> None:
+    """Traces need two facts early, give many different problems, and each fact matters."""
+    setting, traces = setting_of(RESCUE), traces_of(RESCUE)
+    found = problems(setting, traces)
     assert 1.5 <= found.smallest.mean() <= 2.0
     assert found.worth.mean() >= 0.95
-
-
-def test_rescue_has_many_different_problems() -> None:
-    found = problems(setting_of(RESCUE), traces_of(RESCUE))
     assert found.tables >= 15
     assert found.commonest <= 1 / 4
     assert found.puzzling <= 1 / 10
-
-
-def test_each_fact_of_rescue_held_wrong_alone_matters() -> None:
-    alone = inexplicable_alone(domain_of(RESCUE), traces_of(RESCUE))
+    alone = inexplicable_alone(setting.domain, traces)
     assert all(share >= 0.02 for share in alone.values()), alone
 
 

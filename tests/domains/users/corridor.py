@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Parameter
-from xplain.domains.mdp import MDP
+from xplain import MDP, Parameter
 
 SIZE = 6
 
