@@ -14,9 +14,8 @@ from sklearn.tree import DecisionTreeClassifier
 
 from tests.domains.configs import domain_of
 from tests.learning.conftest import made
-from xplain.domains.users.setting import Setting
+from xplain import Clustering, Setting, TooLargeError
 from xplain.domains.users.types import RandomCover
-from xplain.errors import TooLargeError
 from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent, Shared
@@ -28,7 +27,6 @@ from xplain.learning.prediction import (
     predict,
     predict_held_out,
 )
-from xplain.learning.types import Clustering
 from xplain.learning.user_types import Single, learn_types
 from xplain.randomness import derive_seed
 

@@ -10,42 +10,27 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
 from tests.refusals import refused
-from xplain import LearnedTypes
-from xplain.errors import InputError
+from xplain import Clustering, Dataset, InputError, LabelerTrainer, LearnedTypes
 from xplain.explanation.habits import Habits
-from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.label_file import encode_transition, read_table
-from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.types import Clustering
 from xplain.learning.user_types import learn_types
 
-
-def dataset(seed=0, points=400, messages=3):
-    rng = np.random.default_rng(seed)
-    features = rng.integers(0, 4, (40, 2)).astype(float)
-    transition = rng.integers(0, 40, points)
-    message_set = rng.integers(0, 1 << messages, points)
-    observer = rng.integers(0, 4, points)
-    # Two types: one needs message 0 where the first feature is large, the other message 1.
-    needed = (features[transition, 0] > 1) & (message_set >> (observer // 2) & 1 == 0)
-    return Dataset(
-        features,
-        ("row", "column"),
-        tuple("abc"[:messages]),
-        ("o0", "o1", "o2", "o3"),
-        observer,
-        transition,
-        message_set,
-        1 - needed.astype(np.uint8),
-    )
+HABITS = Habits([0.0, 0.2], [1.0, 0.8], [0.0, 0.1], [0.5, 0.5])
 
 
 def learned(classifier, confidence="accuracy"):
-    data = dataset()
+    """Learns two types: one needs message 0 where the first feature is large, the other message
+    1."""
+    rng = np.random.default_rng(0)
+    features = rng.integers(0, 4, (40, 2)).astype(float)
+    transition, given, observer = (rng.integers(0, most, 400) for most in (40, 8, 4))
+    needed = (features[transition, 0] > 1) & (given >> (observer // 2) & 1 == 0)
+    names = ("row", "column"), ("a", "b", "c"), ("o0", "o1", "o2", "o3")
+    data = Dataset(features, *names, observer, transition, given, 1 - needed.astype(np.uint8))
     clustering = Clustering(np.array([0, 0, 1, 1]), "given", "given")
     trainer = LabelerTrainer(classifier, confidence=confidence)
     types = learn_types(data, clustering, trainer, 0)
-    return LearnedTypes.of(types, data, {"a": "All is well."}), data
+    return replace(LearnedTypes.of(types, data, {"a": "All is well."}), habits=HABITS), data
 
 
 # Some processors' matrix products raise the flag of numbers that they read beyond the matrix.
@@ -85,6 +70,8 @@ def test_what_was_saved_says_the_same(tmp_path, classifier, confidence):
         ("row", "column"),
         {"a": "All is well."},
     )
+    for name in ("error", "accept", "forget", "prior"):
+        assert np.array_equal(getattr(again.habits, name), getattr(HABITS, name))
     again.save(tmp_path / "types")
     twice = LearnedTypes.load(tmp_path / "types")
     np.testing.assert_array_equal(array_of(twice, rows), array_of(again, rows))
@@ -104,17 +91,8 @@ def test_a_class_that_nobody_vouched_for_is_not_built(tmp_path):
     np.testing.assert_array_equal(array_of(again, data.features), array_of(types, data.features))
 
 
-def doctored(path, change):
-    """Changes a file by ``change(text, arrays)``; the text names the arrays of the fields."""
-    with np.load(path) as file:
-        arrays = {key: file[key] for key in file.files}
-    text = json.loads(arrays["types"].item())
-    change(text, arrays)
-    with path.open("wb") as file:
-        np.savez(file, **arrays | {"types": np.array(json.dumps(text))})
-
-
-CHANGES = {
+WRONG_HABITS = {"error": [0.0, 0.7], "prior": [0.5, 0.6], "accept": [0.5] * 7, "forget": [-0.1, 0]}
+CHANGES = {  # by the text of a file, which names the arrays of the fields, and its arrays
     "classifier": lambda text, arrays: arrays.update(
         {text["labelers"][0]["skops"]: np.zeros(9, np.uint8)}
     ),
@@ -124,6 +102,12 @@ CHANGES = {
     "messages": lambda _, arrays: arrays.update(messages=np.array([f"m{j}" for j in range(70)])),
     "confidence": lambda text, _: text["labelers"][0].update(confidence="high"),
     "pickled": lambda text, arrays: arrays.update({text["prior"]: np.array([text, text])}),
+    **{
+        f"habits.{key}": lambda text, arrays, key=key, value=value: arrays.update(
+            {text["habits"][key]: np.array(value)}
+        )
+        for key, value in WRONG_HABITS.items()
+    },
 }
 
 
@@ -131,7 +115,12 @@ CHANGES = {
 def test_a_doctored_file_is_refused_in_one_line(tmp_path, name):
     path = tmp_path / "types.npz"
     learned(DecisionTreeClassifier())[0].save(path)
-    doctored(path, CHANGES[name])
+    with np.load(path) as file:
+        arrays = {key: file[key] for key in file.files}
+    text = json.loads(arrays["types"].item())
+    CHANGES[name](text, arrays)
+    with path.open("wb") as file:
+        np.savez(file, **arrays | {"types": np.array(json.dumps(text))})
     with refused("="):
         LearnedTypes.load(path)
 
@@ -193,22 +182,3 @@ def test_a_transition_is_encoded_from_its_columns_as_the_table_was(tmp_path):
 def test_what_cannot_be_encoded_is_refused_by_name(transition, named):
     with pytest.raises(InputError, match=named):
         encode_transition(transition, ("zone=river", "load", "zone=hill"))
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [("error", [0.0, 0.7]), ("prior", [0.5, 0.6]), ("accept", [0.5] * 7), ("forget", [-0.1, 0])],
-)
-def test_doctored_habits_are_refused(tmp_path, key, value):
-    types, _ = learned(DecisionTreeClassifier())
-    habits = Habits([0.0, 0.2], [1.0, 0.8], [0.0, 0.1], [0.5, 0.5])
-    replace(types, habits=habits).save(tmp_path / "types.npz")
-    read = LearnedTypes.load(tmp_path / "types.npz").habits
-    for name in ("error", "accept", "forget", "prior"):
-        assert np.array_equal(getattr(read, name), getattr(habits, name))
-    doctored(
-        tmp_path / "types.npz",
-        lambda text, arrays: arrays.update({text["habits"][key]: np.array(value)}),
-    )
-    with pytest.raises(InputError):
-        LearnedTypes.load(tmp_path / "types.npz")
