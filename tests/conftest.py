@@ -2,7 +2,6 @@
 
 import logging
 import os
-import subprocess
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,7 +21,6 @@ processes.end_as_on_ctrl_c()
 settings.register_profile("untimed", deadline=None)  # a machine may be busy
 settings.load_profile("untimed")
 
-Command = Callable[..., subprocess.CompletedProcess[str]]
 Run = Callable[..., tuple[int, str, str]]
 
 LONGEST = (
@@ -99,17 +97,6 @@ def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def command(tmp_path: Path) -> Command:
-    """``command("xplain plan", "seed=2")`` runs ``xplain plan seed=2`` in an empty folder, in a
-    process of its own."""
-
-    def run(words: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        return forked.captured(tmp_path, *words.split()[1:], *arguments)
-
-    return run
-
-
-@pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
     """``run("study replay", path)`` runs ``xplain study replay PATH`` in an empty folder, in this
     process. Returns the exit code, standard output and standard error."""
@@ -146,6 +133,7 @@ def driver(chromium: Driver) -> Driver:
     chromium.get("about:blank")
     chromium.execute_cdp_cmd("Network.clearBrowserCookies", {})
     chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
     chromium.get_log("browser")
     return chromium
 

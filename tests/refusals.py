@@ -16,3 +16,11 @@ def refused(said: str, key: str = "", kind: type[XplainError] = InputError) -> I
         yield
     assert "\n" not in str(caught.value)
     assert getattr(caught.value, "key", "").startswith(key)
+
+
+def line_of(ended: tuple[int, str, str]) -> str:
+    """Expects that a command (exit code, standard output, standard error) was refused with one
+    line; returns the line."""
+    code, out, error = ended
+    assert (code, out, error.count("\n")) == (2, "", 1), error
+    return error

@@ -1,4 +1,5 @@
-"""Each default has one value: a default of a class equals that of its YAML file."""
+"""Each choice lists every option of its class, and each default has one value: a default of a class
+equals that of its YAML file."""
 
 import dataclasses
 import inspect
@@ -10,6 +11,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from tests.configurations import composed
 from xplain.experiment.config import CONF, compose_config, schema
 from xplain.people.server import Server
 from xplain.runs.mlflow import MLflow
@@ -31,6 +33,7 @@ VARIANTS = {
 }
 """Files that choose other values for a class whose base is another file, or describe one of many
 tasks."""
+GYM = {"domain/gym", "domain/taxi", "domain/cliff_walking", "domain/frozen_lake"}
 CHOICES = sorted(
     f"{group}/{path.stem}" for group in GROUPS for path in (CONF / group).glob("*.yaml")
 )
@@ -74,37 +77,60 @@ def disagreeing(node: DictConfig) -> dict[str, tuple[Any, Any]]:
     return found
 
 
-def loaded(choice: str) -> DictConfig:
-    """Loads a file of conf/, together with the keys of the base domain that it refers to."""
-    group, _ = choice.split("/")
-    root = OmegaConf.load(CONF / "domain" / "rescue.yaml")
-    root[group] = with_parent(choice)[group] if group == "domain" else with_parent(choice)
-    return root[group]
+NO_OPTION = {
+    "name": "of a domain: the task is what it is called",
+    "knows": "of a solver: which problem it is made for; the oracle's file does say it",
+    "hypotheses": "of labeler=hypotheses: the observers' domain's, worked out once",
+    "answers": "of labeler=hypotheses: how people err, learned with the types",
+    "types": "of labeler=hypotheses: which types the answers come from, known with these",
+    "evidence": "of labeler=hypotheses: how well hypotheses foretell answers, learned with them",
+    "labeler": "of clusterer=…: what the group labeler chooses",
+}
+"""Parameters of shipped components that a file of conf/ may leave out, and why."""
+
+UNUSED = {"labeler/hypotheses": {"confidence"}}
+"""Inherited parameters without effect, by choice: hypotheses have their own confidence."""
 
 
-def with_parent(choice: str) -> DictConfig:
-    """Merges a file into the file of the same group that it changes, if any."""
-    own = OmegaConf.load(CONF / f"{choice}.yaml")
-    parents = [one for one in own.pop("defaults", ()) if isinstance(one, str) and one != "_self_"]
-    above = [with_parent(f"{choice.split('/')[0]}/{one}") for one in parents]
-    return OmegaConf.merge(*above, own)
+TASK = "pkg://xplain/domains/pddl/tasks/blocks"
+FILLED = {
+    "observers/file": {"path": __file__},
+    "users/explicit": {"groups": "{A: [fire]}"},
+    "domain/gym": {
+        "name": "lake",
+        "id": "FrozenLake-v1",
+        "states": "{row: 4, column: 4}",
+        "actions": "[left, down, right, up]",
+        "parameters": "{ice: {inaccurate: [{add: -1.0}], message: no ice}}",
+    },
+    "domain/pddl": {
+        "file": f"{TASK}/domain.pddl",
+        "problem": f"{TASK}/problem.pddl",
+        "believed": f"{TASK}/believed.pddl",
+    },
+}
+"""Keys without a value in their files."""
 
 
-@pytest.mark.parametrize("choice", sorted(set(CHOICES) - VARIANTS))
-def test_a_default_of_a_class_is_that_of_its_file(choice: str) -> None:
-    for node in components(loaded(choice)):
-        assert disagreeing(node) == {}, node["_target_"]
-
-
-@pytest.mark.parametrize("choice", sorted(VARIANTS))
-def test_a_variant_varies(choice: str) -> None:
-    assert any(disagreeing(node) for node in components(loaded(choice)))
-
-
-def test_a_default_that_differs_is_seen() -> None:
-    node = loaded("clusterer/dirichlet")
-    node.chains = 5
-    assert disagreeing(node) == {"chains": (5, 4)}
+@pytest.mark.parametrize("choice", CHOICES)
+def test_a_choice_lists_every_option_of_its_class_with_its_default(choice: str) -> None:
+    if choice in GYM:
+        pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")
+    group, name = choice.split("/")
+    filled = FILLED.get(choice, {})
+    words = [f"{group}.{key}={value}" for key, value in filled.items()]
+    node = composed(f"{group}={name}", *words)[group]
+    options = {key: node[key] for key in node if not key.startswith("_")}
+    component = instantiate(node)
+    left_out = inspect.signature(type(component)).parameters.keys() - options.keys()
+    assert left_out <= NO_OPTION.keys() | UNUSED.get(choice, set())
+    for key, value in options.items():
+        # None leaves the value to the component; a domain's ``starts`` are states made of it.
+        plain = isinstance(value, bool | int | float | str) and key != "starts"
+        if plain and hasattr(component, key):
+            assert getattr(component, key) == value, key
+    own = {key: one for part in components(node) for key, one in disagreeing(part).items()}
+    assert bool(own.keys() - filled.keys()) == (choice in VARIANTS), own
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import pytest
 
-from tests.conftest import ROOT
 from tests.test_docs import module
 from xplain.experiment.config import CONF
 
@@ -182,7 +181,3 @@ def test_a_reference_run_that_there_is_not_is_named(repository: Repository) -> N
 
 def test_output_that_is_shown_is_no_table() -> None:
     assert list(tables.measured("```text\n| a | b |\n|---|---|\n| 1 | 2 |\n```\n")) == []
-
-
-def test_the_makefile_writes_it() -> None:
-    assert "docs/tables.py --write" in (ROOT / "Makefile").read_text(encoding="utf-8")
