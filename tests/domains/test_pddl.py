@@ -49,7 +49,7 @@ def test_the_robots_model_is_what_the_simulator_does(
         warnings.simplefilter("ignore")  # lengths are given for roads alone
         simulator = UPSequentialSimulator(problem, error_on_failed_checks=False)
     with simulator:
-        for _ in range(5):
+        for _ in range(3):
             real, state = simulator.get_initial_state(), 0
             for _ in range(12):
                 holds = {

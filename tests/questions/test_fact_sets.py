@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.domains.configs import setting_of
 from tests.domains.example import warehouse
 from tests.questions.tables import random_hypotheses
 from xplain import Dataset, Setting, UserType
@@ -309,10 +308,12 @@ def test_types_of_more_facts_than_the_list_begins_with_are_found(monkeypatch):
 
 
 def test_the_table_over_what_matters_is_the_whole_table(monkeypatch):
-    setting = setting_of("domain=rescue")
+    domain = warehouse(FACTS)
+    wrong = {p.name: p.inaccurate for p in domain.parameters[::2]}
+    setting = Setting.build(domain, (UserType("A", wrong),))
     observed = SimulatedObservers(1, 40).collect(setting, Independent(), 0)
     labeler = HypothesisTrainer().adapt_to(observed).fit(observed.dataset.of(np.array([0])), 0)
-    transitions = setting.reachable[::9]
+    transitions = setting.reachable[::3]
     asked = [(transition_features(setting.domain, transitions), x) for x in (None, transitions)]
     whole = [labeler.table(*one) for one in asked]
     for module in ("xplain.learning.labelers", "xplain.learning.mixture.labeler"):

@@ -263,10 +263,10 @@ def test_a_domains_features_may_be_columns_of_their_own(tmp_path: Path) -> None:
 
 
 WORDS = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs", "Zl", "Zp")))
-TEXTS = st.lists(st.tuples(WORDS, WORDS, WORDS), min_size=1, max_size=6)
+TEXTS = st.lists(st.tuples(WORDS, WORDS, WORDS), min_size=1, max_size=12)
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(
     rows=TEXTS,
     separator=st.sampled_from(",;\t|"),
@@ -294,7 +294,7 @@ def test_cells_come_out_as_they_went_in(
 NAMES = ["007", "7", "1.10", "1.1", "1E2", "NA", "null", "true", "a=b", "ü, ö", "x"]
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(
     items=st.lists(st.sampled_from(NAMES), min_size=6, max_size=6),
     loads=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=6, max_size=6),
