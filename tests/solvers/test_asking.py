@@ -114,6 +114,18 @@ def test_of_equally_good_questions_the_nearest() -> None:
     assert best_action({EXPLAIN: -0.5}) == EXPLAIN
 
 
+def test_of_questions_that_tell_the_same_qmdp_asks_the_first() -> None:
+    """Each second question is the opposite of the first: only rounding tells their values apart."""
+    rng, asked = np.random.default_rng(16), []
+    for _ in range(40):
+        problem = asking(rng)
+        table = problem.questions.table.p[:1]
+        both = LabelTable.dense(np.concatenate([table, 1 - table]).transpose(2, 0, 1))
+        problem = replace(problem, questions=Questions(both, problem.questions.limits))
+        asked.append(question_asked(QMDP().plan(problem), 0, 0, problem.prior))
+    assert {*asked} == {0, None}
+
+
 class AsksWhereUnlikely:
     """A policy without messages that asks question 0 at the second step if type 1 is likely."""
 

@@ -80,11 +80,12 @@ class VoiPolicy:
     stream: int
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """Chooses the best question if its value is positive, otherwise the policy's action."""
+        """Chooses the best question if its value is positive, otherwise the policy's action. Of
+        several questions with the largest value, the first is chosen."""
         gains = self._evaluate_questions(visible, belief)
-        best = max(gains, key=lambda q: gains[q], default=0)
-        if gains and gains[best] > TIE:
-            return AskQuestion(best)
+        best = max(gains.values(), default=0.0)
+        if best > TIE:
+            return AskQuestion(min(q for q, gain in gains.items() if gain >= best - TIE))
         return self.policy.decide(visible, belief)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
