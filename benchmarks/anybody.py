@@ -17,7 +17,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from explainees import World, worlds
+from explainees import TRUE, World, worlds
 from numpy.typing import NDArray
 from questions import domain_of
 
@@ -74,7 +74,6 @@ KINDS: dict[str, Explainee] = {
     "heedless": Heedless(),
     "backlash": Backlash(),
 }
-TRUE = ("labeler=truth", "clusterer=perfect")
 LEARNED = ("labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05")
 POLICIES: dict[str, tuple[BeliefUpdate, Solver]] = {
     "open": (Open(), QMDP()),
@@ -163,10 +162,14 @@ def ratio(over: NDArray[np.float64], under: NDArray[np.float64]) -> tuple[float,
 
 
 def table(
-    seeds: Iterable[int], trade_offs: tuple[float, ...], *overrides: str, traces: int
+    maps: Iterable[str],
+    seeds: Iterable[int],
+    trade_offs: tuple[float, ...],
+    *overrides: str,
+    traces: int,
 ) -> None:
     """Prints the ratios of every kind of people."""
-    for name in MAPS:
+    for name in maps:
         costs: dict[tuple[str, float, str], dict[int, list[float]]] = defaultdict(
             lambda: defaultdict(list)
         )
@@ -229,11 +232,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=(SEEDS.start, SEEDS.stop))
     parser.add_argument("--lambdas", type=float, nargs="*", default=TRADE_OFFS)
     options = parser.parse_args()
-    for what, overrides in (("true", TRUE), ("learned", LEARNED)):
+    for name, what, overrides in zip(MAPS, ("true", "learned"), (TRUE, LEARNED), strict=True):
         if options.quick:
-            table(SEEDS[:1], (1.0,), *overrides, traces=1)
+            table([name], SEEDS[:1], (1.0,), *overrides, "max_steps=3", traces=1)
         elif options.what == what:
-            table(range(*options.seeds), tuple(options.lambdas), *overrides, traces=TRACES)
+            table(MAPS, range(*options.seeds), tuple(options.lambdas), *overrides, traces=TRACES)
 
 
 if __name__ == "__main__":

@@ -55,13 +55,15 @@ AGAIN: Rates = ((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.
 MAPS = (*DOMAINS, "random rescue", "random rooms")
 FRESH = 9400
 """The first seed of people and traces; no setting was chosen on this or later seeds."""
+SMALL = ("max_steps=6", "ask.clips=5", "points=5")
+"""Changes for a smoke run."""
 
 
-def world(name: str, seed: int, traces: int, *source: str, clips: int = 150) -> World:
+def world(name: str, seed: int, traces: int, *source: str) -> World:
     """Makes a map's types, traces and clips."""
     domain = "rescue" if "rescue" in name else "four_rooms"
     fixed = (f"domain={domain}", "discount=1", f"traces={traces}", f"seed={seed}")
-    cfg = compose_config("config", [*fixed, "ask=clips", f"ask.clips={clips}", *source])
+    cfg = compose_config("config", [*fixed, "ask=clips", *source])
     components = components_of(cfg)
     if name.startswith("random"):
         components = replace(components, domain=domain_of(name, seed))
@@ -84,13 +86,15 @@ def asked(records: list[Record]) -> float:
     return float(np.mean([record.episode.n_questions for record in records]))
 
 
-def table(traces: Mapping[str, int] = TRACES, prices: Sequence[float] = PRICES) -> None:
+def table(
+    *small: str, traces: Mapping[str, int] = TRACES, prices: Sequence[float] = PRICES
+) -> None:
     """Prints the cost by κ and solver, with the mean number of questions."""
     head = " | ".join(f"{price:g}" for price in prices)
     print(f"| solver | never | {head} |\n|{'---|' * (len(prices) + 2)}")
     for domain, count in traces.items():
         print(f"| **{domain.replace('_', ' ')}** |" + " |" * (len(prices) + 1))
-        worlds = [world(domain, 0, count, *KNOWN)]
+        worlds = [world(domain, 0, count, *KNOWN, *small)]
         for name, solver in SOLVERS.items():
             cells = [figures(worlds, solver, Exact(), None)]
             cells += [figures(worlds, solver, Exact(), price) for price in prices]
@@ -107,7 +111,7 @@ def figures(worlds: list[World], solver: Solver, explainee: Explainee, price: fl
     return said if price is None else f"{said} ({np.mean([asked(r) for r in records]):.1f})"
 
 
-def learned(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> None:
+def learned(seeds: Iterable[int], traces: int, *small: str, maps: Iterable[str] = MAPS) -> None:
     """Prints the costs with types learned from 20 questions to each person, 5 % of the answers
     wrong; κ = 0.1."""
     print("| map | never | asking | type known | never / known | asking / known | questions |")
@@ -115,7 +119,7 @@ def learned(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> No
     for name in maps:
         found: dict[str, list[float]] = defaultdict(list)
         for seed in seeds:
-            here = at(world(name, seed, traces, *LEARNED), 0.1)
+            here = at(world(name, seed, traces, *LEARNED, *small), 0.1)
             found["never"].append(cost(silent(here).meets(Exact(), Independent(), QMDP())))
             records = here.meets(Exact(), Independent(), QMDP())
             found["asking"].append(cost(records))
@@ -126,14 +130,14 @@ def learned(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> No
         print(f"| {name} | {' | '.join(cells)} | {np.mean(found['questions']):.1f} |", flush=True)
 
 
-def errors(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> None:
+def errors(seeds: Iterable[int], traces: int, *small: str, maps: Iterable[str] = MAPS) -> None:
     """Prints the costs if one answer in ten is wrong; κ = 0.1, true types and labels, the rate
     known or learned."""
     ways = ("never", "first", "anytime")
     print("| map | users err | rate | never | first | anytime | never − anytime | questions |")
     print("|---|---|---|---|---|---|---|---|")
     for name in maps:
-        worlds = [world(name, seed, traces, *KNOWN) for seed in seeds]
+        worlds = [world(name, seed, traces, *KNOWN, *small) for seed in seeds]
         for repeats in (True, False):
             kinds: dict[str, Assumed] = {"told": 0.1, "learned": "learned"}
             for rate, assumed in kinds.items():
@@ -159,7 +163,11 @@ def meets(here: World, way: str, explainee: Explainee, update: BeliefUpdate) -> 
 
 
 def again(
-    seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS, rates: Rates = AGAIN
+    seeds: Iterable[int],
+    traces: int,
+    *small: str,
+    maps: Sequence[str] = DOMAINS,
+    rates: Rates = AGAIN,
 ) -> None:
     """Prints the costs if messages may be missed (α) or forgotten (φ) at known rates; κ = 0.1, true
     labels."""
@@ -169,7 +177,7 @@ def again(
     print("|---|---|---|---|---|---|---|")
     for domain in maps:
         print(f"| **{domain.replace('_', ' ')}** |" + " |" * 6)
-        worlds = [at(world(domain, seed, traces, *KNOWN), 0.1) for seed in seeds]
+        worlds = [at(world(domain, seed, traces, *KNOWN, *small), 0.1) for seed in seeds]
         for accept, forget in rates:
             people, update = Heedless(accept, forget), Independent(0.0, accept, forget)
             found: dict[str, list[float]] = defaultdict(list)
@@ -188,14 +196,13 @@ def again(
             print(f"| {accept:g}, {forget:g} | {' | '.join(cells)} |", flush=True)
 
 
-def speed(seeds: Iterable[int], traces: int, clips: int = 150) -> None:
-    """Prints the milliseconds of a step's decision about questions and messages, with this number
-    of clips."""
+def speed(seeds: Iterable[int], traces: int, *small: str) -> None:
+    """Prints the milliseconds of a step's decision about questions and messages."""
     print("| solver | clips | mean of a step | longest |\n|---|---|---|---|")
     for name in ("qmdp", "pomcp", "certified"):
         for error in (0.0, 0.1)[: 1 if name == "certified" else 2]:  # 0.1 would take minutes
             times, most = [], 0
-            for here in decided(seeds, traces, clips):
+            for here in decided(seeds, traces, *small):
                 most = max(len(c.questions.texts) for c in here.prepared.cases if c.questions)
                 records = here.meets(Exact(), Independent(error), SOLVERS[name])
                 times += [record.episode.seconds for record in records]
@@ -204,10 +211,10 @@ def speed(seeds: Iterable[int], traces: int, clips: int = 150) -> None:
             print(f"| {kind} | {most} | {1e3 * steps.mean():.2f} | {1e3 * steps.max():.1f} |")
 
 
-def decided(seeds: Iterable[int], traces: int, clips: int) -> Iterator[World]:
+def decided(seeds: Iterable[int], traces: int, *small: str) -> Iterator[World]:
     """Yields worlds of rescue with learned labels."""
     for seed in seeds:
-        yield at(world("rescue", seed, traces, *LEARNED, clips=clips), 0.1)
+        yield at(world("rescue", seed, traces, *LEARNED, *small), 0.1)
 
 
 def main() -> None:
@@ -218,11 +225,12 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a smoke run")
     options = parser.parse_args()
     if options.quick:
-        table({"four_rooms": 1}, PRICES[:1])
-        learned((FRESH,), 1, ["four_rooms"])
-        errors((FRESH,), 1, ["four_rooms"])
-        again((FRESH,), 1, ["four_rooms"], AGAIN[-1:])
-        speed((FRESH,), 1, 5)
+        rooms, seeds = ["four_rooms"], range(FRESH, FRESH + 1)
+        table(*SMALL, traces={"four_rooms": 1}, prices=PRICES[:1])
+        learned(seeds, 1, *SMALL, maps=rooms)
+        errors(seeds, 1, *SMALL, maps=rooms)
+        again(seeds, 1, *SMALL, maps=rooms, rates=AGAIN[-1:])
+        speed(seeds, 1, *SMALL, "domain=four_rooms")
     elif options.what == "table":
         table()
     elif options.what == "learned":

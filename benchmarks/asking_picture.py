@@ -40,7 +40,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a smoke run")
     quick = parser.parse_args().quick
-    few = ("traces=1", "ask.cost=0.1,0.5")
+    few = (
+        *("traces=1", "points=20", "ask.cost=0.1,0.5", "ask.clips=20"),
+        "hydra.launcher.n_jobs=1",  # other processes would import everything again
+    )
     sweep = xplain.sweep("sweeps=asking", "tracking=none", *(few if quick else ()))
     frame = pd.read_csv(sweep.folder / "report" / "regret.csv", keep_default_na=False)
     domains = list(dict.fromkeys(frame["domain"]))

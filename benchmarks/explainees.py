@@ -44,6 +44,9 @@ DOMAINS = ("rescue", "four_rooms")
 SEEDS = range(9300, 9312)
 POINTS = (0.8, 0.0), (0.8, 0.1)
 """α and φ of people who miss messages, and of people who also forget them."""
+TRUE = "labeler=truth", "clusterer=perfect"
+SMALL = "max_steps=3", "users.count=2"
+"""Changes for a smoke run."""
 FLOOR = 0.002
 """The minimum probability of an answer if an explainer knows only that errors exist."""
 
@@ -74,10 +77,8 @@ class World(NamedTuple):
         return evaluate(self.prepared, self.costs, own, belief, explainee, self.seed)
 
 
-def worlds(name: str, seeds: Iterable[int], traces: int, *overrides: str) -> Iterator[World]:
-    """Makes a world for each seed, of a domain or of a random map. Without overrides types and
-    labels are true."""
-    source = overrides or ("labeler=truth", "clusterer=perfect")
+def worlds(name: str, seeds: Iterable[int], traces: int, *source: str) -> Iterator[World]:
+    """Makes a world for each seed, of a domain or of a random map."""
     domain = "rescue" if "rescue" in name else "four_rooms"
     for seed in seeds:
         fixed = (f"domain={domain}", "discount=1", f"traces={traces}", f"seed={seed}")
@@ -120,7 +121,7 @@ def ratio(over: list[float], under: list[float]) -> str:
     return f"{pairs[0].mean() / pairs[1].mean():.3f} (≤ {top:.3f})"
 
 
-def errors(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> None:
+def errors(seeds: Iterable[int], traces: int, *small: str, maps: Sequence[str] = DOMAINS) -> None:
     """Prints the table of wrong answers."""
     people: dict[str, tuple[Explainee, Habits]] = {"never": (Exact(), PAPER)}
     for repeats in (False, True):
@@ -137,7 +138,7 @@ def errors(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> 
     for domain in maps:
         print(f"| **{domain.replace('_', ' ')}** |" + " |" * 9)
         found: dict[tuple[str, str, str], list[tuple[float, float]]] = defaultdict(list)
-        for world in worlds(domain, seeds, traces):
+        for world in worlds(domain, seeds, traces, *TRUE, *small):
             for name, (explainee, habits) in people.items():
                 knowing = world._replace(prepared=replace(world.prepared, habits=habits))
                 for update in kinds:
@@ -162,7 +163,7 @@ def errors(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> 
                 print(f"| {name} | {kind} | {' | '.join([*costs, against, *score])} |", flush=True)
 
 
-def learned(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> None:
+def learned(seeds: Iterable[int], traces: int, *small: str, maps: Sequence[str] = DOMAINS) -> None:
     """Prints the table with types from 20 chosen questions, answered at the same error rate."""
     print("| answers wrong | as the paper | told | learned | learned / told | rate learned |")
     print("|---|---|---|---|---|---|")
@@ -171,7 +172,8 @@ def learned(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) ->
         for rate in (0.0, 0.1, 0.3):
             found: dict[str, list[float]] = defaultdict(list)
             options = ("labeler=hypotheses", "queries=adaptive", "points=20")
-            for world in worlds(domain, seeds, traces, *options, f"observers.label_noise={rate}"):
+            noise = f"observers.label_noise={rate}"
+            for world in worlds(domain, seeds, traces, *options, noise, *small):
                 explainee = Slips(rate, repeats=True)
                 ways: dict[str, Assumed] = {"paper": 0.0, "told": rate, "learned": "learned"}
                 for way, error in ways.items():
@@ -185,7 +187,7 @@ def learned(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) ->
             print(f"| {rate:.0%} | {' | '.join(cells)} |", flush=True)
 
 
-def found(seeds: Iterable[int], traces: int, maps: Sequence[str] = MAPS) -> None:
+def found(seeds: Iterable[int], traces: int, *small: str, maps: Sequence[str] = MAPS) -> None:
     """Prints the table of missed messages, with types from 20 chosen questions."""
     print("| α, φ | rates | true types | types found | found / true |\n|---|---|---|---|---|")
     asked = ("labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05")
@@ -193,8 +195,8 @@ def found(seeds: Iterable[int], traces: int, maps: Sequence[str] = MAPS) -> None
     for name in maps:
         print(f"| **{name.replace('_', ' ')}** |" + " |" * 4)
         costs: dict[tuple[float, float, str, str], list[float]] = defaultdict(list)
-        for types, overrides in (("true", ()), ("found", asked)):
-            for world in worlds(name, seeds, traces, *overrides):
+        for types, source in (("true", TRUE), ("found", asked)):
+            for world in worlds(name, seeds, traces, *source, *small):
                 for (accept, forget), way in product(POINTS, ways):
                     rates: tuple[Assumed, Assumed] = (accept, forget)
                     belief = Independent(0.0, *(rates if way == "told" else ("learned",) * 2))
@@ -206,7 +208,7 @@ def found(seeds: Iterable[int], traces: int, maps: Sequence[str] = MAPS) -> None
             print(f"| {accept:g}, {forget:g} | {way} | {cells} |", flush=True)
 
 
-def earlier(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> None:
+def earlier(seeds: Iterable[int], traces: int, *small: str, maps: Sequence[str] = DOMAINS) -> None:
     """Prints the table with rates learned from earlier explanations, in the world of the previous
     seed. An explainer that *weighs* the rates has a belief about them."""
     print("| α, φ | told | weighed | learned from people before |", end="")
@@ -216,7 +218,7 @@ def earlier(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) ->
         print(f"| **{domain.replace('_', ' ')}** |" + " |" * 6)
         costs: dict[tuple[float, float, str], list[float]] = defaultdict(list)
         before: dict[tuple[float, float], Habits] = {}
-        for world in worlds(domain, [min(seeds) - 1, *seeds], traces):
+        for world in worlds(domain, [min(seeds) - 1, *seeds], traces, *TRUE, *small):
             problems = [
                 problem_of_types(world.prepared, case, world.costs, Independent())
                 for case in world.prepared.cases
@@ -254,14 +256,14 @@ def earlier(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) ->
             print(f"| {accept:g}, {forget:g} | {' | '.join(cells)} |", flush=True)
 
 
-def optimum(seeds: Iterable[int], traces: int, maps: Sequence[str] = DOMAINS) -> None:
+def optimum(seeds: Iterable[int], traces: int, *small: str, maps: Sequence[str] = DOMAINS) -> None:
     """Prints the table of proven bounds of the expected cost if an explainer knows α and φ."""
     print("| α, φ | as the paper | QMDP | lookahead | optimum: at least | at most |", end="")
     print(" at least / paper | at most / paper |\n|---|---|---|---|---|---|---|---|")
     for domain in maps:
         print(f"| **{domain.replace('_', ' ')}** |" + " |" * 7)
         costs: dict[tuple[float, float, str], list[float]] = defaultdict(list)
-        for world in worlds(domain, seeds, traces):
+        for world in worlds(domain, seeds, traces, *TRUE, *small):
             for accept, forget in POINTS:
                 knowing, people = Independent(0.0, accept, forget), Heedless(accept, forget)
                 ways: tuple[tuple[str, BeliefUpdate, Solver], ...] = (
@@ -298,7 +300,10 @@ def main() -> None:
     for name, table in TABLES.items():
         if options.quick or options.what == name:
             seeds = range(10) if table is optimum else SEEDS  # the seeds of sweeps=again
-            table(*((seeds[:1], 1, ["four_rooms"]) if options.quick else (seeds, 8)))
+            if options.quick:
+                table(seeds[:1], 1, *SMALL, maps=["four_rooms"])
+            else:
+                table(seeds, 8)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,8 @@ MOST = 0.3
 
 def main() -> None:
     """Prints a table."""
-    jobs = 2 if "--quick" in sys.argv[1:] else 8
+    quick = "--quick" in sys.argv[1:]
+    jobs, small = (2, ["traces=1", "points=20", "max_steps=4"]) if quick else (8, [])
     spent: defaultdict[str, float] = defaultdict(float)
 
     @contextmanager
@@ -49,7 +50,7 @@ def main() -> None:
         return call
 
     def run(trade_offs: list[float], outputs: Path) -> None:
-        words = [f"lambda={','.join(map(str, trade_offs))}", "solver=qmdp"]
+        words = [f"lambda={','.join(map(str, trade_offs))}", "solver=qmdp", *small]
         with stage("plan of the sweep"):
             config = load([f"outputs='{outputs}'"])
             plan = Plan.of(config, words, {}, lambda own: load([f"outputs='{outputs}'", *own]))

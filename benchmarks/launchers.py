@@ -54,13 +54,14 @@ def main() -> int:
     """Runs the ways; the exit code is 1 if a way gives other results."""
     parser = argparse.ArgumentParser()
     parser.add_argument("ways", nargs="*", choices=[*WAYS, []])
-    parser.add_argument("--quick", action="store_true", help="the reference alone")
+    parser.add_argument("--quick", action="store_true", help="the reference alone, in one worker")
     given = parser.parse_args()
     installed = ("joblib", "basic", *(way for way in ("ray", "submitit", "optuna") if brought(way)))
     wrong, reference = 0, None
     for way in ["joblib"] if given.quick else dict.fromkeys(["joblib", *(given.ways or installed)]):
         began = time.monotonic()
         with tempfile.TemporaryDirectory() as folder, address(way) as more:
+            more += ["hydra.launcher.n_jobs=1"] if given.quick else []
             command = [sys.executable, "-m", "xplain", *SWEEP, *WAYS[way], *more]
             done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
             found = results(Path(folder))
