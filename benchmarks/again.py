@@ -25,13 +25,18 @@ WAYS = {
     "seen": ("sees type and knowledge", "#666666", "d:"),
 }
 """Explainers in the picture: name, colour and line."""
+FEW = (
+    *("seed=0", "traces=1", "points=20"),
+    *("explainee=heedless", "explainee.forget=0.03,0.15"),
+    "hydra.launcher.n_jobs=1",  # other processes would import everything again
+)
+"""Changes for a smoke run."""
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "again.png"
 
 
 def messages(quick: bool) -> None:
     """Makes the table and the picture of messages that are missed, from ``sweeps=again``."""
-    few = ("seed=0,1", "traces=1", "explainee=heedless", "explainee.forget=0.03,0.15")
-    rows = xplain.sweep("sweeps=again", "tracking=none", *(few if quick else ())).frame()
+    rows = xplain.sweep("sweeps=again", "tracking=none", *(FEW if quick else ())).frame()
     rows["way"] = np.where(rows["belief"] == "told", "told", "paper")
     rows.loc[rows["belief.accept"] == "learned", "way"] = "learned"
     at = ["domain", "explainee.accept", "explainee.forget"]

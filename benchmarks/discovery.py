@@ -168,7 +168,9 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
     }
 
 
-def goals(seeds: int, traces: int, jobs: int, methods: Sequence[str]) -> pd.DataFrame:
+def goals(
+    chosen: Sequence[Any], seeds: int, traces: int, jobs: int, methods: Sequence[str]
+) -> pd.DataFrame:
     """Measures one row for each goal, method and seed."""
 
     def one(goal: Any, method: str, seed: int) -> dict[str, Any]:
@@ -178,7 +180,7 @@ def goals(seeds: int, traces: int, jobs: int, methods: Sequence[str]) -> pd.Data
 
     rows = Parallel(n_jobs=jobs)(
         delayed(one)(goal, method, FIRST_SEED + seed)
-        for goal, method, seed in product(GOALS, methods, range(seeds))
+        for goal, method, seed in product(chosen, methods, range(seeds))
     )
     return pd.DataFrame(rows)
 
@@ -194,10 +196,10 @@ def grid(
     cells = product(
         range(FIRST_SEED, FIRST_SEED + seeds),
         domains,
-        (3,) if quick else range(2, 9),
+        (2,) if quick else range(2, 9),
         ("shared", "independent"),
-        (100,) if quick else (50, 100, 300),
-        (0.0, 0.05) if quick else (0.0, 0.05, 0.1),
+        (20,) if quick else (50, 100, 300),
+        (0.05,) if quick else (0.0, 0.05, 0.1),
         methods,
     )
     key = [*DATA, "method", "seed"]
@@ -236,7 +238,7 @@ def growth(quick: bool) -> pd.DataFrame:
     """Measures time and success of whole discoveries, by the number of observers."""
     setting = setting_of("rescue", None, 0)
     rows = []
-    for observers in (30, 100) if quick else (100, 1000, 10_000):
+    for observers in (10,) if quick else (100, 1000, 10_000):
         crowd = SimulatedObservers(observers // 5, points=100)
         observed = crowd.collect(setting, designs.Independent(), FIRST_SEED)
         dataset, truth = observed.dataset, observed.truth
@@ -344,12 +346,13 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", default=["dirichlet", "kmeans"], help="of the grid")
     arguments = parser.parse_args()
     quick = arguments.quick
-    seeds, jobs = (1, 1) if quick else (arguments.seeds, arguments.jobs)
-    traces = 1 if quick else arguments.traces
+    seeds, jobs, traces = arguments.seeds, arguments.jobs, arguments.traces
+    if quick:
+        seeds, jobs, traces, arguments.domains = 1, 1, 1, arguments.domains[-1:]
     compared = ["dirichlet"] if quick else ["dirichlet", "kmeans"]
     parts: dict[str, tuple[Callable[[], pd.DataFrame], list[str], list[str]]] = {
         "goals": (
-            lambda: goals(seeds, traces, jobs, compared),
+            lambda: goals(GOALS[3:4] if quick else GOALS, seeds, traces, jobs, compared),
             [*DATA, "method", "goal"],
             [*FIGURES, "regret_found", "regret_true"],
         ),
@@ -369,13 +372,13 @@ def main() -> None:
         rows = make()
         text = shown(rows, by, measures)
         print(f"## {name}\n\n{text}\n")
+        kept, drawn = (by_cell(rows), picture(rows)) if name == "grid" else (rows, None)
         if not quick:
             RESULTS.mkdir(exist_ok=True)
-            kept = by_cell(rows) if name == "grid" else rows
             kept.to_csv(RESULTS / f"discovery_{name}.csv", index=False, float_format="%.4g")
             (RESULTS / f"discovery_{name}.md").write_text(text + "\n", encoding="utf-8")
-            if name == "grid":
-                picture(rows).savefig(RESULTS / "discovery_grid.png")
+            if drawn is not None:
+                drawn.savefig(RESULTS / "discovery_grid.png")
 
 
 if __name__ == "__main__":
