@@ -73,12 +73,19 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def run(folder: Path, *arguments: str) -> tuple[int, str]:
-    """Runs ``xplain …``; returns exit code and all output. No new process starts if the jobs need
-    none."""
-    if SERIAL in arguments:
-        return forked.run(folder, *arguments)
-    process = start(folder, *arguments)
-    return wait(folder, process)
+    """Runs ``xplain …``, flags before keys; returns exit code and all output. A new process starts
+    only if the jobs need workers."""
+    words = sorted(arguments, key=lambda word: not word.startswith("-"))
+    if "-m" not in words or SERIAL in words:
+        return forked.run(folder, *words)
+    return wait(folder, start(folder, *words))
+
+
+def output_of(folder: Path, *arguments: str, code: int = 0) -> str:
+    """Runs ``xplain …``, which must end with this exit code; returns all output."""
+    found, output = run(folder, *arguments)
+    assert found == code, output
+    return output
 
 
 def wait(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str]:

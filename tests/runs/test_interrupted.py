@@ -3,8 +3,8 @@
 import os
 import re
 import signal
-import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -124,11 +124,11 @@ def test_four_at_once_on_an_empty_folder(tmp_path, finished):
     run."""
     other = (*sweeps.QUICK[:-3], "solver=qhr,silent", *sweeps.QUICK[-2:])
     commands = [sweeps.QUICK, sweeps.QUICK, other, (*sweeps.SINGLE, "seed=2")]
-    processes = []
-    for index, arguments in enumerate(commands):
-        own = tmp_path / str(index)
-        processes.append((own, forked.start(own, *arguments, f"outputs={tmp_path / 'outputs'}")))
-    for own, process in processes:
+    started = {
+        own: forked.start(own, *arguments, f"outputs={tmp_path / 'outputs'}")
+        for own, arguments in zip(map(tmp_path.joinpath, "0123"), commands, strict=True)
+    }
+    for own, process in started.items():
         code, output = forked.wait(own, process)
         assert code == 0, output
         assert "MLflow d" not in output  # it did take everything
@@ -158,14 +158,9 @@ def test_a_sweep_that_two_processes_end_is_sent_by_one_at_a_time(tmp_path):
             inside.pop()
             return []
 
-    def end():
-        finish(folder, Slow(), tmp_path, 0.0, [].append, shown=False)
-
-    senders = [threading.Thread(target=end) for _ in range(2)]
-    for sender in senders:
-        sender.start()
-    for sender in senders:
-        sender.join()
+    with ThreadPoolExecutor(2) as pool:
+        for _ in range(2):
+            pool.submit(finish, folder, Slow(), tmp_path, 0.0, [].append, shown=False)
     assert most == [1, 1]
 
 

@@ -5,12 +5,11 @@ import random
 import time
 from pathlib import Path
 
-import pytest
-
 from tests import processes
 from tests.runs import sweeps
 
-KILLS = int(os.environ.get("XPLAIN_KILLS", "0"))
+KILLS = int(os.environ.get("XPLAIN_KILLS", "1"))
+"""Number of sweeps that are killed; XPLAIN_KILLS=20 takes ten minutes."""
 
 
 def disturb(folder: Path, whom: str, moment: float) -> None:
@@ -56,27 +55,11 @@ def rounds(count: int, seed: int) -> list[tuple[str, float]]:
     return [(whom[i % 3], rng.uniform(0.1, 0.95)) for i in range(count)]
 
 
-def seed() -> int:
-    """Draws a new seed each time; the output of a failed test has it."""
-    drawn = time.time_ns()
-    print(f"seed {drawn}")
-    return drawn
-
-
 def test_a_sweep_that_was_killed_completes(tmp_path, finished):
-    for whom, share in rounds(1, seed=seed()):
-        disturb(tmp_path, whom, share * finished.seconds)
-    code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL)
-    assert code == 0, output
-    check(tmp_path, finished.folder)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not KILLS, reason="XPLAIN_KILLS=20 kills twenty sweeps: ten minutes")
-def test_kills_each_on_a_fresh_sweep(tmp_path, finished):
-    for index, (whom, share) in enumerate(rounds(KILLS, seed=seed())):
+    seed = time.time_ns()
+    print(f"seed {seed}")  # the output of a failed test has it
+    for index, (whom, share) in enumerate(rounds(KILLS, seed)):
         folder = tmp_path / f"{index}-{whom}"
         disturb(folder, whom, share * finished.seconds)
-        code, output = sweeps.wait(folder, sweeps.start(folder, *sweeps.TINY))
-        assert code == 0, output
+        sweeps.output_of(folder, *sweeps.TINY, sweeps.SERIAL)
         check(folder, finished.folder)

@@ -116,7 +116,10 @@ def test_a_run_has_its_figures_curves_choices_and_files(
 def test_a_sweep_is_a_parent_with_a_child_for_each_job_that_ended(
     client: MlflowClient, folder: SweepFolder
 ) -> None:
-    _, second, third = folder.jobs
+    """It keeps its parent and what was sent; what ran again takes the place of what was sent."""
+    first, second, third = folder.jobs
+    send(folder)
+    assert (parent(client).info.status, children(client)) == ("KILLED", {})
     fail(folder, second)
     send(folder)
     assert children(client) == {second.label: "FAILED"}
@@ -128,22 +131,17 @@ def test_a_sweep_is_a_parent_with_a_child_for_each_job_that_ended(
         send(folder)
         assert children(client) == {second.label: "FAILED", third.label: "FINISHED"}
         assert parent(client).info.status == "FAILED"
-
-
-def test_a_sweep_that_goes_on_keeps_its_parent_and_what_was_sent(
-    client: MlflowClient, folder: SweepFolder
-) -> None:
-    first, *others = folder.jobs
+    before = {run.info.run_id for run in runs(client)}
+    finish(folder, second)
+    finish(folder, third, started=2e9)
     send(folder)
-    assert (parent(client).info.status, children(client)) == ("KILLED", {})
+    assert children(client) == {second.label: "FINISHED", third.label: "FINISHED"}
+    assert parent(client).info.status == "KILLED"
+    again = {run.info.run_id for run in runs(client)}
+    assert before & again == {parent(client).info.run_id}
     finish(folder, first)
     send(folder)
-    assert parent(client).info.status == "KILLED"
-    before = {run.info.run_id for run in runs(client)}
-    for job in others:
-        finish(folder, job)
-    send(folder)
-    assert before < {run.info.run_id for run in runs(client)}
+    assert again < {run.info.run_id for run in runs(client)}
     assert parent(client).info.status == "FINISHED"
     assert children(client) == {job.label: "FINISHED" for job in folder.jobs}
 
@@ -161,21 +159,6 @@ def test_what_a_dead_sender_left_open_is_sent_again(
     assert child not in {run.info.run_id for run in runs(client)}
     assert {run.info.status for run in runs(client)} == {"FINISHED"}
     assert len(children(client)) == 3
-
-
-def test_what_ran_again_takes_the_place_of_what_was_sent(
-    client: MlflowClient, folder: SweepFolder
-) -> None:
-    first, second, _ = folder.jobs
-    finish(folder, first)
-    fail(folder, second)
-    send(folder)
-    before = {run.info.run_id for run in runs(client)}
-    finish(folder, first, started=2e9)
-    finish(folder, second)
-    send(folder)
-    assert children(client) == {first.label: "FINISHED", second.label: "FINISHED"}
-    assert before & {run.info.run_id for run in runs(client)} == {parent(client).info.run_id}
 
 
 def test_one_result_in_two_sweeps_is_two_children(client: MlflowClient, outputs: Path) -> None:
@@ -208,15 +191,10 @@ def test_a_view_of_the_sweep_shows_what_was_swept_and_the_measure(
     assert state["selectedColumns"][0] == "metrics.`regret`"
 
 
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
-
-
-@pytest.mark.usefixtures("quick")
 def test_a_server_that_is_away_costs_a_line_without_its_password(
-    folder: SweepFolder, caplog: pytest.LogCaptureFixture
+    folder: SweepFolder, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
     finish(folder, folder.jobs[0])
     away = MLflow("http://lab:secret@127.0.0.1:9")
     with caplog.at_level(logging.WARNING, "xplain"):

@@ -12,7 +12,6 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from tests import forked
 from tests.configurations import composed
 from tests.runs import sweeps
 from xplain.experiment.config import CONF, GROUPS, register
@@ -80,13 +79,17 @@ def test_mlflow_has_one_parent_and_children_with_true_times(finished):
         assert sweep[0] <= 1000 * content["started"] <= 1000 * end < sweep[1] + 1
 
 
-def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
+def test_the_same_command_again_runs_nothing_and_all_anew_on_demand(finished):
     folder = finished.folder
     before, tables, runs = results(folder), sweeps.tables(folder), sweeps.runs(folder)
-    code, output = sweeps.run(folder, *sweeps.TINY, sweeps.SERIAL)
-    assert code == 0, output
-    assert "no job to run" in output
+    assert "no job to run" in sweeps.output_of(folder, *sweeps.TINY, sweeps.SERIAL)
     assert (results(folder), sweeps.tables(folder), sweeps.runs(folder)) == (before, tables, runs)
+    sweeps.output_of(folder, *sweeps.TINY, sweeps.SERIAL, "resume=none")
+    after = results(folder)
+    assert all(after[name][0] != before[name][0] for name in before)
+    assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
+    assert (sweeps.tables(folder), sweeps.runs(folder)) == (tables, runs)
+    assert len(runs) == 1 + 6
 
 
 def test_only_what_is_missing_or_damaged_runs(finished):
@@ -96,11 +99,10 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     lost.unlink()
     damaged.write_text('{"metrics": ')
     other.write_text(json.dumps(json.loads(other.read_text()) | {"schema": 0}))  # of another one
-    code, output = forked.run(folder, *sweeps.TINY, sweeps.SERIAL, "dry_run=true")
+    output = sweeps.output_of(folder, *sweeps.TINY, sweeps.SERIAL, "dry_run=true")
     assert "6 jobs: 3 done, 3 to run" in output
     assert re.search(r"expected time: about \d:\d\d:\d\d for one worker, estimated", output)
-    code, output = sweeps.run(folder, *sweeps.TINY, sweeps.SERIAL)
-    assert code == 0, output
+    output = sweeps.output_of(folder, *sweeps.TINY, sweeps.SERIAL)
     assert "3 jobs to run, 3 finished before" in output
     after = results(folder)
     again = {name for name in after if after[name][0] != before[name][0]}
@@ -133,19 +135,6 @@ def test_many_jobs_are_batches_each_of_one_data_set(tmp_path):
         assert len(jobs) >= enough or len(batches) == len(jobs)
 
 
-def test_all_anew_on_demand(finished, tmp_path):
-    shutil.copytree(finished.folder, tmp_path, dirs_exist_ok=True)
-    before, tables, runs = results(tmp_path), sweeps.tables(tmp_path), sweeps.runs(tmp_path)
-    code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL, "resume=none")
-    assert code == 0, output
-    after = results(tmp_path)
-    assert all(after[name][0] != before[name][0] for name in before)
-    assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
-    assert sweeps.tables(tmp_path) == tables
-    assert [name for name, *_ in sweeps.runs(tmp_path)] == [name for name, *_ in runs]
-    assert len(runs) == 1 + 6
-
-
 @pytest.mark.parametrize(
     ("swept", "said"),
     [
@@ -156,43 +145,20 @@ def test_all_anew_on_demand(finished, tmp_path):
     ],
 )
 def test_bad_values_are_found_before_any_job_starts(tmp_path, swept, said):
-    code, output = sweeps.run(tmp_path, *sweeps.QUICK, swept)
-    assert (code, output.count("\n")) == (2, 1)
-    assert output.startswith("xplain: ")
-    assert said in output
+    output = sweeps.output_of(tmp_path, *sweeps.QUICK, swept, code=2)
+    assert re.fullmatch(rf"xplain: .*{re.escape(said)}.*\n", output)
     assert not (tmp_path / "outputs").exists()
-
-
-def test_a_sweep_runs_what_no_other_has_run(finished, tmp_path):
-    shutil.copytree(finished.folder / "outputs" / "results", tmp_path / "outputs" / "results")
-    before = results(tmp_path)
-    wider = (*sweeps.TINY[:-1], "lambda=0.5,1,2,3", sweeps.SERIAL, "tracking=none")
-    code, output = sweeps.run(tmp_path, *wider, "dry_run=true")
-    assert code == 0, output
-    assert "8 jobs: 6 done, 2 to run" in output
-    assert not (tmp_path / "outputs" / "sweeps").exists()
-    code, output = sweeps.run(tmp_path, *wider)
-    assert code == 0, output
-    assert "2 jobs to run, 6 finished before" in output
-    after = results(tmp_path)
-    assert len(after) == 8
-    assert before.items() <= after.items()
 
 
 def test_a_run_and_a_sweep_share_a_result(folder):
     """This holds in both orders; an existing result is not computed again."""
-    code, output = forked.run(folder, *sweeps.SINGLE)
-    assert code == 0, output
+    output = sweeps.output_of(folder, *sweeps.SINGLE)
     assert "folder: outputs/runs/" in output
     assert re.search(r"MLflow: http://127.0.0.1:5000/#/experiments/\d+/runs/[0-9a-f]{32}", output)
     first = results(folder)
-    code, output = sweeps.run(folder, *sweeps.QUICK)
-    assert code == 0, output
-    assert "1 jobs to run, 1 finished before" in output
+    assert "1 jobs to run, 1 finished before" in sweeps.output_of(folder, *sweeps.QUICK)
     assert len(sweeps.runs(folder)) == 1 + (1 + 2)
-    code, output = forked.run(folder, *sweeps.SINGLE)
-    assert code == 0, output
-    assert "the result exists already" in output
+    assert "the result exists already" in sweeps.output_of(folder, *sweeps.SINGLE)
     assert first.items() <= results(folder).items()
     assert len(results(folder)) == 2
     kept = [json.loads(p.read_text()) for p in folder.glob("outputs/runs/*/results.json")]
@@ -203,9 +169,7 @@ def test_a_run_and_a_sweep_share_a_result(folder):
 
 def test_hydras_own_sweeper_gives_the_same_results(finished, tmp_path):
     words = (*sweeps.TINY, sweeps.SERIAL, "hydra/sweeper=basic", "tracking=none")
-    code, output = sweeps.run(tmp_path, *words)
-    assert code == 0, output
-    assert "6 of 6 jobs finished" in output
+    assert "6 of 6 jobs finished" in sweeps.output_of(tmp_path, *words)
     assert not (tmp_path / "outputs" / "mlflow.db").exists()
     own, reference = results(tmp_path), results(finished.folder)
     assert {n: c for n, (_, c) in own.items()} == {n: c for n, (_, c) in reference.items()}
@@ -217,40 +181,36 @@ def test_forced_keys_are_the_same_keys(tmp_path):
     said = []
     for force in ("", "++"):
         words = (*sweeps.QUICK[:-2], sweeps.SERIAL, f"{force}seed=0,1", f"{force}lambda=1,2")
-        code, output = sweeps.run(tmp_path, *words, "dry_run=true")
-        assert code == 0, output
-        said.append(output)
+        said.append(sweeps.output_of(tmp_path, *words, "dry_run=true"))
     assert said[0] == said[1]
     assert "8 jobs: 0 done, 8 to run" in said[0]
     assert "expected time: unknown until the first job is finished" in said[0]
     assert "qmdp λ=1 seed=0" in said[0]
+    assert not (tmp_path / "outputs" / "sweeps").exists()
 
 
 def test_the_command_line_replaces_and_chooses_what_a_prepared_sweep_has(tmp_path):
     """``sweeps=table1_paper`` tells settings apart by domain and number of types."""
 
     def jobs(*words):
-        code, output = sweeps.run(tmp_path, *words, sweeps.SERIAL, "dry_run=true", "solver=qmdp")
-        assert code == 0, output
+        output = sweeps.output_of(tmp_path, *words, sweeps.SERIAL, "dry_run=true", "solver=qmdp")
         return [line.split()[2:] for line in output.splitlines() if line.startswith("to run")]
 
     table1 = ("sweeps=table1_paper", "lambda=3,4")
     assert len(jobs(*table1)) == 4 * 2
     assert len(jobs(*table1, "domain=rescue")) == 2
     assert len(jobs(*table1, "users.count=2,3")) == 2 * 2
-    code, output = sweeps.run(tmp_path, *table1, sweeps.SERIAL, "domain=taxi")
-    assert (code, output.count("\n")) == (2, 1)
-    assert "domain='taxi': values of one of the sweep's settings: domain=rescue" in output
+    (line,) = sweeps.output_of(tmp_path, *table1, "domain=taxi", code=2).splitlines()
+    assert "domain='taxi': values of one of the sweep's settings: domain=rescue" in line
 
 
 def test_a_key_that_some_solvers_have_varies_where_it_is(tmp_path):
     words = (*sweeps.QUICK[:-3], "lambda=1", "solver.simulations=10,20", sweeps.SERIAL)
-    code, output = sweeps.run(tmp_path, *words, "solver=pomcp,qmdp", "dry_run=true")
-    assert code == 0, output
+    output = sweeps.output_of(tmp_path, *words, "solver=pomcp,qmdp", "dry_run=true")
     assert "solver.simulations: no key of qmdp" in output
     assert "3 jobs: 0 done, 3 to run" in output
-    code, output = sweeps.run(tmp_path, *words, "solver=qmdp,qhr", "dry_run=true")
-    assert (code, "solver.simulations: no such key" in output) == (2, True)  # a mistake
+    output = sweeps.output_of(tmp_path, *words, "solver=qmdp,qhr", "dry_run=true", code=2)
+    assert "solver.simulations: no such key" in output  # a mistake
 
 
 def test_a_job_that_is_another_than_its_sweep_lists_fails_and_is_not_run(tmp_path):
@@ -284,18 +244,13 @@ def test_a_damaged_sweep_hides_no_other_and_its_command_mends_it(finished, tmp_p
     damaged = tmp_path / "outputs" / "sweeps" / "other" / "sweep.json"
     damaged.parent.mkdir()
     damaged.write_text('{"jobs": [')
-    code, output = forked.run(tmp_path, "report")
-    assert code == 0, output
-    assert str(own.relative_to(tmp_path)) in output
-    code, output = forked.run(tmp_path, "sync")
-    assert code == 0, output
+    assert str(own.relative_to(tmp_path)) in sweeps.output_of(tmp_path, "report")
+    output = sweeps.output_of(tmp_path, "sync")
     assert "left out: sweep=" in output
     assert "6 results in MLflow" in output
-    code, output = forked.run(tmp_path, "report", str(damaged.parent))
-    assert (code, len(output.splitlines())) == (2, 1)
+    output = sweeps.output_of(tmp_path, "report", str(damaged.parent), code=2)
+    assert len(output.splitlines()) == 1
     damaged.unlink()
     damaged.parent.rmdir()
     (own / "sweep.json").write_text("not JSON")
-    code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL)
-    assert code == 0, output
-    assert "no job to run" in output
+    assert "no job to run" in sweeps.output_of(tmp_path, *sweeps.TINY, sweeps.SERIAL)
