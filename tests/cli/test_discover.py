@@ -10,7 +10,8 @@ import pytest
 from sklearn.metrics import adjusted_rand_score
 
 import xplain
-from xplain.errors import InputError, XplainError
+from tests.refusals import line_of, refused
+from xplain.errors import XplainError
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.user_types import Single
 from xplain.runs.discovery import sentences_of
@@ -34,13 +35,12 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path) -> No
     assert list(known.columns) == ["observer", "type", "behaves_like"]
 
     (tmp_path / "said.yaml").write_text("fire: Fires can be put out.\n")
-    options = "output=found", "sentences=said.yaml"
-    code, out, err = run("discover", "data=labels.csv", *options)
+    words = ("data=labels.csv", "output=found", "sentences=said.yaml")
+    code, out, err = run("discover", *words)
     assert code == 0, err
     answer = json.loads(out.splitlines()[-1])
-    wanted = {"n_types", "assignment", "method", "rule", "held_out_log_likelihood", "seconds"}
-    wanted.add("held_out")
-    assert wanted == set(answer)
+    figures = {"n_types", "held_out", "held_out_log_likelihood", "seconds"}
+    assert set(answer) == {"assignment", "method", "rule"} | figures
     assert answer["assignment"].keys() == set(known["observer"])
     found = [answer["assignment"][observer] for observer in known["observer"]]
     assert adjusted_rand_score(known["behaves_like"], found) == 1
@@ -52,9 +52,13 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path) -> No
     assert types.sentences == {"fire": "Fires can be put out."}
     summary = json.loads((tmp_path / "found" / "summary.json").read_text())
     assert sum(one["labels"] for one in summary["types"]) == told["labels"]
-    wrong = [{"fire", "rubble"}, {"first_aid", "fence"}, {"fire", "puddle"}]  # types A to E
-    wrong += [{"first_aid", "rubble"}, {"refuel", "puddle"}]
-    assert [set(one["needs"]) for one in summary["types"]] == wrong
+    assert [set(one["needs"]) for one in summary["types"]] == [  # types A to E
+        {"fire", "rubble"},
+        {"first_aid", "fence"},
+        {"fire", "puddle"},
+        {"first_aid", "rubble"},
+        {"refuel", "puddle"},
+    ]
     assert pd.read_csv(tmp_path / "found" / "assignment.csv")["type"].tolist() == found
     for picture in ("posterior", "messages", "calibration"):
         assert (tmp_path / "found" / f"{picture}.png").is_file()
@@ -131,12 +135,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
 ) -> None:
     for name, content in FILES.items():
         (tmp_path / name).write_text(content)
-    code, out, err = run(command, *arguments)
-    assert code == 2
-    assert out == ""
-    assert said in err
-    assert "Traceback" not in err
-    assert err.splitlines()[-1].startswith("xplain: ")
+    assert said in line_of(run(command, *arguments))
     assert {path.name for path in tmp_path.iterdir()} == FILES.keys()
 
 
@@ -153,7 +152,7 @@ def test_sentences_that_cannot_be_used_are_refused(tmp_path: Path, text: str, na
     path = tmp_path / "said.yaml"
     if text is not None:
         path.write_text(text)
-    with pytest.raises(InputError, match=named):
+    with refused(named):
         sentences_of(str(path), ("fire", "fence"))
 
 

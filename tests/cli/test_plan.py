@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.explanation.test_pomdp_file import read
+from tests.refusals import line_of, refused
 from xplain.experiment.config import CONF
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.files import load, save
@@ -82,78 +83,54 @@ def test_options_of_the_solver_and_simulated_values(run, file) -> None:
     assert (row["optimal_lower"], row["optimal_upper"]) == (None, None)
 
 
-def broken(tmp_path, **changes: object) -> str:
-    good = {"p_explicable": np.full((2, 3, 4), 0.5), "message_cost": np.ones(2)}
-    arrays = {key: value for key, value in (good | changes).items() if value is not None}
-    np.savez(tmp_path / "broken.npz", **arrays)
-    return f"problem={tmp_path / 'broken.npz'}"
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"p_explicable": np.full((2, 3, 4), 1.5)}, "p_explicable=1.5"),
-        ({"p_explicable": np.full((2, 3, 4), np.nan)}, "p_explicable=nan"),
         ({"p_explicable": np.full((2, 3, 5), 0.5)}, "power of two"),
-        ({"p_explicable": np.full((3, 4), 0.5)}, "p_explicable=(3, 4)"),
         ({"p_explicable": np.full((1, 1, 1 << 21), 0.5)}, "at most 2**20"),
         ({"p_explicable": np.array([[["a", "b"]]])}, "numbers"),
-        ({"p_explicable": None}, "lacks p_explicable"),
-        ({"message_cost": np.ones(3)}, "message_cost"),
-        ({"message_cost": np.array([-1.0, 1.0])}, "message_cost"),
-        ({"prior": np.array([0.5, 0.6])}, "prior"),
-        ({"discount": 1.5}, "discount=1.5"),
         ({"discount": np.nan}, "discount"),
         ({"trade_off": -1.0}, "lambda (trade_off)=-1.0"),
         ({"discount_per": "minute"}, "discount_per='minute'"),
-        ({"surprise": 1.0}, "unknown array"),
     ],
 )
-def test_bad_files_are_one_line(run, tmp_path, changes, said) -> None:
-    code, out, err = run("plan", broken(tmp_path, **changes))
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert said in err
+def test_bad_files_are_one_line(tmp_path, changes, said) -> None:
+    good = {"p_explicable": np.full((2, 3, 4), 0.5), "message_cost": np.ones(2)}
+    np.savez(tmp_path / "broken.npz", **(good | changes))
+    with refused(re.escape(said)):
+        load(tmp_path / "broken.npz")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("name", "arguments", "said"),
     [
-        (["problem=nowhere.npz"], "No such file"),
-        ([], "problem"),
-        (["problem=x.npz", "nonsense=1"], "nonsense"),
-        (["problem=x.npz", "solver=nonsense"], "solver=nonsense"),
-        (["x.npz"], "key=value"),
+        ("plan", ["problem=nowhere.npz"], "No such file"),
+        ("plan", [], "problem"),
+        ("plan", ["problem=x.npz", "nonsense=1"], "nonsense"),
+        ("plan", ["problem=x.npz", "solver=nonsense"], "solver=nonsense"),
+        ("plan", ["x.npz"], "key=value"),
+        *(("plan", ["problem=x.npz", f"seed={seed}"], f"seed={seed}") for seed in ("-1", "0.5")),
+        ("plan", ["problem=x.npz", "seed=x"], "seed='x'"),
+        ("export", ["problem=nowhere.npz", "output=x.pomdp"], "No such file"),
+        ("export", ["problem=x.npz", "nonsense=1", "output=x.pomdp"], "nonsense"),
+        ("export", ["x.npz"], "key=value"),
     ],
 )
-def test_bad_arguments_are_one_line(run, arguments, said) -> None:
-    for name in ("plan", "export"):
-        if name == "plan" or said in ("No such file", "nonsense", "key=value"):
-            more = [] if name == "plan" else ["output=x.pomdp"]
-            code, out, err = run(name, *arguments, *more)
-            assert (code, out, err.count("\n")) == (2, "", 1)
-            assert said in err
-
-
-def test_bad_seed(run, file) -> None:
-    for seed in ("x", "-1", "0.5"):
-        code, out, err = run("plan", f"problem={file}", f"seed={seed}")
-        assert (code, out, err.count("\n")) == (2, "", 1)
-        assert "seed" in err
-        assert seed in err
+def test_bad_arguments_are_one_line(run, name, arguments, said) -> None:
+    assert said in line_of(run(name, *arguments))
 
 
 def test_a_solver_too_small_for_the_problem_says_who_can(run, file) -> None:
-    code, _, err = run("plan", f"problem={file}", "solver=certified", "solver.memory_gib=1e-7")
-    assert code == 2
-    assert "solver=qhr" in err
+    words = (f"problem={file}", "solver=certified", "solver.memory_gib=1e-7")
+    assert "solver=qhr" in line_of(run("plan", *words))
 
 
 def test_export_writes_the_file_whole(run, file, tmp_path) -> None:
     code, _, _ = run("export", f"problem={file}", f"output={tmp_path / 'p.pomdp'}")
     assert code == 0
     assert read((tmp_path / "p.pomdp").read_text()).states == 2 * 3 * 4 + 1
-    code, _, err = run("export", f"problem={file}", f"output={tmp_path / 'q.pomdp'}", "format=word")
-    assert (code, err) == (2, "xplain: format='word': pomdp\n")
+    line = line_of(run("export", f"problem={file}", "output=q.pomdp", "format=word"))
+    assert line == "xplain: format='word': pomdp\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["p.pomdp", "problem.npz"]
 
 
@@ -168,35 +145,25 @@ def asking(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("solver", ["qmdp", "certified"])
-def test_a_saved_question_is_planned_with(run, asking, solver) -> None:
-    """Half of the users need the message, which costs 2; with a question first, the plan costs
-    0.125 + 1."""
-    code, out, _ = run("plan", f"problem={asking}", f"solver={solver}")
-    row = json.loads(out.splitlines()[-1])
-    assert (code, row["first_messages"]) == (0, None)
-    assert row["first_question"] == {"number": 0, "question": "refuels"}
-    (told,) = row["question_values"]
-    assert told["number"] == 0
-    assert told["value"] == pytest.approx(-1.125, abs=0.01)
-    assert row["value"] == pytest.approx(-1.125)
-    assert row["optimal_upper"] == pytest.approx(-1.125, abs=0.01)
-
-
-def test_a_solver_that_never_asks_is_compared_as_one_that_does_not(run, asking) -> None:
-    """Without the question, half of the users see an inexplicable step or all get the message."""
+def test_a_saved_question_is_planned_with_by_those_who_ask(run, asking) -> None:
+    """Half of the users need the message, which costs 2. Without the question, half see an
+    inexplicable step or all get the message; with a question first, the plan costs 0.125 + 1."""
     code, out, _ = run("plan", f"problem={asking}", "solver=all")
     rows = {row["solver"]: row for row in json.loads(out.splitlines()[-1])}
-    assert code == 0
+    assert (code, "ask 0" in out) == (0, True)
     assert rows["conformant"]["first_question"] is None
     assert rows["conformant"]["value"] == pytest.approx(-2)
-    assert rows["qmdp"]["first_question"] is not None
-    assert "ask 0" in out
+    for row in (rows["qmdp"], rows["certified"]):
+        assert row["first_messages"] is None
+        assert row["first_question"] == {"number": 0, "question": "refuels"}
+        (told,) = row["question_values"]
+        assert told["number"] == 0
+        assert told["value"] == pytest.approx(-1.125, abs=0.01)
+        assert row["value"] == pytest.approx(-1.125)
+        assert row["optimal_upper"] == pytest.approx(-1.125, abs=0.01)
 
 
 def test_questions_are_not_exported(run, asking, tmp_path) -> None:
     output = tmp_path / "asking.pomdp"
-    code, _, err = run("export", f"problem={asking}", f"output={output}")
-    assert (code, err.count("\n")) == (2, 1)
-    assert "question" in err
+    assert "question" in line_of(run("export", f"problem={asking}", f"output={output}"))
     assert not output.exists()
