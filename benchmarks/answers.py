@@ -191,12 +191,12 @@ def skills_of(path: Path) -> list[str]:
     return sorted({one for own in pd.read_csv(items)["inexplicable_if"] for one in own.split(";")})
 
 
-def simulated() -> tuple[Table, Table]:
-    """Simulates 200 pupils, ten items and three skills."""
+def simulated(pupils: int = 200) -> tuple[Table, Table]:
+    """Simulates pupils, ten items and three skills."""
     rng = np.random.default_rng(0)
     needed = (rng.random((10, 3)) < 0.5).astype(float)
     needed[needed.sum(axis=1) == 0, 0] = 1
-    skilled = rng.random((200, 3)) < 0.6
+    skilled = rng.random((pupils, 3)) < 0.6
     able = skilled.astype(float) @ needed.T == needed.sum(axis=1)
     return (rng.random(able.shape) < np.where(able, 0.9, 0.15)).astype(float), needed
 
@@ -364,11 +364,12 @@ def main() -> None:
     parser.add_argument("--examinees", action="store_true", help="an adaptive test")
     given = parser.parse_args()
     if given.examinees or given.quick:
-        examinees(*((1, 20) if given.quick else (10, 100)))
+        examinees(*((1, 2) if given.quick else (10, 100)))
     if given.examinees:
         return
     if given.data is None:
-        compare("simulated pupils", *simulated(), 1 if given.quick else 3)
+        pupils, splits = (30, 1) if given.quick else (200, 3)
+        compare("simulated pupils", *simulated(pupils), splits)
         return
     for path in sorted(given.data.glob("*.csv")):
         if path.stem.endswith("_items"):

@@ -96,6 +96,8 @@ COMPARED = {"adaptive, hypotheses": (20, 40), "random questions, trees": (40,)}
 POINTS = (5, 10, 20, 40, 80, 320)
 IDENTIFIED = ("map", "seed", "error", "questions", "right")
 PARTS = ("identify", "grid", "people", "labels", "plot", "speed")
+SPEEDS = ((6, 150), (12, 500))
+"""Facts and transitions, for ``speed``."""
 KEY = ["map", "way", "points", "error", "people", "seed"]
 
 
@@ -297,12 +299,12 @@ def identify(seeds: int, maps: list[str], each: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def speed() -> pd.DataFrame:
+def speed(sizes: Sequence[tuple[int, int]]) -> pd.DataFrame:
     """Measures the seconds to choose a question, by candidates and transitions; two to four random
     facts decide about each transition. Figures are medians over one person's first twelve
     questions; the first question's time includes listing all questions."""
     rows = []
-    for n, count in ((6, 150), (12, 500)):
+    for n, count in sizes:
         rng = stream(0, "benchmark", "speed", n)
         sets = np.arange(1 << n)
         labels = np.empty((1 << n, count), dtype=np.uint8)
@@ -519,9 +521,9 @@ def main() -> None:
     given = parser.parse_args()
     each, compared = 1, COMPARED
     if given.quick:
-        given.seeds, given.traces, given.points, given.errors = 1, 2, [10], [0.05]
-        given.maps, given.people, each = ["random rescue"], ["unwritten", "misread clips"], 32
-        compared = dict.fromkeys(COMPARED, (10,))
+        given.seeds, given.traces, given.points, given.errors = 1, 1, [5], [0.05]
+        given.maps, given.people, each = ["random rooms"], ["unwritten", "misread clips"], 32
+        compared = dict.fromkeys(COMPARED, (5,))
     every = range(FIRST_SEED, FIRST_SEED + given.seeds)
     if given.part in ("identify", None):
         rows = identify(given.seeds, given.maps, each)
@@ -554,7 +556,8 @@ def main() -> None:
     if given.part in ("labels", None):
         labels_that_differ(*((MAPS[2:3], 1) if given.quick else (given.maps, given.seeds)))
     if given.part in ("speed", None):
-        written(speed(), "questions_speed", ["facts", "transitions"], given.quick)
+        rows = speed(SPEEDS[:1] if given.quick else SPEEDS)
+        written(rows, "questions_speed", ["facts", "transitions"], given.quick)
     if given.part in ("plot", "grid", "people") and not given.quick:
         drawings = {
             "grid": (ROWS, comparable, picture),

@@ -23,7 +23,7 @@ from pathlib import Path
 
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]|[\r\x07]")
 RUN = ["-m", "xplain", "solver=pomcp", "domain=rescue", "lambda=1.5"]
-SHORT = ["traces=1", "certify.traces=1", "points=20", "labeler=tree", "clusterer=perfect"]
+SHORT = ["traces=1", "max_steps=3", "points=20", "labeler=tree", "clusterer=perfect"]
 
 
 def main() -> int:
