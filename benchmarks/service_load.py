@@ -2,7 +2,7 @@
 kill -9.
 
     python benchmarks/service_load.py            1,000 open sessions, 60 s; 10,000 sessions
-    python benchmarks/service_load.py --quick    30 open sessions, 3 s; 60 sessions; rescue alone
+    python benchmarks/service_load.py --quick    a smoke run
 
 For each task the script prints percentiles of the time from an answer's due time to the last byte
 of its reply. Answers come at random times (a Poisson process), also before earlier answers have a
@@ -35,6 +35,8 @@ from study_load import percentiles
 Json = dict[str, Any]
 CLIENTS = 16
 """Number of connections that are used at the same time."""
+SMALL = ("points=5", "queries=independent", "labeler=tree", "clusterer=perfect")
+"""Changes for a smoke run: types are learned quickly."""
 LABEL_1 = 0.85
 """Probability that a label is 1. No type answers like this, so the belief keeps changing."""
 
@@ -42,13 +44,13 @@ LABEL_1 = 0.85
 class Service:
     """The service in a separate process, which can be killed and started again."""
 
-    def __init__(self, domain: str, folder: Path) -> None:
+    def __init__(self, domain: str, folder: Path, *small: str) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = int(free.getsockname()[1])
         self.database = folder / f"{domain}.sqlite"
         self.command = [sys.executable, "-m", "xplain", "serve", f"domain={domain}"]
-        self.command += [f"port={self.port}", f"database={self.database}"]
+        self.command += [f"port={self.port}", f"database={self.database}", *small]
         self.local = threading.local()
         self.start()
 
@@ -209,13 +211,14 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--domain", choices=["rescue", "four_rooms"])
     given = parser.parse_args()
-    people, seconds, sessions, kills = (30, 3.0, 60, 1) if given.quick else (1000, 60.0, 10_000, 3)
+    people, seconds, sessions, kills = (4, 1.0, 20, 1) if given.quick else (1000, 60.0, 10_000, 3)
     domains = ["rescue"] if given.quick else ["rescue", "four_rooms"]
+    small = SMALL if given.quick else ()
     errors = 0
     for domain in [given.domain] if given.domain else domains:
         print(f"{domain}: 20 answers a second")
         with tempfile.TemporaryDirectory() as folder:
-            service = Service(domain, Path(folder))
+            service = Service(domain, Path(folder), *small)
             try:
                 errors += load(service, people, 20.0, seconds)
                 errors += killed(service, sessions, kills)

@@ -2,7 +2,7 @@
 machine.
 
     python benchmarks/study_load.py            200 participants, thinking 2 to 10 s between pages
-    python benchmarks/study_load.py --quick    8 participants, thinking 0.3 to 0.8 s
+    python benchmarks/study_load.py --quick    2 participants, thinking 0.3 to 0.8 s
     python benchmarks/study_load.py --slow 50  beside 50 connections that send a byte a second
     python benchmarks/study_load.py --protocol collect    20 adaptive questions about rescue each
 
@@ -212,9 +212,10 @@ def main() -> None:
     parser.add_argument("--slow", type=int, default=0)
     parser.add_argument("--protocol", choices=["study", "collect"], default="study")
     given = parser.parse_args()
+    people, think, ramp = given.people, (2.0, 10.0), 8.0
     if given.quick:
-        sys.exit(measure(given.protocol, 8, (0.3, 0.8), 0.5, given.slow) > 0)
-    sys.exit(measure(given.protocol, given.people, (2.0, 10.0), 8.0, given.slow) > 0)
+        people, think, ramp = 2, (0.3, 0.8), 0.5
+    sys.exit(measure(given.protocol, people, think, ramp, given.slow) > 0)
 
 
 if __name__ == "__main__":
