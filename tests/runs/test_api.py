@@ -10,6 +10,7 @@ import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib
@@ -21,6 +22,7 @@ import xplain
 from tests import forked
 from tests.conftest import ROOT
 from tests.runs import sweeps
+from tests.runs.sweeps import SERIAL
 from xplain.errors import InputError, XplainError
 from xplain.solvers.greedy import QMDP
 from xplain.solvers.simple import QHR
@@ -36,8 +38,6 @@ SMALL = (
     "certify.traces=0",
     "tracking=none",
 )
-SERIAL = "hydra/launcher=basic"
-
 
 sys.path.append(str(Path(__file__).with_name("own")))
 _own = importlib.import_module("own_solvers")
@@ -53,8 +53,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_pictures: None) -> 
 def test_a_run_is_that_of_the_command_line(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = xplain.run("solver=qhr", *SMALL, trade_off=1.5)
     assert capsys.readouterr().out == ""
-    code, output = sweeps.run(here / "other", "solver=qhr", *SMALL, "lambda=1.5", SERIAL)
-    assert code == 0, output
+    sweeps.output_of(here / "other", "solver=qhr", *SMALL, "lambda=1.5", SERIAL)
     (folder,) = (here / "other" / "outputs" / "runs").iterdir()
     shown = xplain.load(folder)
     assert isinstance(shown, xplain.Run)
@@ -211,22 +210,13 @@ def test_a_module_that_was_edited_is_refused_until_it_is_loaded_again(
     assert first.results.metrics["messages"].mean == 0 < again.results.metrics["messages"].mean
 
 
-class Tee:
-    """Standard error as a program may replace it."""
-
-    def write(self, text: str) -> int:
-        return len(text)
-
-    def flush(self) -> None:
-        pass
-
-
 def test_a_program_keeps_its_own_settings_and_what_a_component_prints(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before, level = dict(matplotlib.rcParams), logging.getLogger("mlflow").level
     variables = {name for name in os.environ if name.startswith("MLFLOW")}
-    monkeypatch.setattr(sys, "stderr", Tee())
+    bare = SimpleNamespace(write=len, flush=lambda: None)  # as a program may replace it
+    monkeypatch.setattr(sys, "stderr", bare)
     hydra = GlobalHydra.instance().hydra
     xplain.run(*SMALL, solver=Talkative()).plot()
     assert set(capsys.readouterr().out.split()) == {"planning"}
