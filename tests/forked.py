@@ -21,12 +21,17 @@ _PROCESSES.set_forkserver_preload(
         "xplain.cli.main",
         "xplain.runs.command",
         "xplain.runs.job",
+        "xplain.runs.mlflow",
         "xplain.runs.sweep",
         "xplain.report.plots",
         "xplain.report.page",
         "mlflow.store.tracking.sqlalchemy_store",
         "alembic.command",
-        "pyarrow",
+        "sqlalchemy.dialects.sqlite",
+        "hydra._internal.core_plugins.basic_launcher",
+        "hydra_plugins.xplain_sweeper",
+        "pandas.io.formats.style",
+        "pyarrow.pandas_compat",
         "sklearn.tree",
         "matplotlib.backends.backend_agg",
     ]
@@ -36,17 +41,13 @@ OUTPUT = "output.txt"
 _WRITTEN = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
-def run(folder: Path, *arguments: str) -> tuple[int, str]:
-    """Runs ``xplain …`` in this folder; returns exit code and all output.
+def captured(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Runs ``xplain …``, or ``python script.py``, in this folder, with separate standard output and
+    standard error.
 
     Raises:
         TimeoutError: the command has not ended by itself; it is then killed.
     """
-    return wait(folder, start(folder, *arguments))
-
-
-def captured(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Runs as :func:`run`; standard output and standard error are separate."""
     with tempfile.TemporaryDirectory() as own:
         out, error = Path(own, "out"), Path(own, "error")
         process = _start(folder, arguments, out, error)

@@ -18,6 +18,9 @@ ROOT = Path(__file__).parents[2]
 SERIAL = "hydra/launcher=basic"
 """All jobs in the sweep's own process."""
 
+IN_TURN = "hydra.launcher.n_jobs=1"
+"""The default launcher with one job at a time, which needs no workers either."""
+
 TINY = (
     "-m",
     "domain=four_rooms",
@@ -76,8 +79,8 @@ def run(folder: Path, *arguments: str) -> tuple[int, str]:
     """Runs ``xplain …``, flags before keys; returns exit code and all output. A new process starts
     only if the jobs need workers."""
     words = sorted(arguments, key=lambda word: not word.startswith("-"))
-    if "-m" not in words or SERIAL in words:
-        return forked.run(folder, *words)
+    if "-m" not in words or {SERIAL, IN_TURN} & {*words}:
+        return forked.wait(folder, forked.start(folder, *words))
     return wait(folder, start(folder, *words))
 
 
@@ -86,6 +89,59 @@ def output_of(folder: Path, *arguments: str, code: int = 0) -> str:
     found, output = run(folder, *arguments)
     assert found == code, output
     return output
+
+
+SOLVERS = '''
+import os
+import signal
+import sys
+from dataclasses import dataclass
+
+from xplain.solvers.simple import Silent
+
+
+@dataclass(frozen=True)
+class Frugal(Silent):
+    """Needs no tables, and allows none."""
+
+    memory_gib: float = 1e-9
+
+
+@dataclass(frozen=True)
+class Refuses:
+    """A solver that cannot plan."""
+
+    knows: str = "types"
+
+    def plan(self, problem, seed=0):
+        raise RuntimeError("the licence server said no")
+
+
+@dataclass(frozen=True)
+class Exits(Refuses):
+    def plan(self, problem, seed=0):
+        sys.exit(0)
+
+
+@dataclass(frozen=True)
+class Dies(Refuses):
+    def plan(self, problem, seed=0):
+        os._exit(9)
+
+
+class Unknowing:
+    def plan(self, problem, seed=0):
+        return None
+'''
+
+
+def with_solver(folder: Path, target: str, name: str = "mine") -> None:
+    """Writes ``solver=mine`` of this class for ``--config-dir=choices``, and the module own.py,
+    into the folder."""
+    choices = folder / "choices" / "solver"
+    choices.mkdir(parents=True, exist_ok=True)
+    (choices / f"{name}.yaml").write_text(f"_target_: {target}\n")
+    (folder / "own.py").write_text(SOLVERS)
 
 
 def wait(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str]:

@@ -18,78 +18,18 @@ from xplain.runs.sweep import finish
 RESULT = "outputs/results/*/results.json"
 
 
-def test_a_job_that_raises_lets_the_others_go_on(folder):
-    (folder / "failing.py").write_text(
-        "from dataclasses import dataclass\n"
-        "from xplain.errors import InputError\n"
-        "from xplain.solvers.greedy import QMDP\n"
-        "@dataclass(frozen=True)\n"
-        "class Failing(QMDP):\n"
-        "    fails: bool = False\n"
-        "    def plan(self, problem, seed=0):\n"
-        "        if self.fails:\n"
-        "            raise InputError('fails', True, 'false')\n"
-        "        return super().plan(problem, seed)\n"
-    )
-    group = folder / "conf" / "solver"
-    group.mkdir(parents=True)
-    (group / "failing.yaml").write_text("_target_: failing.Failing\nfails: false\n")
-    arguments = (
-        f"--config-dir={folder / 'conf'}",
-        *sweeps.QUICK[:-3],
-        "solver=failing",
-        "solver.fails=true,false",
-        "lambda=0.5,1",
-        sweeps.SERIAL,
-    )
-    code, output = sweeps.run(folder, *arguments)
-    assert code == 1
-    assert "2 of 4 jobs finished" in output
-    assert re.search(r"^first failure: .*fails=true.*: InputError: fails=True", output, re.M)
-    summary = output[output.index("2 of 4 jobs finished") :]
-    assert "InputError: fails=True: false" in summary
-    states = {name: status for name, status, _ in sweeps.runs(folder)}
-    assert {s for name, s in states.items() if "fails=true" in name} == {"FAILED"}
-    assert {s for name, s in states.items() if "fails=false" in name} == {"FINISHED"}
-    assert {s for name, s in states.items() if name.startswith("multirun")} == {"FAILED"}
-
-    # Only what failed runs again; jobs that were lost besides do not.
-    lost = next(folder.glob(RESULT))
-    lost.unlink()
-    code, output = sweeps.run(folder, *arguments, "resume=failed")
-    assert code == 1
-    assert "2 jobs to run" in output
-    assert not lost.exists()
-    assert len(sweeps.runs(folder)) == 5
-
-
 def test_a_worker_that_dies_ends_the_sweep_with_a_line_and_its_report(tmp_path):
-    (tmp_path / "deadly.py").write_text(
-        "import os\n"
-        "from dataclasses import dataclass\n"
-        "from xplain.solvers.greedy import QMDP\n"
-        "@dataclass(frozen=True)\n"
-        "class Deadly(QMDP):\n"
-        "    deadly: bool = False\n"
-        "    def plan(self, problem, seed=0):\n"
-        "        if self.deadly:\n"
-        "            os._exit(9)\n"
-        "        return super().plan(problem, seed)\n"
-    )
-    group = tmp_path / "conf" / "solver"
-    group.mkdir(parents=True)
-    (group / "deadly.yaml").write_text("_target_: deadly.Deadly\ndeadly: false\n")
-    code, output = sweeps.run(
+    sweeps.with_solver(tmp_path, "own.Dies")
+    output = sweeps.output_of(
         tmp_path,
-        f"--config-dir={tmp_path / 'conf'}",
+        "--config-dir=choices",
         *sweeps.TINY[:-2],
-        "solver=deadly,qhr",  # the third job waits when the first kills its worker
-        "solver.deadly=true,false",
+        "solver=mine,qmdp,qhr",  # the third job waits when the first kills its worker
         "lambda=1",
         "hydra.launcher.n_jobs=2",
         "tracking=none",
+        code=1,
     )
-    assert code == 1
     assert "the launcher failed (" in output
     assert "the same command runs the other jobs" in output
     assert "report: " in output

@@ -1,66 +1,29 @@
-"""Results are saved before they are shown, and nothing of a user's is deleted."""
+"""Results are saved before they are shown, nothing of a user's is deleted, and a sweep's folder has
+one process at a time."""
 
 import json
+import logging
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from tests import forked, processes
+from tests.report import handmade
 from tests.runs import sweeps
+from tests.runs.sweeps import output_of
+from xplain.cli.main import main
+from xplain.errors import InputError
+from xplain.experiment.results import save_results
+from xplain.runs.folder import alone, find_unlisted_results
 
 MINE = ("tracking=none", "solver=mine", "--config-dir=choices")
-SOLVERS = '''
-import sys
-from dataclasses import dataclass
-
-from xplain.solvers.simple import Silent
-
-
-@dataclass(frozen=True)
-class Frugal(Silent):
-    """Needs no tables, and allows none."""
-
-    memory_gib: float = 1e-9
-
-
-@dataclass(frozen=True)
-class Refuses:
-    """A solver that cannot plan."""
-
-    knows: str = "types"
-
-    def plan(self, problem, seed=0):
-        raise RuntimeError("the licence server said no")
-
-
-@dataclass(frozen=True)
-class Exits(Refuses):
-    def plan(self, problem, seed=0):
-        sys.exit(0)
-
-
-class Unknowing:
-    def plan(self, problem, seed=0):
-        return None
-'''
-
-
-def with_solver(folder: Path, target: str) -> None:
-    """Writes ``solver=mine`` of this class, and the module own.py, into the folder."""
-    choice = folder / "choices" / "solver"
-    choice.mkdir(parents=True)
-    (choice / "mine.yaml").write_text(f"_target_: {target}\n")
-    (folder / "own.py").write_text(SOLVERS)
-
-
-def run(folder: Path, *words: str) -> tuple[int, str]:
-    """Runs ``xplain …`` there, flags before keys; returns exit code and all output."""
-    return forked.run(folder, *sorted(words, key=lambda word: not word.startswith("-")))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -79,61 +42,50 @@ def unchanged(folder: Path) -> Iterator[None]:
     assert {name: after.get(name) for name in before} == before
 
 
-@pytest.mark.parametrize(
-    ("place", "words"),
-    [
-        (".", ("dry_run=true",)),
-        (".", ("lambda=-1",)),
-        ("mine", ("dry_run=true",)),
-        ("mine", ("lambda=-1",)),
-        ("mine", ("lambda=abc",)),
-        ("mine", ("lambda=1,2",)),
-        ("mine", ("solver=nonsense",)),
-        ("mine", ("domain.map=S",)),
-        ("mine", ("observers=file", "observers.path=absent.csv")),
-        ("mine", ("users=explicit", "users.groups={}")),
-        (".", ("-m", "lambda=1,2", "dry_run=true")),
-        ("mine", ("-m", "lambda=1,-2")),
-    ],
+REFUSED = (
+    (".", "dry_run=true"),
+    (".", "lambda=-1"),
+    ("mine", "dry_run=true"),
+    ("mine", "lambda=-1"),
+    ("mine", "lambda=abc"),
+    ("mine", "lambda=1,2"),
+    ("mine", "solver=nonsense"),
+    ("mine", "domain.map=S"),
+    ("mine", "observers=file", "observers.path=absent.csv"),
+    ("mine", "users=explicit", "users.groups={}"),
+    (".", "-m", "lambda=1,2", "dry_run=true", sweeps.SERIAL),
+    ("mine", "-m", "lambda=1,-2", sweeps.SERIAL),
+    ("done", "lambda=-1"),
+    ("done", "dry_run=true"),
+    ("done", "solver=nonsense"),
 )
-def test_refusals_and_dry_runs_leave_a_users_files(
-    tmp_path: Path, place: str, words: tuple[str, ...]
-) -> None:
+
+
+def test_refusals_and_dry_runs_leave_a_users_files_and_other_results(tmp_path: Path) -> None:
     for name in ("notes.txt", "mine/results.csv", "mine/deep/more.txt"):
         (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
         (tmp_path / name).write_text("a year of work")
+    given = (*sweeps.SINGLE, "tracking=none")
+    output_of(tmp_path, *given, "hydra.run.dir=done")
     with unchanged(tmp_path):
-        given = (*sweeps.SINGLE, "tracking=none", f"hydra.run.dir={place}", *words)
-        code, output = run(tmp_path, *given)
-    assert code == (0 if "dry_run=true" in words else 2), output
-
-
-def test_a_run_does_not_touch_the_results_of_another(tmp_path: Path) -> None:
-    given = (*sweeps.SINGLE, "tracking=none", "hydra.run.dir=mine")
-    code, output = run(tmp_path, *given)
-    assert code == 0, output
-    with unchanged(tmp_path):
-        for words in (("lambda=2",), ("lambda=-1",), ("dry_run=true",), ("solver=nonsense",)):
-            code, output = run(tmp_path, *given, *words)
-            assert code == (0 if "dry_run=true" in words else 2), output
-            assert words != ("lambda=2",) or "hydra.run.dir='mine': another folder" in output
+        for place, *words in REFUSED:
+            code = 0 if "dry_run=true" in words else 2
+            output_of(tmp_path, *given, f"hydra.run.dir={place}", *words, code=code)
+        said = output_of(tmp_path, *given, "hydra.run.dir=done", "lambda=2", code=2)
+    assert "hydra.run.dir='done': another folder" in said
 
 
 def test_a_picture_that_cannot_be_drawn_costs_no_results(tmp_path: Path) -> None:
     (tmp_path / "mine" / "trace.png").mkdir(parents=True)
-    code, output = run(tmp_path, *sweeps.SINGLE, "tracking=none", "hydra.run.dir=mine")
-    assert code == 0, output
+    output = output_of(tmp_path, *sweeps.SINGLE, "tracking=none", "hydra.run.dir=mine")
     assert "there is no picture: " in output
     assert {"results.json", "episodes.jsonl"} <= {p.name for p in (tmp_path / "mine").iterdir()}
 
 
 def test_a_certificate_that_needs_too_much_memory_costs_no_results(tmp_path: Path) -> None:
-    with_solver(tmp_path, "own.Frugal")
-    with (tmp_path / "choices/solver/mine.yaml").open("a", encoding="utf-8") as file:
-        file.write("memory_gib: 1e-9\n")
+    sweeps.with_solver(tmp_path, "own.Frugal\nmemory_gib: 1e-9")
     words = (*MINE, "certify.traces=1", "hydra.run.dir=mine")
-    code, output = run(tmp_path, *sweeps.SINGLE, *words)
-    assert code == 0, output
+    output = output_of(tmp_path, *sweeps.SINGLE, *words)
     said = r"no certificate of trace 0: .* GiB .*solver.memory_gib=1e-09"
     assert re.search(said, output), output
     results = json.loads((tmp_path / "mine" / "results.json").read_text(encoding="utf-8"))
@@ -159,25 +111,34 @@ def test_a_reader_who_leaves_costs_no_results(tmp_path: Path) -> None:
     assert results.with_name("trace.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("launcher", ["hydra/launcher=basic", "hydra.launcher.n_jobs=1"])
-def test_a_job_that_fails_ends_no_other_and_is_told(tmp_path: Path, launcher: str) -> None:
-    with_solver(tmp_path, "own.Refuses")
-    (tmp_path / "choices" / "solver" / "exits.yaml").write_text("_target_: own.Exits\n")
-    given = (*MINE, *sweeps.TINY[:-2], "lambda=1", "solver=mine,exits,qhr", launcher)
-    code, output = run(tmp_path, *given)
-    assert code == 1, output
+@pytest.mark.parametrize("launcher", [sweeps.SERIAL, sweeps.IN_TURN])
+def test_jobs_that_fail_end_no_other_and_alone_run_again(folder: Path, launcher: str) -> None:
+    for target, name in (("own.Refuses", "mine"), ("own.Exits", "exits")):
+        sweeps.with_solver(folder, target, name)
+    words = (*sweeps.TINY[:-2], "lambda=1", "solver=mine,exits,qhr", "--config-dir=choices")
+    output = output_of(folder, *words, launcher, code=1)
     end = output[output.index("1 of 3 jobs finished") :]
-    assert "the licence server said no" in end
-    assert "sys.exit(0)" in end
-    assert "report: " in end
+    for said in ("the licence server said no", "sys.exit(0)", "report: "):
+        assert said in end
+    first = r"^first failure: .*mine.*: RuntimeError: the licence server said no"
+    assert re.search(first, output, re.MULTILINE)
     assert "Traceback" not in output
+    states = {name.split()[0]: status for name, status, _ in sweeps.runs(folder)}
+    (sweep,) = states.keys() - {"mine", "exits", "qhr"}
+    assert states == {"qhr": "FINISHED"} | dict.fromkeys(("mine", "exits", sweep), "FAILED")
+    # Only what failed runs again; jobs that were lost besides do not.
+    (lost,) = folder.glob("outputs/results/*/results.json")
+    lost.unlink()
+    output = output_of(folder, *words, launcher, "resume=failed", code=1)
+    assert "2 jobs to run" in output
+    assert not lost.exists()
+    assert len(sweeps.runs(folder)) == 4
 
 
 @pytest.mark.parametrize("given", [sweeps.SINGLE, sweeps.QUICK])
 def test_no_file_and_no_line_has_a_servers_password(tmp_path: Path, given: tuple[str, ...]) -> None:
     away = "tracking.uri='http://lab:secret@127.0.0.1:9'"
-    code, output = run(tmp_path, *given, away)
-    assert code == 0, output
+    output = output_of(tmp_path, *given, away)
     assert "MLflow did not store the results" in output
     for name, content in {**contents(tmp_path), "output": output.encode()}.items():
         assert b"secret" not in content, name
@@ -185,9 +146,8 @@ def test_no_file_and_no_line_has_a_servers_password(tmp_path: Path, given: tuple
 
 def test_a_folder_may_have_any_letters(tmp_path: Path) -> None:
     folder = tmp_path / "Anna's 100% thesis"
-    with_solver(folder, "xplain.solvers.greedy.QMDP")
-    code, output = run(folder, *MINE, *sweeps.QUICK[:-3], "lambda=1", sweeps.SERIAL)
-    assert code == 0, output
+    sweeps.with_solver(folder, "xplain.solvers.greedy.QMDP")
+    output = output_of(folder, *MINE, *sweeps.QUICK[:-3], "lambda=1", sweeps.SERIAL)
     assert "1 of 1 jobs finished" in output
 
 
@@ -197,7 +157,7 @@ def test_a_folder_may_have_any_letters(tmp_path: Path) -> None:
         ("own.Unknowing", "solver='Unknowing': a solver; this class lacks knows"),
         (
             "own.Exist",
-            "solver._target_='own.Exist': a class; own has Frugal, Refuses, Exits, Unknowing",
+            "solver._target_='own.Exist': a class; own has Frugal, Refuses, Exits, Dies, Unknowing",
         ),
         ("onw.Exits", "solver._target_='onw.Exits': a class; Python finds no module 'onw'"),
         ("own.Exits\nmemry: 3", "solver.memry=3: no parameter of own.Exits; it takes knows"),
@@ -206,11 +166,67 @@ def test_a_folder_may_have_any_letters(tmp_path: Path) -> None:
 def test_a_class_that_will_not_do_is_one_line_before_any_work(
     tmp_path: Path, target: str, said: str
 ) -> None:
-    with_solver(tmp_path, target)
+    sweeps.with_solver(tmp_path, target)
     with unchanged(tmp_path):
-        for more in ((), ("-m", "lambda=1,2")):
-            code, output = run(tmp_path, *sweeps.SINGLE, *MINE, *more)
-            assert code == 2, output
+        for more in ((), ("-m", "lambda=1,2", sweeps.SERIAL)):
+            output = output_of(tmp_path, *sweeps.SINGLE, *MINE, *more, code=2)
             assert output.startswith(f"xplain: {said}")
             assert output.count("\n") == 1
     assert not (tmp_path / "outputs" / "cache").exists()
+
+
+def test_one_at_a_time_has_a_sweep_also_before_its_folder_is_there(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    folder, order = tmp_path / "sweeps" / "new-1", []
+
+    def second() -> None:
+        with alone(folder, "another process has it"):
+            order.append("second")
+
+    with ThreadPoolExecutor(1) as pool, alone(folder, "nobody has it"):
+        waiting = pool.submit(second)
+        while "another process has it" not in caplog.text and not waiting.done():
+            time.sleep(0.05)
+        order.append("first")
+    assert order == ["first", "second"]
+    assert "nobody has it" not in caplog.text
+
+
+def result_at(folder: Path, fingerprint: str) -> None:
+    """Writes a result, and nothing else."""
+    folder.mkdir(parents=True)
+    save_results(folder, handmade.results(fingerprint, {}, ()))
+
+
+def test_a_sweep_on_another_disk_finds_its_results(tmp_path: Path) -> None:
+    outputs = tmp_path / "outputs"
+    outputs.mkdir()
+    (tmp_path / "disk" / "deep").mkdir(parents=True)
+    (outputs / "sweeps").symlink_to(tmp_path / "disk" / "deep")
+    folder = sweeps.planned(outputs, 1)
+    result_at(outputs / "results" / "f0", "f0")
+    assert [folder.state(job) for job in folder.jobs] == ["finished"]
+
+
+def test_results_that_no_run_and_no_sweep_has_are_listed_and_deleted_when_told(
+    tmp_path: Path,
+) -> None:
+    outputs = tmp_path / "outputs"
+    folder = sweeps.planned(outputs, 2)
+    by_another_sweeper = folder.path.with_name("basic") / "jobs" / "f7"
+    by_another_sweeper.mkdir(parents=True)
+    for name in ("f0", "f1", "f7", "run", "lost", "old"):
+        result_at(outputs / "results" / name, name)
+    result_at(outputs / "runs" / "mine", "run")
+    assert {path.name for path in find_unlisted_results(outputs)} == {"lost", "old"}
+    assert all(size > 0 for size in find_unlisted_results(outputs).values())
+    main(["clean", "--outputs", str(outputs)])
+    assert len([*(outputs / "results").iterdir()]) == 6
+    main(["clean", "--outputs", str(outputs), "--delete"])
+    left = {path.name for path in (outputs / "results").iterdir()}
+    assert left == {"f0", "f1", "f7", "run"}
+    (folder.path / "sweep.json").write_text("not JSON")  # whose results are they?
+    with pytest.raises(InputError):
+        find_unlisted_results(outputs)
