@@ -88,6 +88,13 @@ def wait(true: Callable[[], bool], seconds: float = 60) -> None:
         time.sleep(0.03)
 
 
+def resize(driver: Driver, width: int, height: int, mobile: bool | None = None) -> None:
+    """Gives the page a window of this size; narrow windows are those of a phone."""
+    size = {"width": width, "height": height, "deviceScaleFactor": 1}
+    size["mobile"] = width < 500 if mobile is None else mobile
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+
 def press(driver: Driver) -> None:
     """Presses the button that continues."""
     driver.find_element("css selector", "main form button").click()

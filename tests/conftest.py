@@ -32,7 +32,6 @@ LONGEST = (
     "runs/test_kill.py",
     "test_docs.py",
     "runs/test_api.py",
-    "people/test_whole_loop.py",
     "cli/test_plan.py",
     "people/collect/test_protocol.py",
     "people/test_browser.py",

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.datastructures import ImmutableMultiDict
 
+from tests.people.street import FAULTLESS_OBSERVER
 from xplain.people.bots import Bot, Page
 from xplain.people.collect.asking import CollectState, mean_posterior
 from xplain.people.collect.bot import Habits, Observer, bot
@@ -68,6 +69,14 @@ def observe(
     incorrect beliefs."""
     consent = {"number": number, "role": role, "others": others or {}}
     return walk(collection, person, collection.after(CollectState(), **consent))
+
+
+def somebody(
+    collection: Collection, held: int, number: int = 0, habits: Habits = FAULTLESS_OBSERVER
+) -> CollectState:
+    """Simulates the observer with this number, who believes these facts incorrectly."""
+    person = Observer(collection.plan, held, habits, np.random.default_rng(number))
+    return observe(collection, person, number)
 
 
 def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[CollectState]:

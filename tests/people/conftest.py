@@ -1,35 +1,22 @@
 """Stores, studies and simulated participants on a domain that the study has never seen."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from tests.people.client import Client
-from tests.people.study.stand_in import FAULTLESS, street_study
-from tests.people.visitors import Visitor, newcomer
+from tests.people.street import street_study
+from tests.people.visitors import Client, Opened, Visitor, newcomer
 from xplain.people.log import Clock
 from xplain.people.store import Store
-from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
-
-Opened = Callable[..., Store]
 
 
 @pytest.fixture(scope="session")
 def study() -> Study:
     return street_study()
-
-
-@pytest.fixture
-def person(study: Study) -> Callable[..., StudyBot]:
-    def make(number: int = 0, habits: Habits = FAULTLESS) -> StudyBot:
-        return StudyBot(study.plan, habits, np.random.default_rng(number))
-
-    return make
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
-"""A study server in a separate process, as a lab starts it, for tests and benchmarks."""
+"""A study server in a separate process, as a lab starts it, for tests and benchmarks; and any
+application in a thread."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import socket
@@ -10,13 +10,19 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
+from threading import Thread
+from typing import Any
 
-from filelock import FileLock
+import uvicorn
 
 from tests import processes
+from xplain.people.flow import Flow
+from xplain.people.store import Store
 
+RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
 ROOT = Path(__file__).parent.parent.parent
 
 
@@ -28,7 +34,7 @@ def free_port() -> int:
 
 
 class ServerProcess:
-    """``python -m xplain study`` (or ``collect``) on 127.0.0.1, with a database that has a plan, or
+    """``python -m xplain study``, or another command, on 127.0.0.1. Its database has a plan, or
     gets the plan of the overrides."""
 
     def __init__(self, database: Path, *overrides: str, command: str = "study") -> None:
@@ -53,7 +59,7 @@ class ServerProcess:
         until = time.monotonic() + 120  # a plan is perhaps prepared first
         while time.monotonic() < until:
             try:
-                with urllib.request.urlopen(f"{self.url}/alive", timeout=2):
+                with urllib.request.urlopen(self.url, timeout=2):
                     break
             except OSError:
                 if self._process.poll() is not None:
@@ -61,40 +67,52 @@ class ServerProcess:
                 time.sleep(0.05)
         else:
             raise RuntimeError(f"no answer: {self.log()}")
-        found = re.search(r"key (\w+)", self.log())
-        assert found, self.log()
-        self.key = found.group(1)
+        self.key = "".join(re.findall(r"page: /researcher, key (\w+)", self.log()))
 
     def log(self) -> str:
         """Returns the server's output."""
         return self._log.read_text(encoding="utf-8")
 
     def kill(self) -> None:
-        """Kills the server and its worker with -9, at any moment."""
+        """Kills the server with -9, at any moment."""
         if self._process is not None:
             processes.kill(self._process)
             self._process = None
 
     def stop(self) -> None:
         """Sends SIGTERM: the server completes the requests that have begun, then ends. It would
-        wait ten seconds for connections that browsers keep open, and then kill its worker; here
-        both are killed after one second."""
+        wait for connections that browsers keep open; here it is killed after one second."""
         if self._process is not None:
             self._process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
+            with suppress(subprocess.TimeoutExpired):
                 self._process.wait(timeout=1)
             self.kill()
-            with FileLock(f"{self.database}.lock", timeout=30):
-                pass  # the worker, which is not our child, has let go of it
 
     def __enter__(self) -> ServerProcess:
         self.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
+
+
+def serving(database: Path, flow: Flow[Any, Any], *overrides: str) -> ServerProcess:
+    """A server of a flow, almost without limits on requests. The database has the flow's plan."""
+    Store(database, flow).close()
+    command = flow.PACKAGE.rpartition(".")[2]
+    return ServerProcess(database, *RATE, *overrides, command=command)
+
+
+@contextmanager
+def running(app: Any) -> Iterator[str]:
+    """Serves an application in a thread of this process; yields its address."""
+    server = uvicorn.Server(uvicorn.Config(app, port=(port := free_port()), log_level="error"))
+    thread = Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    try:
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        server.should_exit = True
+        thread.join()

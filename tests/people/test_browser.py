@@ -12,10 +12,12 @@ import subprocess
 import tarfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from filelock import FileLock
+from starlette.responses import Response
 
 from tests.chromium import (
     Driver,
@@ -24,23 +26,23 @@ from tests.chromium import (
     go_in,
     log_in_and_invite,
     press,
+    resize,
     sequence,
     take_part,
     wait,
 )
-from tests.conftest import Run
-from tests.people.kinds import ASKING, flow_of
-from tests.people.server_process import ROOT, ServerProcess
-from tests.people.study.stand_in import FAULTLESS, SCREENS
-from tests.people.visitors import query
+from tests.people.server_process import ROOT, running, serving
+from tests.people.street import ASKING, SCREENS, bot_of, flow_of
+from tests.people.visitors import GENEROUS, Opened, differences, query
 from xplain.experiment.config import compose_config
-from xplain.people.bots import Page, Researcher
+from xplain.people.bots import Page, Researcher, Visitor
+from xplain.people.server import Keys
 from xplain.people.store import Store
-from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.prepare import study_plan
+from xplain.people.web import create_app
 
-Keys = pytest.importorskip(
+KEYBOARD = pytest.importorskip(
     "selenium.webdriver.common.keys", reason="selenium is not installed"
 ).Keys
 
@@ -77,11 +79,6 @@ def learned(*changes: str) -> Study:
     )
 
 
-def serving(path: Path, study: Study) -> ServerProcess:
-    Store(path, study).close()
-    return ServerProcess(path, "server.burst=1e6", "server.visitor_burst=1e6")
-
-
 def moved_on(driver: Driver, before: str) -> bool:
     """Returns True if another page is loaded completely."""
     return sequence(driver) not in (before, None)
@@ -107,10 +104,8 @@ def photograph(driver: Driver, name: str) -> None:
     wide."""
     (SCREENSHOTS / name).parent.mkdir(parents=True, exist_ok=True)
     for width in (1280, 390):
-        size = {"width": width, "height": 700, "deviceScaleFactor": 1, "mobile": width < 500}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        height = driver.execute_script("return document.documentElement.scrollHeight")
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size | {"height": height})
+        resize(driver, width, 700)
+        resize(driver, width, driver.execute_script("return document.documentElement.scrollHeight"))
         # New messages fade in.
         driver.execute_script("document.getAnimations().forEach(one => one.finish())")
         driver.save_screenshot(str(SCREENSHOTS / f"{name}-{width}.png"))
@@ -128,11 +123,11 @@ def look_at(driver: Driver, axe: str, name: str) -> None:
     photograph(driver, name)
 
 
-def preview(driver: Driver, server: ServerProcess, cell: int) -> None:
+def preview(driver: Driver, url: str, key: str, cell: int) -> None:
     """Begins as a pilot participant of this type and condition, from the researcher's page."""
-    driver.get(f"{server.url}/researcher")
+    driver.get(f"{url}/researcher")
     if driver.find_elements("id", "key"):
-        driver.find_element("id", "key").send_keys(server.key)
+        driver.find_element("id", "key").send_keys(key)
         press(driver)
     wait(lambda: bool(driver.find_elements("id", "cell")))
     box = driver.find_element("id", "cell")
@@ -163,7 +158,7 @@ for (const selector of arguments[0]) {
 SIZES = (1920, 1080), (1280, 800), (390, 844)
 
 
-def scrolled(driver: Driver, person: StudyBot, look: Callable[[Page], None]) -> dict[int, float]:
+def scrolled(driver: Driver, person: Visitor, look: Callable[[Page], None]) -> dict[int, float]:
     """Pixels that a participant scrolls in the evaluation, by the window's width: to every answer
     that they click, and to the button, no further than they have to. Every page is looked at."""
     total = {width: 0.0 for width, _ in SIZES}
@@ -172,8 +167,7 @@ def scrolled(driver: Driver, person: StudyBot, look: Callable[[Page], None]) -> 
         targets = [f'input[name="{name}"][value="{v}"]' for name, v in person.fill(page)[0]][::-1]
         if page.stage == "evaluation":
             for width, height in SIZES:
-                size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-                driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+                resize(driver, width, height, mobile=False)
                 total[width] += driver.execute_script(SCROLLED, [*targets, "main form button"])
         driver.execute_script(FILLED, targets)
         answer(driver, page, [])
@@ -199,8 +193,7 @@ def out_of_sight(driver: Driver) -> tuple[float, float]:
     scrolling, on the phone and with zoom."""
     below, cut_off = -np.inf, 0.0
     for width, height in ((390, 844), (1280, 800), (640, 400)):
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        resize(driver, width, height)
         bottom, hidden = driver.execute_script(BELOW)
         below = max(below, bottom - height)
         cut_off = max(cut_off, hidden if width < 1280 else 0)
@@ -209,7 +202,7 @@ def out_of_sight(driver: Driver) -> tuple[float, float]:
 
 
 def test_every_page_is_accessible_in_sight_and_photographed(
-    driver: Driver, axe: str, tmp_path: Path
+    driver: Driver, axe: str, opened: Opened
 ) -> None:
     """In both conditions; over a whole study they differ in scrolling by less than a tenth, at
     three window sizes."""
@@ -239,14 +232,15 @@ def test_every_page_is_accessible_in_sight_and_photographed(
                 photograph(driver, name)
         seen.add(name)
 
-    with serving(tmp_path / "s.sqlite", rescue) as server:
-        researcher = Researcher(server.url, server.key)
-        driver.get(f"{server.url}/?invitation={researcher.invite(1, 'pilot')[0]}")
+    store = opened(rescue)
+    key = Keys(store.secret).researcher
+    with running(create_app(store, GENEROUS)) as url:
+        driver.get(f"{url}/?invitation={store.invite(1, 'pilot')[0]}")
         look_at(driver, axe, "entrance")
         for cell, (user_type, condition) in enumerate(plan.cells):
             if user_type == 0:  # the other types meet the same pages
-                preview(driver, server, cell)
-                person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
+                preview(driver, url, key, cell)
+                person = bot_of(rescue, 0)
                 measured[condition] = scrolled(driver, person, look)
         assert len(seen) == plan.n_steps + 9
         assert measured.keys() == {*plan.conditions}
@@ -256,8 +250,8 @@ def test_every_page_is_accessible_in_sight_and_photographed(
         assert complaints(driver) == []
 
         # The pages off the way: a failed check, the ends, errors, the researcher's.
-        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
-        forgetful = StudyBot(plan, Habits(mistake=1), np.random.default_rng(0))
+        go_in(driver, url, *store.invite(1, "pilot"))
+        forgetful = bot_of(rescue, 0, mistake=1.0)
         for _ in range(20):
             if not (page := Page.of_html(driver.page_source)).hidden:
                 break
@@ -268,18 +262,18 @@ def test_every_page_is_accessible_in_sight_and_photographed(
                 look_at(driver, axe, "briefing-again")
             answer(driver, page, fields)
         look_at(driver, axe, "ineligible")
-        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
+        go_in(driver, url, *store.invite(1, "pilot"))
         driver.find_element("css selector", "details.leave summary").click()
         look_at(driver, axe, "leaving")
         driver.find_element("css selector", "details.leave button").click()
         wait(lambda: "You have left the study" in driver.page_source)
         look_at(driver, axe, "withdrawn")
-        driver.get(f"{server.url}/nowhere")
+        driver.get(f"{url}/nowhere")
         look_at(driver, axe, "error")
         driver.execute_cdp_cmd("Network.clearBrowserCookies", {})
-        driver.get(f"{server.url}/researcher")
+        driver.get(f"{url}/researcher")
         look_at(driver, axe, "researcher-login")
-        log_in_and_invite(driver, server.key, "Each participant")
+        log_in_and_invite(driver, key, "Each participant")
         look_at(driver, axe, "researcher")
 
 
@@ -291,20 +285,20 @@ document.querySelector('fieldset.newest legend').textContent = step;
 
 
 def test_a_question_is_accessible_in_sight_and_photographed(
-    driver: Driver, axe: str, tmp_path: Path
+    driver: Driver, axe: str, opened: Opened
 ) -> None:
     """On a phone and on a small laptop, before the first step and with messages on the page; with
     the paper's belief it also asks after messages."""
     asking = learned("ask=clips", "belief=independent", "belief.error=0")
-    plan, path = asking.plan, tmp_path / "s.sqlite"
+    plan, store = asking.plan, opened(asking)
     seen: list[tuple[int, int]] = []
     said = (f"Before this: {' '.join(clip.situation)}" for clip in plan.clips)
     longest = [max(said, key=len), max((f"The robot {c.phrase}" for c in plan.clips), key=len)]
-    with serving(path, asking) as server:
+    with running(create_app(store, GENEROUS)) as url:
         for cell, (user_type, condition) in enumerate(plan.cells):
             if condition != "asking":
                 continue
-            preview(driver, server, cell)
+            preview(driver, url, Keys(store.secret).researcher, cell)
 
             def look(page: Page) -> None:
                 if page.stage == "asking":
@@ -320,7 +314,7 @@ def test_a_question_is_accessible_in_sight_and_photographed(
                         driver.execute_script(SAID, longest)
                         assert out_of_sight(driver)[0] <= 0, longest
 
-            person = StudyBot(plan, FAULTLESS, np.random.default_rng(user_type))
+            person = bot_of(asking, user_type)
             assert take_part(driver, person, look=look) == "done"
         assert complaints(driver) == []
     assert len(seen) >= len(plan.roles)
@@ -328,9 +322,9 @@ def test_a_question_is_accessible_in_sight_and_photographed(
 
 
 def test_bots_in_chromium_take_part_hear_new_messages_and_replay_agrees(
-    driver: Driver, study: Study, tmp_path: Path, run: Run
+    driver: Driver, store: Store
 ) -> None:
-    path, announced = tmp_path / "s.sqlite", list[str]()
+    study, announced = store.flow, list[str]()
 
     def look(page: Page) -> None:
         new = [e.text for e in driver.find_elements("css selector", ".message.new")]
@@ -341,34 +335,31 @@ def test_bots_in_chromium_take_part_hear_new_messages_and_replay_agrees(
             assert said == " ".join(" ".join(new).split())
             announced.extend(new)
 
-    with serving(path, study) as server:
-        for number, invitation in enumerate(Researcher(server.url, server.key).invite(3)):
-            go_in(driver, server.url, invitation)
-            person = StudyBot(study.plan, Habits(mistake=0), np.random.default_rng(number))
+    with running(create_app(store, GENEROUS)) as url:
+        for number, invitation in enumerate(store.invite(3, "bot")):
+            go_in(driver, url, invitation)
+            person = bot_of(study, number, label_noise=0.1)
             assert take_part(driver, person, look=look) == "done"
             assert "Simulated participant" in driver.page_source
     assert len(announced) > 3  # practice, then at least one of the robot's
-    assert "all equal" in run("study replay", path)[1]
-    store = Store(path, study)
+    assert differences(store) == []
     sql = "SELECT count(*) AS n, min(browser) AS low FROM event WHERE kind = 'labels'"
     (times,) = query(store, sql)
     assert times["n"] == 3 * study.plan.n_steps
     assert times["low"] > 0  # the page's own clock came along
     pages = query(store, "SELECT count(*) AS n FROM event WHERE kind = 'visible'")
     assert pages[0]["n"] >= 3 * (study.plan.n_steps + 6)
-    store.close()
 
 
-def test_the_keyboard_is_enough(driver: Driver, tmp_path: Path) -> None:
+def test_the_keyboard_is_enough(driver: Driver, opened: Opened) -> None:
     """For every page of a study, and for questions in between."""
-    study = flow_of(ASKING)
-    with serving(tmp_path / "s.sqlite", study) as server:
-        (invitation,) = Researcher(server.url, server.key).invite(1)
-        driver.get(f"{server.url}/?invitation={invitation}")
+    store = opened(flow_of(ASKING))
+    with running(create_app(store, GENEROUS)) as url:
+        driver.get(f"{url}/?invitation={store.invite(1, 'bot')[0]}")
         _tab_to(driver, "button")
-        driver.switch_to.active_element.send_keys(Keys.ENTER)
+        driver.switch_to.active_element.send_keys(KEYBOARD.ENTER)
         wait(lambda: moved_on(driver, "none"))
-        person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
+        person = bot_of(store.flow, 0)
         while (page := Page.of_html(driver.page_source)).hidden:
             wanted = dict(person.fill(page)[0])
             for name, value in wanted.items():
@@ -377,11 +368,11 @@ def test_the_keyboard_is_enough(driver: Driver, tmp_path: Path) -> None:
                     box = driver.switch_to.active_element
                     if box.get_attribute("value") == value:
                         break
-                    box.send_keys(Keys.TAB if page.stage == "quiz" else Keys.ARROW_DOWN)
+                    box.send_keys(KEYBOARD.TAB if page.stage == "quiz" else KEYBOARD.ARROW_DOWN)
                 if not driver.switch_to.active_element.is_selected():
-                    driver.switch_to.active_element.send_keys(Keys.SPACE)
+                    driver.switch_to.active_element.send_keys(KEYBOARD.SPACE)
             _tab_to(driver, "main form button")
-            driver.switch_to.active_element.send_keys(Keys.ENTER)
+            driver.switch_to.active_element.send_keys(KEYBOARD.ENTER)
             wait(lambda before=page.hidden["sequence"]: moved_on(driver, before))  # type: ignore[misc]
         assert page.stage == "done"
 
@@ -395,7 +386,7 @@ def _tab_to(driver: Driver, selector: str) -> None:
             outline = focus.value_of_css_property("outline-style")
             assert outline != "none", f"{selector}: the focus is not to be seen"
             return
-        focus.send_keys(Keys.TAB)
+        focus.send_keys(KEYBOARD.TAB)
     raise AssertionError(f"Tab does not lead to {selector}")
 
 
@@ -412,7 +403,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         press(driver)
         wait(lambda: bool(driver.find_elements("css selector", "[role=alert]")))
         assert "choose whether" in driver.find_element("css selector", "[role=alert]").text
-        person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
+        person = bot_of(study, 0)
         for _ in range(5 + SCREENS):
             page = Page.of_html(driver.page_source)
             choose(driver, person.fill(page)[0])
@@ -457,3 +448,30 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         *["labels"] * 2,
     ]
     store.close()
+
+
+def test_an_answer_outlives_what_a_proxy_says(driver: Driver, store: Store) -> None:
+    """A proxy answers for the server: no entered text is lost."""
+    statuses, app = (302, 403, 404, 502, 503), create_app(store, GENEROUS)
+    answers, answered = list[Response](), list[Response]()
+
+    @app.middleware("http")
+    async def proxy(request: Any, forward: Any) -> Response:
+        if not answers or (request.method, request.url.path) != ("POST", "/study"):
+            own: Response = await forward(request)
+            return own
+        answered.append(answers[0])
+        return answers[0]
+
+    with running(app) as url:
+        for token, status in zip(store.invite(len(statuses), "bot"), statuses, strict=True):
+            go_in(driver, url, token)
+            answers.append(Response(status_code=status, headers={"Location": "/elsewhere"}))
+            answered.clear()
+            choose(driver, [("agree", "1")])
+            press(driver)
+            wait(lambda: len(answered) > 1)
+            assert "no connection" in driver.find_element("id", "connection").text, status
+            assert sequence(driver) == "0"
+            answers.clear()
+            wait(lambda: sequence(driver) == "1")

@@ -1,10 +1,14 @@
-"""The real server: dry runs over HTTP, kill -9, one process for each database."""
+"""The real server: dry runs over HTTP, kill -9, one process for each database; and the whole method
+with simulated people, from labels to a study whose policies know only the types found in them."""
 
 import re
+import threading
+import time
 import zipfile
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,27 +19,35 @@ from sklearn.metrics import adjusted_rand_score
 
 from tests import forked
 from tests.conftest import Run
-from tests.people.collect.stand_in import street_collection
-from tests.people.killing import RATE, survive
-from tests.people.kinds import bot_of, flow_of
-from tests.people.server_process import ServerProcess
-from tests.people.study.stand_in import ASK, FAULTLESS, street_study
+from tests.people.server_process import running, serving
+from tests.people.street import ASK, bot_of, flow_of, street_collection, street_study
+from tests.people.visitors import GENEROUS, Opened, query, take_part
+from xplain.cli.main import main
+from xplain.errors import InputError
+from xplain.experiment.config import compose_config
 from xplain.explanation.message_sets import names_of
 from xplain.learning.saved import LearnedTypes
-from xplain.people.bots import Researcher, Visitor
+from xplain.people.bots import Browser, Researcher, visit
+from xplain.people.collect import tables as collect
+from xplain.people.collect.bot import Habits, bot
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.prepare import collect_plan
+from xplain.people.flow import Fields
+from xplain.people.server import Keys
 from xplain.people.store import Store
-from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.prepare import study_plan
 from xplain.people.study.tables import export
+from xplain.people.web import create_app
 
 
 def test_bots_take_part_and_the_data_goes_all_the_way(
-    study: Study, tmp_path: Path, run: Run
+    study: Study, tmp_path: Path, run: Run, no_pictures: None
 ) -> None:
     """Also, the server keeps the plan of its database, and no second server takes the database."""
     database, archive, backup = (tmp_path / f for f in ("study.sqlite", "study.zip", "b.sqlite"))
-    Store(database, study).close()
-    with ServerProcess(database, *RATE, "rules.per_cell=99", "lambda=2") as server:
+    with serving(database, study, "rules.per_cell=99", "lambda=2") as server:
         second = forked.start(tmp_path, "study", f"database={database}", "port=1")
         assert re.search("are ignored: .*lambda", server.log())
         assert Researcher(server.url, server.key).plan(study.PLAN).hash == study.plan.hash
@@ -59,10 +71,18 @@ def test_bots_take_part_and_the_data_goes_all_the_way(
     assert (people["stage"] == "done").sum() >= 6
 
 
-def err(flow: Study, *seeds: int) -> StudyBot:
-    """Makes a participant who labels one step in five wrongly."""
-    habits = replace(FAULTLESS, label_noise=0.2)
-    return StudyBot(flow.plan, habits, np.random.default_rng(seeds))
+@dataclass
+class Careful(Browser):
+    """The browser of a participant, which records every answer that the server acknowledged."""
+
+    patience: float = 90.0
+    acknowledged: list[int] = field(default_factory=list)
+
+    def send(self, method: str, path: str, fields: Fields | None = None) -> tuple[int, str]:
+        status, html = super().send(method, path, fields)
+        if path == "/study":
+            self.acknowledged.append(int(dict(fields or ())["sequence"]))
+        return status, html
 
 
 @pytest.mark.parametrize(
@@ -75,21 +95,61 @@ def err(flow: Study, *seeds: int) -> StudyBot:
     ],
 )
 def test_kill_9_loses_nothing_that_was_acknowledged(
-    kind: str,
-    kills: int,
-    people: int,
-    least: int,
-    tmp_path: Path,
-    run: Run,
+    kind: str, kills: int, people: int, least: int, tmp_path: Path, run: Run
 ) -> None:
-    """This holds in all three conditions of the study; the server also dies while people are asked
-    questions."""
+    """No acknowledged answer is lost or stored twice. This holds in all three conditions of the
+    study; the server also dies while people are asked questions."""
     flow: Any = street_study(ask=ASK) if kind == "study" else flow_of(kind)
-    person: Callable[..., Visitor] = partial(err if kind == "study" else bot_of, flow)
-    path = tmp_path / "s.sqlite"
-    Store(path, flow).close()
-    acknowledged, stored = survive(path, flow, kind, person, kills, people)
-    assert least < acknowledged <= stored
+    errs, path = {"label_noise": 0.2} if kind == "study" else {}, tmp_path / "s.sqlite"
+    server, ended = serving(path, flow, "server.blinded=false"), threading.Event()
+
+    def parade(place: int, invitations: Sequence[str]) -> dict[str, Careful]:
+        """Sends one person after another, until the last kill."""
+        own = dict[str, Careful]()
+        while not ended.is_set():
+            browser, invitation = Careful(server.url), invitations[len(own)]
+            person = bot_of(flow, len(own), place, **errs)
+            assert visit(browser, person, invitation, lambda _: time.sleep(0.1)) == "done"
+            own[invitation] = browser
+        return own
+
+    def watch() -> int:
+        """Opens the researcher's page again and again; returns the number of received pages."""
+        seen = 0
+        while not ended.is_set():
+            with suppress(InputError, OSError):  # the server is away
+                watching = Researcher(server.url, server.key).browser  # logins end with the server
+                status, html = watching.get("/researcher")
+                seen += status == 200 and "</table>" in html
+            time.sleep(0.5)
+        return seen
+
+    with server, ThreadPoolExecutor(people + 1) as pool:
+        researcher, pause = Researcher(server.url, server.key), np.random.default_rng(0)
+        invited = [researcher.invite(100) for _ in range(people)]
+        walks, watched = pool.map(parade, range(people), invited), pool.submit(watch)
+        for _ in range(kills):
+            time.sleep(0.4 + pause.random())
+            server.kill()
+            server.start()
+        ended.set()
+        assert watched.result() > 0
+        visitors = {token: one for own in walks for token, one in own.items()}
+    stored = 0
+    with closing(Store(path, flow)) as store:
+        sql = "SELECT source_sequence AS n FROM event WHERE participant = ? AND "
+        for invitation, visitor in visitors.items():
+            who = store.enter_invited(invitation)
+            rows = query(store, f"{sql} source = 'protocol' ORDER BY sequence", (who,))
+            numbers = [row["n"] for row in rows]
+            assert numbers == list(range(len(rows)))  # none lost, none doubled
+            # Everybody saw every page once, in order: they went on where they were.
+            assert visitor.acknowledged == sorted(set(visitor.acknowledged))
+            assert set(visitor.acknowledged) <= set(numbers)
+            assert store.participant(who).state.stage == "done"
+            stored += len(rows)
+        assert query(store, "PRAGMA integrity_check") == [{"integrity_check": "ok"}]
+    assert least < sum(len(visitor.acknowledged) for visitor in visitors.values()) <= stored
     assert "all equal" in run(f"{kind} replay", path)[1]
     if kind == "study":
         export(path, tmp_path / "out")
@@ -98,21 +158,21 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
         assert asked["asking"] > 0 == asked["personalized"] == asked["conformant"]
 
 
-def test_from_bots_to_types(tmp_path: Path, run: Run) -> None:
+def test_from_bots_to_types(opened: Opened, tmp_path: Path, run: Run) -> None:
     """The first half of the method over HTTP: 18 people who err and lose attention, then the
     types."""
-    collection, database = street_collection(points=20), tmp_path / "collect.sqlite"
-    Store(database, collection).close()
-    with ServerProcess(database, *RATE, "points=30", command="collect") as server:
-        assert re.search("are ignored: .*points", server.log())
-        bots = ("--url", server.url, "--key", server.key, "--count", 18, "--at-once", 6)
+    collection = street_collection(points=20)
+    store = opened(collection)
+    with running(create_app(store, GENEROUS)) as url:
+        bots = ("--url", url, "--key", Keys(store.secret).researcher, "--count", 18, "--at-once", 6)
         habits = ("--error", 0.05, "--lapse", 0.02)
         assert "18 done" in run("collect bots", *bots, *habits, "--save", "collect.zip")[1]
+    store.close()
     with zipfile.ZipFile(tmp_path / "collect.zip") as out:
         out.extractall(tmp_path)
     data = tmp_path / "study"
-    assert "all equal" in run("collect replay", database)[1]
-    run("collect export", database, "again")
+    assert "all equal" in run("collect replay", store.path)[1]
+    run("collect export", store.path, "again")
     assert (tmp_path / "again/labels_bot.csv").read_text() == (data / "labels_bot.csv").read_text()
     assert not (data / "labels.csv").exists()  # nobody but bots was there
     labels = [f"data={data}/labels_bot.csv", f"hypotheses={data}/hypotheses.npz"]
@@ -130,3 +190,54 @@ def test_from_bots_to_types(tmp_path: Path, run: Run) -> None:
     wrong = {names_of(role.held, messages) for role in collection.plan.roles}
     likeliest = {tuple(sorted(one.split(";"))) for one in observers["likeliest"]}
     assert wrong <= likeliest
+
+
+@pytest.fixture(scope="module")
+def types(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Finds the types in the answers of 10 people × 20 adaptive questions at 5 % wrong answers;
+    returns their file."""
+    folder = tmp_path_factory.mktemp("found")
+    plan = collect_plan(compose_config("collect", ["points=20", "seed=0"]))
+    with closing(Store(folder / "c.sqlite", Collection(plan))) as store:
+        people = (bot(plan, Habits(error=0.05), 1, number) for number in range(10))
+        assert {*take_part(store, people, "bot")} == {"done"}
+    collect.export(folder / "c.sqlite", folder)
+    given = (f"data={folder}/labels_bot.csv", f"hypotheses={folder}/hypotheses.npz")
+    with pytest.MonkeyPatch.context() as patch:
+        forked.leave_out_pictures(patch.setattr)
+        main(["discover", *given, "held_out=false", "labeler=hypotheses", f"output={folder}"])
+    return folder / "types.npz"
+
+
+def planned(types: Path, *arguments: str) -> StudyPlan:
+    return study_plan(compose_config("study", [f"types={types}", "seed=0", *arguments]))
+
+
+def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
+    types: Path, tmp_path: Path, run: Run, no_pictures: None
+) -> None:
+    plan = planned(types, "briefing=none")
+    assert plan.problem.type_names[:-1] == LearnedTypes.load(types).names
+    assert [role.briefing for role in plan.roles] == [()]
+    path = tmp_path / "study.sqlite"
+    with closing(Store(path, Study.of(plan))) as store:
+        visitors = (bot_of(store.flow, number) for number in range(10))
+        assert {*take_part(store, visitors, "bot")} == {"done"}
+    assert "all equal" in run("study replay", path)[1]
+    run("study export", path, "out")
+    assert "Messages" in run("study analyse", "out", "--stream", "bot")[1]
+    people = pd.read_csv(tmp_path / "out" / "participants.csv")
+    means = people.groupby("condition")[["messages_given", "inexplicable_transitions"]].mean()
+    assert people.groupby("condition").size().tolist() == [5, 5]
+    assert means["messages_given"]["personalized"] < means["messages_given"]["conformant"] - 1
+    wrong = means["inexplicable_transitions"]
+    assert wrong["personalized"] <= wrong["conformant"]
+
+
+def test_types_that_were_found_are_for_people_as_they_are(types: Path) -> None:
+    with pytest.raises(InputError, match=r"briefing='assigned': none with types"):
+        planned(types)
+    with pytest.raises(InputError, match=r"types=.*types with the messages of four_rooms"):
+        planned(types, "domain=four_rooms", "briefing=none")
+    with pytest.raises(InputError, match=r"briefing='some'"):
+        planned(types, "briefing=some")

@@ -4,15 +4,13 @@ is saved (``outputs/study/screenshots/lab``; ``XPLAIN_SCREENSHOTS`` names anothe
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
 from tests.chromium import Driver, go_in, take_part, wait
 from tests.conftest import Run
-from tests.people.collect.stand_in import FAULTLESS as OBSERVING
 from tests.people.server_process import ServerProcess
-from tests.people.study.stand_in import FAULTLESS
+from tests.people.street import FAULTLESS_OBSERVER, bot_of
 from tests.people.test_browser import axe as axe
 from tests.people.test_browser import complaints, look_at, out_of_sight
 from xplain import Explainer, LearnedTypes
@@ -20,7 +18,7 @@ from xplain.experiment.config import CONF
 from xplain.people.bots import Page, Researcher
 from xplain.people.collect.bot import bot
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.study.bot import StudyBot
+from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 
 pytestmark = pytest.mark.browser
@@ -47,13 +45,6 @@ ATTENTION = 'attention: "The robot turns on the spot for an hour, while the parc
 LIMITS = ("server.burst=1e6", "server.visitor_burst=1e6", "server.blinded=false")
 
 
-def bars(number: int) -> Image.Image:
-    """Draws a picture with this number of bars."""
-    y, x = np.mgrid[:240, :320]
-    drawn = (x // 24 % 2 == 1) & (x < 48 * (number + 1)) & (abs(y - 120) < 70)
-    return Image.fromarray(np.where(drawn, 60, 200 + 8 * number).astype(np.uint8))
-
-
 @pytest.fixture
 def lab(tmp_path: Path) -> Path:
     """Makes a folder with two tables, images, and the lab's own texts."""
@@ -62,7 +53,7 @@ def lab(tmp_path: Path) -> Path:
     (tmp_path / "own.csv").write_text(f"{own}\n", encoding="utf-8")
     (tmp_path / "facts.csv").write_text(FACTS, encoding="utf-8")
     for i in range(len(rows)):
-        bars(i).save(tmp_path / f"{i}.png")
+        Image.new("L", (320, 240), 40 * i).save(tmp_path / f"{i}.png")
     for kind, more in (("collect", ATTENTION), ("study", "")):
         texts = tmp_path / "texts" / kind / "texts"
         texts.mkdir(parents=True)
@@ -109,7 +100,7 @@ def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
         researcher = Researcher(server.url, server.key)
         look = Looking(driver, axe, "collect")
         go_in(driver, server.url, researcher.invite(1, "person")[0])
-        observer = bot(researcher.plan(CollectPlan), OBSERVING, 0, 0)
+        observer = bot(researcher.plan(CollectPlan), FAULTLESS_OBSERVER, 0, 0)
         assert take_part(driver, observer, look=look) == "done"
         assert look.seen["clips"] == 8 + 2 + 1
         assert look.alts <= {line.rsplit(",", 1)[1] for line in STEPS.splitlines()}
@@ -136,7 +127,7 @@ def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
         researcher = Researcher(server.url, server.key)
         look = Looking(driver, axe, "study")
         go_in(driver, server.url, researcher.invite(1, "person")[0])
-        person = StudyBot(researcher.plan(StudyPlan), FAULTLESS, np.random.default_rng(0))
+        person = bot_of(Study.of(researcher.plan(StudyPlan)), 0)
         assert take_part(driver, person, look=look) == "done"
         assert look.seen["evaluation"] == 5
         assert len(look.alts) == 5

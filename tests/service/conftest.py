@@ -1,18 +1,15 @@
-"""A service, called directly or in a thread, whose replies may be lost, and what it serves."""
+"""A service, called directly or in a thread, and what it serves."""
 
 import json
 import random
-import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import uvicorn
 
-from tests.people.client import Client, Reply
-from tests.people.server_process import free_port
+from tests.people.server_process import running
+from tests.people.visitors import Client, Reply
 from xplain.experiment.config import compose_config
 from xplain.people.service.app import create_app
 from xplain.people.service.served import ServedTask, make_served
@@ -51,39 +48,13 @@ class Direct:
         return self.send("POST", path, json.dumps(content))
 
 
-class Running:
-    """The service in a thread; ``lose`` of the replies are lost on their way."""
-
-    def __init__(self, talks: Talks, **settings: Any) -> None:
-        self.url, self.lose = f"http://127.0.0.1:{(port := free_port())}", 0.0
-        app, draw = create_app(talks, **settings), random.Random(0)
-
-        @app.middleware("http")
-        async def lossy(request: Any, call_next: Any) -> Any:
-            reply = await call_next(request)
-            if draw.random() < self.lose:
-                reply.status_code = 502
-            return reply
-
-        config = uvicorn.Config(app, port=port, log_level="error")
-        self.server = uvicorn.Server(config)
-        self.thread = threading.Thread(target=self.server.run)
-        self.thread.start()
-        while not self.server.started:
-            time.sleep(0.01)
-
-    def stop(self) -> None:
-        self.server.should_exit = True
-        self.thread.join()
-
-
 @pytest.fixture
 def service(talks: Talks) -> Direct:
     return Direct(talks, origins=["https://lab.example.org", "null"])
 
 
 @pytest.fixture
-def running(talks: Talks) -> Iterator[Running]:
-    started = Running(talks)
-    yield started
-    started.stop()
+def url(talks: Talks) -> Iterator[str]:
+    """The address of the service, in a thread."""
+    with running(create_app(talks)) as address:
+        yield address

@@ -14,9 +14,10 @@ from typing import Any
 
 import pytest
 
-from tests.chromium import Driver, wait
+from tests.chromium import Driver, resize, wait
 from tests.conftest import ROOT
-from tests.service.conftest import Running
+from tests.people.server_process import running
+from xplain.people.service.app import create_app
 from xplain.people.service.talks import Talks
 
 pytestmark = pytest.mark.browser
@@ -25,21 +26,16 @@ PRESS = "const b = document.querySelector('button, [type=submit]'); b && b.click
 WIDTHS = {390: 844, 1280: 900}
 
 
-def size(driver: Any, width: int) -> None:
-    shape = {"width": width, "height": WIDTHS[width], "deviceScaleFactor": 1, "mobile": width < 500}
-    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", shape)
-
-
 def in_sight(driver: Any, element: Any) -> bool:
     box = driver.execute_script("return arguments[0].getBoundingClientRect().toJSON()", element)
     return bool(box["top"] >= 0 and box["bottom"] <= driver.execute_script("return innerHeight"))
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_the_playground_tells_who_you_are(running: Running, driver: Driver, width: int) -> None:
+def test_the_playground_tells_who_you_are(url: str, driver: Driver, width: int) -> None:
     SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-    size(driver, width)
-    driver.get(running.url)
+    resize(driver, width, WIDTHS[width])
+    driver.get(url)
     find = partial(driver.find_element, "css selector")
     for fact in ("fire", "rubble"):
         find(f"#facts input[value={fact}]").click()
@@ -90,20 +86,25 @@ def test_a_lab_s_page_in_jspsych_counts_each_answer_once(
     talks: Talks, driver: Driver, lab: str, kind: str
 ) -> None:
     """Three people of each kind take part, with reloads and lost replies."""
-    service, draw = Running(talks, origins=[lab]), random.Random(1)
-    trace = list(talks.task.traces[0])[:4]
-    service.lose = 0.3
-    try:
+    app, draw = create_app(talks, origins=[lab]), random.Random(1)
+    trace, lost = list(talks.task.traces[0])[:4], random.Random(0)
+
+    @app.middleware("http")
+    async def lossy(request: Any, call_next: Any) -> Any:
+        reply = await call_next(request)
+        if lost.random() < 0.3:
+            reply.status_code = 502
+        return reply
+
+    with running(app) as url:
         for person in range(3):
-            given = f"service={service.url}&person=p{person}&kind={kind}"
+            given = f"service={url}&person=p{person}&kind={kind}"
             driver.get(f"{lab}?{given}&trace={','.join(map(str, trace))}")
             while not driver.find_elements("id", "thanks"):
                 driver.execute_script(PRESS)
                 if draw.random() < 0.02:
                     driver.refresh()
         assert not [e for e in driver.get_log("browser") if "Uncaught" in e["message"]]
-    finally:
-        service.stop()
     began = {"trace": trace, "expected_steps": 0} if kind == "session" else {}
     for person in range(3):
         which, _ = talks.begin(kind, f"p{person}", began)

@@ -1,6 +1,7 @@
 """From answers to tables and types: exclusions, learned types, and the types expected in more
 people."""
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +10,12 @@ import pandas as pd
 import pytest
 
 from tests.people.bare_flow import answer, observe
-from tests.people.collect.stand_in import FAULTLESS, street_collection
-from tests.people.study.stand_in import street_study
+from tests.people.street import FAULTLESS_OBSERVER, street_collection, street_study
+from tests.people.visitors import agreed
 from xplain.errors import InputError, XplainError
 from xplain.learning.data.label_file import read_table, write_table
-from xplain.people.collect.asking import ATTENTION, CollectState, mean_posterior
+from xplain.people.collect.asking import ATTENTION, CollectState
 from xplain.people.collect.bot import Habits, bot
-from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import (
     count_agreement,
     dataset_of,
@@ -31,15 +31,8 @@ from xplain.people.study.plan import StudyPlan
 COLLECTION = street_collection()
 
 
-def person(number: int, habits: Habits = FAULTLESS) -> CollectState:
+def person(number: int, habits: Habits = FAULTLESS_OBSERVER) -> CollectState:
     return observe(COLLECTION, bot(COLLECTION.plan, habits, 0, number), number)
-
-
-def inattentive(state: CollectState) -> CollectState:
-    answered = tuple(
-        replace(clip, labels=(1,)) if clip.purpose == ATTENTION else clip for clip in state.answered
-    )
-    return replace(state, answered=answered)
 
 
 def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
@@ -67,7 +60,7 @@ def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
 def test_types_are_doubtful_where_answers_are_not_what_people_think(
     error: float, doubtful: bool
 ) -> None:
-    people = [person(number, replace(FAULTLESS, error=error)) for number in range(8)]
+    people = [person(number, replace(FAULTLESS_OBSERVER, error=error)) for number in range(8)]
     found = find_types_so_far(COLLECTION.plan, people)
     assert found is not None
     assert found.doubtful == doubtful
@@ -80,7 +73,8 @@ def test_only_who_finished_and_looked_is_learned_from() -> None:
     assert replace(done, stage="clips").left_out == "unfinished"
     for end in ("withdrawn", "declined", "timed_out"):
         assert replace(done, stage=end).left_out == end
-    assert inattentive(done).left_out == "inattentive"
+    blind = [replace(c, labels=(1,)) if c.purpose == ATTENTION else c for c in done.answered]
+    assert replace(done, answered=tuple(blind)).left_out == "inattentive"
 
 
 def test_the_table_of_labels_holds_every_question_once_and_reads_back(tmp_path: Path) -> None:
@@ -146,31 +140,21 @@ def test_new_types_are_those_of_ewens(people: int) -> None:
     assert predict_new_types(people, people, 10) == (1.0, 10.0)
 
 
-def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:
-    """Makes a database in which people answered; the last person withdraws during the clips."""
-    store, found = Store(path, collection), []
-    for number in range(count):
-        who = store.enter_invited(store.invite(1, "person")[0])
-        someone = bot(collection.plan, Habits(mistake=0), 1, number)
-        state = store.submit(
-            who, 0, "consent", {"agree": 1, "text": collection.plan.texts.consent_hash}
-        )
-        while not state.over:
-            store.show(store.participant(who), state)
-            kind, payload = answer(collection, someone, state)
-            if number == count - 1 and len(state.answered) == 5:
-                kind, payload = "withdraw", {}
-            if kind == "answers":
-                payload = {"age": "33", "comment": "=HYPERLINK(1)"}
-            state = store.submit(who, state.accepted, kind, payload)
-        found.append(who)
-    store.close()
-    return found
-
-
 def test_the_export_says_who_gave_which_labels(tmp_path: Path) -> None:
-    path, out = tmp_path / "c.sqlite", tmp_path / "out"
-    everybody = filled(path, COLLECTION)
+    """The last person withdraws during the clips."""
+    path, out, everybody = tmp_path / "c.sqlite", tmp_path / "out", list[str]()
+    with closing(Store(path, COLLECTION)) as store:
+        for number in range(4):
+            everybody.append(who := agreed(store))
+            someone = bot(COLLECTION.plan, FAULTLESS_OBSERVER, 1, number)
+            while not (state := store.participant(who).state).over:
+                store.show(store.participant(who), state)
+                kind, payload = answer(COLLECTION, someone, state)
+                if number == 3 and len(state.answered) == 5:
+                    kind, payload = "withdraw", {}
+                if kind == "answers":
+                    payload = {"age": "33", "comment": "=HYPERLINK(1)"}
+                store.submit(who, state.accepted, kind, payload)
     export(path, out)
     observers = pd.read_csv(out / "observers.csv").set_index("observer")
     assert observers.index.tolist() == everybody
@@ -194,21 +178,6 @@ def test_the_export_says_who_gave_which_labels(tmp_path: Path) -> None:
     assert {c for c in observers.reset_index() if not c.startswith(families)} == {
         c for c in columns if not c.endswith("…")
     }
-
-
-def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
-    path = tmp_path / "c.sqlite"
-    everybody = filled(path, COLLECTION)
-    store = Store(path, COLLECTION)
-    states = [store.participant(who).state for who in everybody]
-    assert states[0].others == {}
-    assert states[1].others == mean_posterior([states[0].belief])
-    (token,) = store.invite(1, "bot")
-    bot = store.enter_invited(token)
-    text = COLLECTION.plan.texts.consent_hash
-    state = store.submit(bot, 0, "consent", {"agree": 1, "text": text})
-    assert state.others == {}  # people and bots never mix
-    store.close()
 
 
 def test_a_studys_database_is_not_a_collections(tmp_path: Path) -> None:

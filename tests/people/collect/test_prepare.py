@@ -1,7 +1,9 @@
 """From configuration to a plan: own transitions, images, lists, and errors."""
 
+import base64
+import io
+import zlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,14 +11,14 @@ from PIL import Image
 from sklearn.metrics import adjusted_rand_score
 
 from tests.people.bare_flow import crowd, truth_of
-from tests.people.collect.stand_in import street_plan
+from tests.people.street import collection_plan
 from xplain.cli.people import load_config
 from xplain.errors import InputError
-from xplain.experiment.config import CONF
+from xplain.experiment.config import CONF, compose_config
 from xplain.explanation.message_sets import mask_of
 from xplain.people.collect.bot import Habits
-from xplain.people.collect.plan import CollectPlan, CollectRules
-from xplain.people.collect.prepare import assemble
+from xplain.people.collect.plan import CollectPlan
+from xplain.people.collect.prepare import collect_plan
 from xplain.people.collect.tables import fact_sets
 from xplain.people.material import read_own_table
 from xplain.questions.designs import Battery
@@ -36,10 +38,12 @@ queue,People let the robot pass.,The robot has to queue.
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    (tmp_path / "own.csv").write_text(TABLE)
-    (tmp_path / "facts.csv").write_text(FACTS)
-    Image.new("RGB", (8, 6), "red").save(tmp_path / "cable.png")
-    return tmp_path
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    (folder / "own.csv").write_text(TABLE)
+    (folder / "facts.csv").write_text(FACTS)
+    Image.new("RGB", (8, 6), "red").save(folder / "cable.png")
+    return folder
 
 
 def test_own_transitions_become_a_task(folder: Path) -> None:
@@ -59,6 +63,9 @@ def test_own_transitions_become_a_task(folder: Path) -> None:
     assert known.labels[known.row(np.array(0b001)), 1] == 1
 
 
+NO_PICTURES = ("page", "empty", "wide", "bomb", "link", "../up")
+
+
 @pytest.mark.parametrize(
     ("file", "content", "said"),
     [
@@ -68,18 +75,50 @@ def test_own_transitions_become_a_task(folder: Path) -> None:
         ("own.csv", TABLE.replace("cable.png", "cable.svg"), "a picture"),
         ("own.csv", TABLE.replace("0,door", ",door"), "floor.*missing in 1 rows"),
         ("own.csv", TABLE.replace("0,door", "inf,door"), "infinite in 1 rows of floor"),
+        *(
+            ("own.csv", TABLE.replace("cable.png", f"{name}.png"), r"transitions\.image")
+            for name in NO_PICTURES
+        ),
     ],
 )
 def test_what_is_wrong_with_ones_own_table_is_named(
     folder: Path, file: str, content: str, said: str
 ) -> None:
+    """What is no picture of the folder is refused; of a picture with too many pixels only the
+    header is read: decoding 60,000 × 60,000 pixels would take 10 GB."""
+    (folder / "page.png").write_text("<html><script>alert(1)</script></html>")
+    (folder / "empty.png").write_bytes(b"")
+    Image.new("1", (60_000, 10)).save(folder / "wide.png")
+    Image.new("1", (8, 8)).save(folder / "bomb.png")
+    data = bytearray((folder / "bomb.png").read_bytes())
+    data[16:24] = (60_000).to_bytes(4, "big") * 2
+    data[29:33] = zlib.crc32(bytes(data[12:29])).to_bytes(4, "big")
+    (folder / "bomb.png").write_bytes(bytes(data))
+    Image.new("RGB", (4, 4)).save(folder.parent / "up.png")
+    (folder / "link.png").symlink_to(folder.parent / "up.png")
     (folder / file).write_text(content)
     with pytest.raises(InputError, match=said):
         read_own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
 
 
+def test_pixels_are_kept_and_where_they_were_taken_is_not(folder: Path) -> None:
+    exif = Image.Exif()
+    exif[0x010E] = "taken at home"
+    exif[0x8825] = {1: "N", 2: (52.0, 30.0, 0.0)}
+    Image.new("RGB", (40, 30), "red").save(folder / "a.jpg", exif=exif, comment=b"by Ann")
+    assert b"taken at home" in (folder / "a.jpg").read_bytes()
+    (folder / "own.csv").write_text(TABLE.replace("cable.png", "a.jpg"))
+    clip = read_own_table(folder / "own.csv", str(folder / "facts.csv"), 0).clips[0]
+    assert clip.picture is not None
+    picture = Image.open(io.BytesIO(base64.b64decode(clip.picture.content)))
+    assert (picture.size, picture.format) == ((40, 30), "JPEG")
+    assert not picture.getexif()
+    assert "comment" not in picture.info
+    assert picture.getpixel((20, 15))[0] > 250  # type: ignore[index]
+
+
 def test_a_list_tells_all_candidates_apart() -> None:
-    plan = street_plan(Battery(redundancy=1), points=12)
+    plan = collection_plan(Battery(redundancy=1), points=12)
     known = plan.hypotheses
     labels = np.array([known.label([t], told)[0, :, 0] for t, told in plan.questions]).T
     distinct = {tuple(row) for row in labels.tolist()}
@@ -125,7 +164,7 @@ def rand_index(plan: CollectPlan, people: int, error: float, seed: int) -> float
 
 
 def test_whoever_answers_at_random_cannot_be_sorted() -> None:
-    plan = street_plan()
+    plan = collection_plan()
     right = np.mean([rand_index(plan, 12, 0.0, seed) for seed in range(2)])
     random = np.mean([rand_index(plan, 12, 0.5, seed) for seed in range(2)])
     assert right == 1.0
@@ -137,16 +176,7 @@ def test_whoever_answers_at_random_cannot_be_sorted() -> None:
 @pytest.mark.parametrize(("domain", "types"), [("rescue", 5), ("four_rooms", 3)])
 def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> None:
     """The docs promise an adjusted Rand index of at least 0.95 with 5 % wrong answers."""
-    from hydra.utils import instantiate
-
-    from xplain.experiment.config import compose_config
-    from xplain.people.collect.prepare import material_of
-    from xplain.people.material import select_plan_keys
-
-    cfg = compose_config("collect", [f"domain={domain}"])
-    config: dict[str, Any] = select_plan_keys(cfg)
-    rules = CollectRules(points=config["points"], **config["rules"])
-    plan = assemble(material_of(cfg), instantiate(cfg.queries), rules, config)
+    plan = collect_plan(compose_config("collect", [f"domain={domain}"]))
     assert len(plan.roles) == types
     found = [rand_index(plan, 24, 0.05, seed) for seed in range(100, 105)]
     assert min(found) >= 0.9

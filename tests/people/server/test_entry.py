@@ -14,10 +14,8 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from starlette.requests import Request
 
-from tests.people.client import Client
-from tests.people.conftest import Opened
-from tests.people.study.stand_in import street_study
-from tests.people.visitors import GENEROUS, arrive, consent, enter, field, newcomer
+from tests.people.street import street_study
+from tests.people.visitors import GENEROUS, Client, Opened, arrive, consent, enter, newcomer
 from xplain.errors import InputError
 from xplain.people import web as application
 from xplain.people.bots import Page
@@ -54,7 +52,7 @@ def test_entry_is_as_configured(store: Store) -> None:
     html = platform.get("/").text
     assert 'name="invitation"' not in html
     assert "<button>Begin" not in html  # a link without ids lets nobody in
-    token, (invitation,) = field(html, "token"), store.invite(1, "person")
+    token, (invitation,) = Page.of_html(html).hidden["token"], store.invite(1, "person")
     ids = {f"id_{name}": value for name, value in IDS.items()}
     refused = ({"invitation": invitation}, {}, {"invitation": ""}, ids | {"token": ""})
     wrong = ({"id_PROLIFIC_PID": "p" * 101}, {"id_PROLIFIC_PID": ""}, {"id_SESSION_ID": ""})
@@ -142,7 +140,9 @@ def test_a_platform_signs_with_a_key_of_which_the_lab_has_the_public_half(
 
 def test_a_browser_without_cookies_is_told_so(store: Store) -> None:
     client = Client(create_app(store, GENEROUS), cookies=False)
-    reply = client.post("/enter", data={"token": field(client.get("/").text, "token")})
+    reply = client.post(
+        "/enter", data={"token": Page.of_html(client.get("/").text).hidden["token"]}
+    )
     assert reply.status_code == 403
     assert "cookies" in reply.text
 
@@ -166,7 +166,10 @@ def test_everything_is_below_the_path_of_the_address(store: Store, given: str) -
     assert 'href="/robots/static/study.css"' in entrance.text
     assert client.get(f"{given}/static/study.css").status_code == 200
     assert "Path=/robots/" in entrance.headers["Set-Cookie"]
-    sent = {"token": field(entrance.text, "token"), "invitation": store.invite(1, "person")[0]}
+    sent = {
+        "token": Page.of_html(entrance.text).hidden["token"],
+        "invitation": store.invite(1, "person")[0],
+    }
     reply = client.post("/robots/enter", data=sent, base_url="http://localhost")
     assert reply.headers["Location"] == "/robots/study"
     # Monitors ask for the head alone, and a path may end in a slash.
@@ -183,16 +186,6 @@ def test_a_full_disk_is_no_good_health(store: Store, monkeypatch: pytest.MonkeyP
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(application.shutil, "disk_usage", lambda path: usage(10, 10, 0))
     assert client.get("/alive").status_code == 503
-
-
-def test_pages_may_be_shown_in_the_frames_that_are_named(store: Store) -> None:
-    survey = "https://survey.example.org"
-    shown = newcomer(store, replace(GENEROUS, frames=(survey,))).client.get("/")
-    assert f"frame-ancestors {survey}" in shown.headers["Content-Security-Policy"]
-    assert "X-Frame-Options" not in shown.headers
-    assert "SameSite=none" in shown.headers["Set-Cookie"]
-    other = newcomer(store).client.get("/")
-    assert "frame-ancestors 'none'" in other.headers["Content-Security-Policy"]
 
 
 def test_nothing_in_the_data_says_who_is_who_but_a_file_apart(store: Store, tmp_path: Path) -> None:
@@ -235,15 +228,9 @@ def test_nobody_from_elsewhere_agrees_to_a_consent_that_is_not_edited(opened: Op
         (replace(GENEROUS, demo=True), "https://lab.example.org", 303),
     ):
         client = newcomer(store, server).client
-        token = field(client.get("/", base_url=host).text, "token")
+        token = Page.of_html(client.get("/", base_url=host).text).hidden["token"]
         sent = {"token": token, "invitation": store.invite(1, "pilot")[0]}
         assert client.post("/enter", data=sent, base_url=host).status_code == status
-
-
-def test_pictures_and_consent_are_for_participants(store: Store) -> None:
-    client = newcomer(store).client
-    for path in ("/consent.txt", "/picture/0"):
-        assert client.get(path).status_code == 403
 
 
 def test_two_studies_on_one_host_share_a_browser(store: Store, opened: Opened) -> None:

@@ -3,18 +3,24 @@
 import base64
 import gc
 import re
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.people.collect.stand_in import street_collection, telling
-from tests.people.collect.stand_in import street_plan as collection_plan
-from tests.people.conftest import Opened
-from tests.people.kinds import ASKING, KINDS, bot_of, flow_of
-from tests.people.study.stand_in import FAULTLESS, SCREENS, street_plan
+from tests.people.street import (
+    ASKING,
+    KINDS,
+    SCREENS,
+    bot_of,
+    collection_plan,
+    flow_of,
+    street_collection,
+    street_plan,
+    telling,
+)
 from tests.people.visitors import (
+    Opened,
     Visitor,
     arrive,
     differences,
@@ -26,12 +32,18 @@ from tests.people.visitors import (
     way,
 )
 from xplain.people.bots import Page
-from xplain.people.collect.asking import ATTENTION, REPEAT, AskedClip, CollectState, belief
+from xplain.people.collect.asking import (
+    ATTENTION,
+    REPEAT,
+    AskedClip,
+    CollectState,
+    belief,
+    mean_posterior,
+)
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.tables import KnownSoFar, glance
 from xplain.people.plan import Picture
 from xplain.people.store import Store
-from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.tables import steps_of
@@ -48,12 +60,18 @@ AFTER = {"study": ("quiz", "questions", "done"), "collect": ("beliefs", "questio
 @pytest.mark.parametrize("kind", KINDS)
 def test_reload_back_second_tab_and_double_click_change_nothing(opened: Opened, kind: str) -> None:
     store = opened(flow_of(kind))
-    one, (token,) = newcomer(store), store.invite(1, "person")
+    one, (token,) = newcomer(store), store.invite(1, "bot")
     two, old, stages = one.another(), list[list[tuple[str, str]]](), list[str]()
     for html, page in pages(one, bot_of(store.flow, 0), token):
         last, stages = html, [*stages, page.stage]
         again = Page.of_html(one.get("/study")[1])  # reload
         assert (again.stage, again.steps) == (page.stage, page.steps)
+        # No inline script or style, nothing from elsewhere, and the mark of simulated people.
+        assert not re.search(r"<script(?! src=\"/static)", html), page.stage
+        assert not re.search(r"\son\w+=|\sstyle=|<style|javascript:", html), page.stage
+        assert not re.search(r"(src|href)=\"(?!/|#)", html), page.stage
+        assert "Simulated participant" in html
+        assert not re.search(r"conformant|personalized|type [XYZ]", html), page.stage
         enter(two, token)  # another tab, another device
         assert Page.of_html(two.get("/study")[1]).hidden == page.hidden
         for fields in [*old[:2], *old[-4:]]:  # pages before, sent once more
@@ -73,10 +91,8 @@ def test_reload_back_second_tab_and_double_click_change_nothing(opened: Opened, 
     assert differences(store) == []
 
 
-def test_earlier_labels_stay_and_only_the_new_one_is_needed(
-    store: Store, browser: Visitor, person: Callable[[], StudyBot]
-) -> None:
-    for _, page in pages(browser, person(), *store.invite(1, "person")):
+def test_earlier_labels_stay_and_only_the_new_one_is_needed(store: Store, browser: Visitor) -> None:
+    for _, page in pages(browser, bot_of(store.flow, 0), *store.invite(1, "person")):
         if page.stage == "evaluation":
             break
     _, html, page = browser.answer(page, ("label_0", "0"))
@@ -93,32 +109,19 @@ def test_a_message_is_said_again_in_words_that_blame_nobody(opened: Opened) -> N
     """A repeated message is marked, in its own place: a page never shows a message twice."""
     told = {"_target_": "xplain.explanation.belief.Independent", "accept": 0.8, "forget": 0.1}
     store, marked = opened(Study.of(street_plan(belief=told))), list[str]()
-    habits = replace(FAULTLESS, forgetting=0.9, losing=0.9)
     for number in range(6):
-        someone = StudyBot(store.flow.plan, habits, np.random.default_rng(number))
-        for html, page in way(store, someone):
+        for html, page in way(store, bot_of(store.flow, number, forgetting=0.9, losing=0.9)):
             assert len(set(page.messages)) == len(page.messages)
             marked += re.findall(r'<span class="tag">Said again:</span> (.*?)</div>', html)
     again = [(s.page.previous or 0) & s.page.new for p in store.everybody() for s in steps_of(p)]
     assert len(marked) == sum(mask.bit_count() for mask in again) > 0
 
 
-def test_pages_have_no_inline_script_or_style_and_load_nothing_from_elsewhere(store: Store) -> None:
-    for html, page in way(store, bot_of(store.flow, 0), "bot"):
-        assert not re.search(r"<script(?! src=\"/static)", html), page.stage
-        assert not re.search(r"\son\w+=|\sstyle=|<style|javascript:", html), page.stage
-        assert not re.search(r"(src|href)=\"(?!/|#)", html), page.stage
-        assert "Simulated participant" in html  # bots are marked on every page too
-        assert not re.search(r"conformant|personalized|type [XYZ]", html), page.stage
-
-
-def test_what_people_write_is_escaped_everywhere(
-    store: Store, browser: Visitor, person: Callable[[], StudyBot]
-) -> None:
+def test_what_people_write_is_escaped_everywhere(store: Store, browser: Visitor) -> None:
     attack = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)>{{7*7}}\x00\u202e"
     _, html = browser.get("/?invitation=" + "%3Cscript%3Ealert(1)%3C/script%3E&PROLIFIC_PID=%22%3E")
     assert "<script>alert" not in html
-    for html, page in pages(browser, person(), *store.invite(1, "person")):
+    for html, page in pages(browser, bot_of(store.flow, 0), *store.invite(1, "person")):
         assert "<script>alert" not in html
         if page.stage == "questions":
             own = ("answer_comment", attack)
@@ -212,6 +215,7 @@ def test_of_the_erased_nothing_stays_in_memory(opened: Opened) -> None:
             *({"types"} if any(isinstance(one, KnownSoFar) for one in new) else ()),
         }
 
+    store.flow.STATE.from_text(gone.text)
     assert remembered() == {"state", "questionnaire", "types"}
     store.erase_by(store.reference(gone.id))
     assert remembered() == set()
@@ -235,9 +239,9 @@ def test_a_clip_shows_just_what_is_told_there(opened: Opened) -> None:
     assert differences(store) == []
 
 
-def test_assigned_briefings_are_balanced_and_shown_again(opened: Opened) -> None:
-    store = opened(street_collection(briefing="assigned", points=8))
-    roles = store.flow.plan.roles
+def test_assigned_briefings_are_balanced_shown_again_and_found(opened: Opened) -> None:
+    store = opened(street_collection(briefing="assigned"))
+    roles, known = store.flow.plan.roles, store.flow.plan.hypotheses
     for number in range(6):
         for _, page in way(store, bot_of(store.flow, 0, number)):
             if page.stage == "clips":
@@ -247,7 +251,8 @@ def test_assigned_briefings_are_balanced_and_shown_again(opened: Opened) -> None
     assert sorted(state.role for state in states) == [0, 0, 1, 1, 2, 2]
     for state in states:  # each answered as the briefing says, whoever they were before
         held = roles[state.role].held
-        assert sum(1 << j for j, one in enumerate(state.stated) if one == 1) == held
+        assert state.stated == tuple(held >> j & 1 for j in range(len(store.flow.plan.facts)))
+        assert state.belief[str(known.essential[known.row(np.array(held))])] > 0.9
     assert differences(store) == []
 
 
@@ -269,12 +274,18 @@ def test_images_of_own_transitions_are_served(opened: Opened) -> None:
 
 
 def test_many_at_once_share_what_was_known_when_they_came(opened: Opened) -> None:
+    """People and bots never share."""
     store = opened(street_collection(points=8))
+    take_part(store, [bot_of(store.flow, 0, 4)], "bot")
     ways = [way(store, bot_of(store.flow, 0, number)) for number in range(3)]
     for _ in range(40):  # a page each in turn
         for one in ways:
             next(one, None)
     take_part(store, [bot_of(store.flow, 0, 5)])
+    take_part(store, [bot_of(store.flow, 0, 6)], "bot")
     after = [event.payload.get("after") for event in store.events("kind = 'consent'")]
-    assert after == [[]] * 3 + [[1, 2, 3]]
+    assert after == [[], [], [], [], [2, 3, 4], [1]]
+    first, *people, last, _ = (one.state for one in store.present())
+    assert [one.others for one in (first, *people)] == [{}] * 4
+    assert last.others == mean_posterior([one.belief for one in people]) != {}
     assert differences(store) == []

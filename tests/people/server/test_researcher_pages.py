@@ -7,13 +7,19 @@ from dataclasses import replace
 
 import pytest
 
-from tests.people.client import Client
-from tests.people.collect.stand_in import street_collection
-from tests.people.conftest import Opened
-from tests.people.kinds import bot_of
-from tests.people.study.stand_in import PLACES
-from tests.people.visitors import GENEROUS, Visitor, agreed, consent, field, newcomer, take_part
+from tests.people.street import PLACES, bot_of, street_collection
+from tests.people.visitors import (
+    GENEROUS,
+    Client,
+    Opened,
+    Visitor,
+    agreed,
+    consent,
+    newcomer,
+    take_part,
+)
 from xplain.errors import Refused
+from xplain.people.bots import Page
 from xplain.people.log import Clock
 from xplain.people.server import Keys
 from xplain.people.store import Store, Unknown
@@ -33,7 +39,7 @@ def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> Non
     first = done.headers["Set-Cookie"]
     html = client.get("/researcher").text
     assert "Overview of the study" in html
-    token = field(html, "token")
+    token = Page.of_html(html).hidden["token"]
     good = {"token": token, "count": "3", "stream": "pilot"}
     for bad in ({"count": "0"}, {"count": "501"}, {"count": "x"}, {"stream": "king"}):
         assert client.post("/researcher/invitations", data=good | bad).status_code == 400
@@ -52,7 +58,7 @@ def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> Non
     # Each login has a cookie of its own, and the end of a session ends it.
     again = client.post("/researcher/login", data={"key": keys.researcher})
     assert again.headers["Set-Cookie"] != first
-    token = field(client.get("/researcher").text, "token")
+    token = Page.of_html(client.get("/researcher").text).hidden["token"]
     held, _ = client.cookies[f"researcher_{Keys(store.secret).mark}"]
     assert client.post("/researcher/logout", data={"token": token}).status_code == 303
     client.set_cookie(f"researcher_{Keys(store.secret).mark}", held)
@@ -67,7 +73,7 @@ def overview(client: Client, store: Store) -> str:
 
 def logged_in(client: Client, store: Store) -> str:
     """Returns the token of the researcher's forms."""
-    return field(overview(client, store), "token")
+    return Page.of_html(overview(client, store)).hidden["token"]
 
 
 def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
@@ -160,7 +166,7 @@ def test_the_researcher_sees_labels_types_and_what_more_people_bring(opened: Ope
     for wrong in ("bridge, market", "market, school", "school, tunnel"):
         assert f"<td>{wrong}</td>" in html
     assert "Among ten more people" in html
-    reply = client.post("/researcher/export", data={"token": field(html, "token")})
+    reply = client.post("/researcher/export", data={"token": Page.of_html(html).hidden["token"]})
     with zipfile.ZipFile(io.BytesIO(reply.data)) as archive:
         names = ("labels.csv", "observers.csv", "clips.parquet", "events.csv")
         assert {f"study/{name}" for name in names} <= {*archive.namelist()}

@@ -7,19 +7,22 @@ from typing import Any
 import lxml.html
 import pytest
 
-from tests.people.collect import stand_in as collect_stand_in
-from tests.people.collect.stand_in import wording
-from tests.people.conftest import Opened
-from tests.people.kinds import bot_of
-from tests.people.study.stand_in import ASK, CONFIG, english_words, street_plan
-from tests.people.visitors import enter, newcomer
+from tests.people.street import (
+    ASK,
+    CONFIG,
+    PLACES,
+    bot_of,
+    collection_plan,
+    english_words,
+    street_plan,
+    street_study,
+    wording,
+)
+from tests.people.visitors import Opened, enter, newcomer
 from xplain.errors import InputError
 from xplain.people.bots import Page
 from xplain.people.collect.flow import Collection
 from xplain.people.store import Store
-from xplain.people.study.flow import Study
-
-PLACES = ("bridge", "market", "school", "tunnel")
 
 
 def made_up(text: str) -> str:
@@ -68,33 +71,20 @@ def in_the_language(english: dict[str, Any]) -> dict[str, Any]:
     return own | LANGUAGE | {"words": words, "questions": QUESTIONS}
 
 
-def foreign_study(**changes: Any) -> Study:
-    texts = in_the_language(CONFIG["wording"])
-    texts["rewards"] = translated(texts["rewards"])
-    del texts["questions"]  # a study's are beside its texts
-    plan = street_plan(
-        wording=texts, before=QUESTIONS[1:2], questions=[QUESTIONS[0], *QUESTIONS[2:]], **changes
-    )
-    return Study.of(plan)
-
-
-def foreign_collection(briefing: str) -> Collection:
-    words = in_the_language(wording())
-    return Collection(collect_stand_in.street_plan(briefing=briefing, words=words))
-
-
 @pytest.fixture(params=["study", "asking", "none", "assigned"])
 def foreign(opened: Opened, request: pytest.FixtureRequest) -> Store:
     """Stores a study, a study with a condition that asks, or a collection without or with a
     briefing, in the made-up language."""
-    if request.param == "study":
-        flow: Any = foreign_study()
-    elif request.param == "asking":
-        own = {"asking": CONFIG["conditions"]["personalized"]}
-        flow = foreign_study(ask=ASK, conditions=own)
-    else:
-        flow = foreign_collection(request.param)
-    return opened(flow)
+    if request.param in ("none", "assigned"):
+        words = in_the_language(wording())
+        return opened(Collection(collection_plan(briefing=request.param, words=words)))
+    texts = in_the_language(CONFIG["wording"])
+    texts["rewards"] = translated(texts["rewards"])
+    number, which, scale = texts.pop("questions")  # a study's are beside its texts
+    own = {"asking": CONFIG["conditions"]["personalized"]}
+    more = {"ask": ASK, "conditions": own} if request.param == "asking" else {}
+    lab = {"before": [which], "questions": [number, scale]}
+    return opened(street_study(wording=texts, **lab, **more))
 
 
 def left_over(html: str) -> set[str]:
@@ -171,4 +161,4 @@ def test_a_language_without_all_its_words_is_refused() -> None:
     words = wording()["words"]
     del words["sense"]
     with pytest.raises(InputError, match=r"wording\.words\.sense"):
-        collect_stand_in.street_plan(words=wording(words=words))
+        collection_plan(words=wording(words=words))

@@ -3,18 +3,19 @@
 import base64
 import io
 import re
-from dataclasses import replace
+from copy import deepcopy
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from omegaconf import DictConfig, OmegaConf
 from PIL import Image
 
-from tests.people.conftest import Opened
-from tests.people.study.stand_in import FAULTLESS
-from tests.people.visitors import differences, newcomer, pages, take_part
+from tests.people.street import bot_of
+from tests.people.visitors import Opened, differences, newcomer, pages, take_part
 from xplain import Explainer
 from xplain.cli.people import load_config
 from xplain.errors import InputError
@@ -22,7 +23,6 @@ from xplain.explanation.anybody import Open
 from xplain.explanation.belief import NO_FIT
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.saved import LearnedTypes, TableLabeler
-from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import study_plan
@@ -45,7 +45,7 @@ GIVEN = {
     "facts": "facts.csv",
     "types": "types.npz",
     "briefing": "none",
-    "trace.rows": f"[[1,2,1,2,1],{TRACE}]".replace(" ", ""),
+    "trace.rows": [[1, 2, 1, 2, 1], TRACE],
     "trace.min_steps": "5",
     "seed": "1",
 }
@@ -95,9 +95,18 @@ def save_types(
     )
 
 
-def plan_of(**changes: Any) -> StudyPlan:
-    given = {key: value for key, value in {**GIVEN, **changes}.items() if value is not None}
-    return study_plan(load_config("study", [f"{key}={value}" for key, value in given.items()]))
+@cache
+def composed(*words: str) -> DictConfig:
+    given = [f"{key}={value}" for key, value in GIVEN.items()]
+    return load_config("study", [*given, *words])
+
+
+def plan_of(*words: str, **changes: Any) -> StudyPlan:
+    """Makes the plan of the lab's study with these choices and values."""
+    cfg = deepcopy(composed(*words))
+    for key, value in changes.items():
+        OmegaConf.update(cfg, key, value)
+    return study_plan(cfg)
 
 
 def test_the_plan_is_what_the_table_says(lab: Path) -> None:
@@ -127,8 +136,8 @@ def test_the_plan_is_what_the_table_says(lab: Path) -> None:
 def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, opened: Opened) -> None:
     flow = Study.of(plan_of())
     store = opened(flow)
-    visitor, person = newcomer(store), StudyBot(flow.plan, FAULTLESS, np.random.default_rng(0))
-    seen = list(pages(visitor, person, *store.invite(1, "person")))
+    visitor = newcomer(store)
+    seen = list(pages(visitor, bot_of(flow, 0), *store.invite(1, "person")))
     assert [page.stage for _, page in seen] == [
         *("consent", "briefing", "briefing", "training", "training", *["evaluation"] * 5),
         *("quiz", "done"),
@@ -152,7 +161,7 @@ def test_whom_no_type_fits_is_in_the_export_and_on_the_researchers_page(
     lab: Path, opened: Opened
 ) -> None:
     save_types(lab / "types.npz", "place", facts=True)
-    flow = Study.of(plan_of(belief="open"))
+    flow = Study.of(plan_of("belief=open"))
     assert flow.plan.problem.type_names[-1] == "none of these"
     explainer = Explainer(LearnedTypes.load(lab / "types.npz"), belief_update=Open("learned"))
     beliefs = explainer.session([[row - 1] for row in TRACE]).belief
@@ -160,9 +169,7 @@ def test_whom_no_type_fits_is_in_the_export_and_on_the_researchers_page(
     np.testing.assert_allclose([*beliefs.values()], known)
     store, fits = opened(flow), []
     for who, noise in enumerate((0.0, 0.5)):
-        habits = replace(FAULTLESS, label_noise=noise)
-        person = StudyBot(flow.plan, habits, np.random.default_rng(who))
-        assert take_part(store, [person]) == ["done"]
+        assert take_part(store, [bot_of(flow, who, label_noise=noise)]) == ["done"]
         fits.append(fit_of(flow.plan, store.present()[who].state))
     assert fits[0] > NO_FIT > fits[1]
     people = [*tables(flow.plan, store.present())["participants"]]
@@ -174,7 +181,7 @@ def test_whom_no_type_fits_is_in_the_export_and_on_the_researchers_page(
 def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, opened: Opened) -> None:
     """Every row is a possible question, those of the trace first; the bot judges the row on the
     page."""
-    plan = plan_of(ask="clips", **{"ask.cost": "0.02"})
+    plan = plan_of("ask=clips", **{"ask.cost": 0.02})
     assert plan.clip_labels is not None
     rows = [int(clip.phrase.split()[1]) for clip in plan.clips]
     told = plan.clip_labels.array(len(FACTS))
@@ -189,8 +196,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, opened: 
     store, asked = opened(Study.of(plan)), 0
     for number, token in enumerate(store.invite(9, "person")):
         visitor = newcomer(store)
-        person = StudyBot(plan, FAULTLESS, np.random.default_rng(number))
-        for html, page in pages(visitor, person, token):
+        for html, page in pages(visitor, bot_of(store.flow, number), token):
             if page.stage != "asking":
                 continue
             asked, (clip,) = asked + 1, page.steps
@@ -206,33 +212,33 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, opened: 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"ask": "beliefs"}, r"ask\.kinds=\['beliefs'\]: clips in a study"),
+        ("ask=beliefs", r"ask\.kinds=\['beliefs'\]: clips in a study"),
+        ("domain=rescue", r"domain='rescue': null with transitions"),
         ({"briefing": "assigned"}, r"briefing='assigned': none, because your own transitions"),
         ({"types": None}, r"types=None: types\.npz of xplain discover"),
         ({"facts": None}, r"facts=None: a \.csv file"),
         ({"transitions": None}, r"facts='facts\.csv': only with transitions"),
         ({"transitions": None, "facts": None, "types": None}, r"trace\.rows=.*: only with trans"),
-        ({"trace.rows": None}, r"trace\.rows=\[\]: lists of rows of the table.* from 1 to 6"),
-        ({"trace.rows": "[[1,0]]"}, r"trace\.rows=0: lists of rows"),
-        ({"trace.rows": "[[1,7]]"}, r"trace\.rows=7: lists of rows"),
-        ({"trace.rows": "[1,2]"}, r"trace\.rows=.*: lists of rows"),
-        ({"trace.rows": "[[1,2]]"}, r"trace\.min_steps=5: 2 steps or fewer"),
-        ({"trace.rows": "[[6,6,6,6,6]]"}, r"conditions=.* differ on average by one message"),
+        ({"trace.rows": []}, r"trace\.rows=\[\]: lists of rows of the table.* from 1 to 6"),
+        ({"trace.rows": [[1, 0]]}, r"trace\.rows=0: lists of rows"),
+        ({"trace.rows": [[1, 7]]}, r"trace\.rows=7: lists of rows"),
+        ({"trace.rows": [1, 2]}, r"trace\.rows=.*: lists of rows"),
+        ({"trace.rows": [[1, 2]]}, r"trace\.min_steps=5: 2 steps or fewer"),
+        ({"trace.rows": [[6, 6, 6, 6, 6]]}, r"conditions=.* differ on average by one message"),
         ({"types": "others.npz"}, r"types='others\.npz: lane': types with the features"),
         ({"types": "fewer.npz"}, r"types='fewer\.npz: a, b, c': types with the messages"),
-        ({"domain": "rescue"}, r"domain='rescue': null with transitions"),
     ],
 )
 def test_what_does_not_go_together_is_refused_with_what_to_do(
-    lab: Path, changes: dict[str, Any], said: str
+    lab: Path, changes: str | dict[str, Any], said: str
 ) -> None:
     save_types(lab / "others.npz", "lane")
     save_types(lab / "fewer.npz", "place", ("a", "b", "c"))
     with pytest.raises(InputError, match=said):
-        plan_of(**changes)
+        plan_of(changes) if isinstance(changes, str) else plan_of(**changes)
 
 
 def test_a_trace_that_tells_more_goes_first_and_is_cut_where_traces_end(lab: Path) -> None:
-    rows = "[[6,6,6,6,6,6],[6,1,3,4,5,2],[1,6,6,6,6]]"
-    assert len(plan_of(**{"trace.rows": rows, "max_steps": 5}).trace) == 5
-    assert plan_of(**{"trace.rows": rows}).trace[1] == "Step 0 & <more>"
+    rows = {"trace.rows": [[6, 6, 6, 6, 6, 6], [6, 1, 3, 4, 5, 2], [1, 6, 6, 6, 6]]}
+    assert len(plan_of(**rows, max_steps=5).trace) == 5
+    assert plan_of(**rows).trace[1] == "Step 0 & <more>"

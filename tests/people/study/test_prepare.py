@@ -1,31 +1,40 @@
-"""From a configuration to the plan of a study."""
+"""From a configuration to the plan of a study: its trace, its briefings and tests, and its map."""
 
 import json
+import re
+from collections.abc import Callable
+from itertools import combinations
 
 import numpy as np
 import pytest
 from hydra.utils import instantiate
+from numpy.typing import NDArray
 from omegaconf import OmegaConf
 
 from tests.domains.configs import setting_of
-from tests.people.conftest import Opened
-from tests.people.study.stand_in import FAULTLESS
-from tests.people.visitors import take_part
+from tests.people.street import TYPES, bot_of
+from tests.people.visitors import Opened, take_part
 from xplain.domains.base import cell_name
-from xplain.errors import InputError
 from xplain.experiment.config import compose_config
 from xplain.explanation.anybody import Open
+from xplain.people.map_svg import COLOURS, about, picture
 from xplain.people.material import Material, name_items, phrases_of
-from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study
+from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import find_needed, study_plan, traces_of
 
+CONFIG = ("seed=0", "trace.candidates=40")
 
-def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
 
-    cfg = compose_config("study", ["seed=0", "trace.candidates=40"])
-    plan = study_plan(cfg)
-    assert study_plan(cfg).hash == plan.hash  # same configuration, same study
+@pytest.fixture(scope="module")
+def rescue() -> StudyPlan:
+    return study_plan(compose_config("study", [*CONFIG]))
+
+
+def test_the_rescue_study_is_prepared_from_its_configuration(rescue: StudyPlan) -> None:
+    plan = rescue
+    # Same configuration, same study.
+    assert study_plan(compose_config("study", [*CONFIG])).hash == plan.hash
     assert Study.of(plan).belief == Open("learned")
     assert (len(plan.roles), plan.problem.trade_off) == (5, 1.0)
     assert set(plan.conditions) == {"personalized", "conformant"}
@@ -71,17 +80,14 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(opened: Opened) ->
     assert "four rooms" in plan.texts.introduction[0]
     for role in plan.roles:
         assert len(role.quiz) == 4
-    person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
-    assert take_part(opened(Study.of(plan)), [person]) == ["done"]
-
-
-def trace_rules(**changes: object) -> dict[str, object]:
-    return {"start": None, "rows": [], "candidates": 3, "min_steps": 1} | changes
+    store = opened(Study.of(plan))
+    assert take_part(store, [bot_of(store.flow, 0)]) == ["done"]
 
 
 def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
     setting = setting_of("domain=four_rooms", "users.count=3")
-    ranked = traces_of(Material.of(setting), trace_rules(candidates=80), 40, 0)
+    rules = {"start": None, "rows": [], "candidates": 80, "min_steps": 1}
+    ranked = traces_of(Material.of(setting), rules, 40, 0)
     facts = [
         sum(
             find_needed(of_type).bit_count()
@@ -96,19 +102,6 @@ def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
     assert len({one.tobytes() for one in ranked}) == len(ranked)
 
 
-def test_a_study_whose_conditions_are_alike_is_refused() -> None:
-    with pytest.raises(InputError, match=r"conditions=.*differ on average by one message"):
-        study_plan(
-            compose_config(
-                "study",
-                [
-                    *("seed=0", "observers.points=50", "trace.candidates=5"),
-                    "conditions.personalized={_target_: xplain.solvers.greedy.Conformant}",
-                ],
-            )
-        )
-
-
 def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:
     in_words = phrases_of({"first aid": "kit", "first": "1st", "north": "drives north"}, True)
     assert in_words("picks up the first aid") == "picks up the kit"
@@ -117,3 +110,102 @@ def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:
     assert in_words("northern") == "northern"
     assert phrases_of({}, False)("moves to (2, 3)") == "moves to (2, 3)"
     assert [cell_name(0, c) for c in (0, 25, 26)] == ["A1", "Z1", "AA1"]
+
+
+def test_needed_messages_are_smallest(study: Study) -> None:
+    plan = study.plan
+    for labels in plan.true_labels:
+        mask = find_needed(labels)
+        assert labels[:, mask].all()
+        smaller = [m for m in range(16) if m.bit_count() < mask.bit_count()]
+        assert not any(labels[:, m].all() for m in smaller)
+
+
+def test_roles_follow_from_the_sentences(study: Study) -> None:
+    plan = study.plan
+    for role, kind in zip(plan.roles, TYPES, strict=True):
+        assert {plan.facts[j].name for j in role.wrong} == set(kind.inaccurate)
+    for role in plan.roles:
+        for j, (fact, told) in enumerate(zip(plan.facts, role.briefing, strict=True)):
+            assert told == (fact.belief if j in role.wrong else fact.message)
+        assert len({s.fact for s in role.quiz}) == 4
+        assert {plan.facts[j].name for j in role.wrong} <= {s.fact for s in role.quiz}
+        for some in (role.wrong, {j for j in range(4) if j not in role.wrong}):
+            names = {plan.facts[j].name for j in some}
+            assert [s.true for s in role.quiz if s.fact in names] == [True, False]
+        for s in role.quiz:
+            (fact,) = [fact for fact in plan.facts if fact.name == s.fact]
+            assert s.text == (fact.message if s.true else fact.belief)
+    # A reward with a phrase gets the paper's question; what is no number gets the sentences.
+    assert plan.roles[0].eligibility[0].options == ("0 points or more", "less than 0 points")
+    assert plan.roles[0].eligibility[0].answer == 1
+    assert plan.roles[2].eligibility[0].answer == 0
+    assert set(plan.roles[0].eligibility[3].options) == {
+        plan.facts[3].message,
+        plan.facts[3].belief,
+    }
+
+
+def test_no_word_of_the_quiz_gives_the_answers_away(rescue: StudyPlan) -> None:
+    """People who answer by a word of the sentences, or by good and bad news, are right half of the
+    time. On the rescue task, all facts are good news."""
+    roles = rescue.roles
+    # On this trace every type has to have both of its facts corrected.
+    assert all(find_needed(own).bit_count() == 2 for own in rescue.true_labels)
+
+    def score(ticks: Callable[[str], bool]) -> list[int]:
+        return [sum(ticks(s.text) == s.true for s in role.quiz) for role in roles]
+
+    assert score(lambda text: True) == score(lambda text: False) == [2] * 5
+    assert score(lambda text: "penalty of" not in text) == [2] * 5
+    words = {word for role in roles for s in role.quiz for word in s.text.lower().split()}
+    for word in words:
+        scores = score(lambda text, word=word: word in text.lower().split())  # type: ignore[misc]
+        # A word that only a true sentence contains reveals this sentence; four need knowledge.
+        assert max(scores) <= 3, word
+        assert min(scores) >= 1, word
+        assert 1.4 <= np.mean(scores) <= 2.6, word
+    good = ("gains", "nothing", "as much", "go on")
+    assert score(lambda text: any(word in text for word in good)) != [4] * 5
+
+
+def test_the_map_is_told_in_words_to_those_who_do_not_see_it(study: Study) -> None:
+    """The text names the place of everything, the robot's way and its current cell, but not the
+    items that it took."""
+    plan = study.plan
+    for k in range(plan.n_steps + 1):
+        svg = picture(plan, plan.path, k, ("market",) if k > 1 else ())
+        assert re.search(r'<svg [^>]*aria-describedby="map-in-words"', svg)
+        (said,) = re.findall(r'<p class="unseen" id="map-in-words">([^<]*)</p>', svg)
+        things = {"bridge": "A1", "market": "B1", "school": "C1", "tunnel": "D1"}
+        if k > 1:
+            del things["market"]
+            assert "market" not in said
+        for name, cell in things.items():
+            assert f"{name}: {cell}." in said
+        assert f"The robot is in {'ABCDE'[k]}1." in said
+        way = ", ".join(f"{letter}1" for letter in "ABCDE"[: k + 1])
+        assert (f"Its way so far: {way}." in said) == (k > 0)
+
+
+def test_no_two_kinds_of_things_look_alike() -> None:
+    def lab(colour: str) -> NDArray[np.float64]:
+        """Converts sRGB to CIE L*a*b*."""
+        share = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+        linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+        to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+        x, y, z = np.cbrt(np.array(to_xyz) @ linear / [0.9505, 1, 1.089])
+        return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+    for one, other in combinations(COLOURS, 2):
+        assert np.linalg.norm(lab(one) - lab(other)) > 20, (one, other)
+
+
+def test_each_fact_of_rescue_has_a_picture_of_its_own(rescue: StudyPlan) -> None:
+    """There are nine sentences, true or false; their pictures have the names of icons."""
+    pairs = [(fact.message, fact.belief) for fact in rescue.facts]
+    pairs += [(one.right, one.right) for one in rescue.known]
+    pictures = [[about(rescue, sentence) for sentence in pair] for pair in pairs]
+    assert all(right == wrong != "" for right, wrong in pictures)
+    assert len({right for right, _ in pictures}) == len(rescue.facts) + 3 == 9
+    assert about(rescue, "The robot hums.") == ""

@@ -1,8 +1,9 @@
 """The comparison of conditions: Table 2 as scipy computes it, figures about questions, and the
-command that prints and draws both."""
+command that prints and draws both; statistics as published, and as other programs compute them."""
 
 import re
 from contextlib import closing
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from scipy import stats
 
 from tests.conftest import Run
-from tests.people.study.stand_in import ASK, CONFIG, street_plan, street_study
+from tests.people.street import ASK, CONFIG, street_plan, street_study
 from tests.people.visitors import take_part
 from xplain.errors import InputError
 from xplain.people.store import Store
@@ -19,13 +20,87 @@ from xplain.people.study.analysis import (
     MEASURES,
     analyse,
     analyse_all,
+    compare,
     document,
+    hedges,
+    holm,
     paper_table,
     read,
+    stratified_permutation,
 )
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.study.tables import export
+
+
+def test_holm_by_hand() -> None:
+    # Holm (1979): 4 tests, α multiplied by 4, 3, 2, 1 from the smallest p on.
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
+    with_gap = holm([0.01, float("nan"), 0.04])
+    assert with_gap[0] == pytest.approx(0.02)
+    assert np.isnan(with_gap[1])
+    # None of the paper's p values survives the correction.
+    adjusted = holm([row["p_value"] for row in paper_table().values()])
+    assert adjusted == pytest.approx([0.072, 0.072, 0.072])
+
+
+def test_hedges_interval_holds_the_truth_as_often_as_it_says() -> None:
+    rng, delta, hits, rounds = np.random.default_rng(1), 0.7, 0, 600
+    for _ in range(rounds):
+        a, b = rng.normal(delta, 1, 15), rng.normal(0, 1, 12)
+        # The small-sample factor scales both ends; it belongs to the estimate, not to the truth.
+        _, low, high = hedges(float(stats.ttest_ind(a, b).statistic), 15, 12)
+        factor = 1 - 3 / (4 * 25 - 1)
+        hits += low <= delta * factor <= high
+    assert 0.93 <= hits / rounds <= 0.97
+
+
+def test_hedges_is_unbiased_and_mirrors() -> None:
+    rng = np.random.default_rng(2)
+    a, b = rng.normal(1, 1, (4000, 6)), rng.normal(0, 1, (4000, 6))
+    t = stats.ttest_ind(a, b, axis=1).statistic
+    correction = hedges(1.0, 6, 6)[0]  # g is proportional to t
+    assert abs((t * correction).mean() - 1.0) < 0.04
+    g, low, high = hedges(2.5, 20, 18)
+    assert hedges(-2.5, 20, 18) == pytest.approx((-g, -high, -low))
+    # Zero lies on the interval's edge exactly if the test's p is 0.05.
+    critical = float(stats.t.isf(0.025, 36))
+    assert hedges(critical, 19, 19)[1] == pytest.approx(0, abs=1e-9)
+
+
+def test_permutation_test_is_the_share_of_all_arrangements() -> None:
+    x, y = np.array([3.0, 5.0, 9.0, 1.0]), np.array([2.0, 4.0, 4.0, 0.0])
+    strata_x, strata_y = np.array(["a", "a", "b", "b"]), np.array(["a", "a", "b", "b"])
+    a, b = np.array([3.0, 5, 2, 4]), np.array([9.0, 1, 4, 0])
+    total, observed = a.sum() + b.sum(), abs(x.mean() - y.mean())
+    extreme = [
+        abs(
+            (a[list(i)].sum() + b[list(j)].sum()) / 4
+            - (total - a[list(i)].sum() - b[list(j)].sum()) / 4
+        )
+        >= observed - 1e-9
+        for i in combinations(range(4), 2)
+        for j in combinations(range(4), 2)
+    ]
+    exact = np.mean(extreme)
+    found = stratified_permutation(x, y, strata_x, strata_y, seed=0, permutations=40_000)
+    assert found == pytest.approx(exact, abs=0.012)
+
+
+def test_permutation_test_does_not_take_a_type_for_an_effect() -> None:
+    # Both conditions are alike within each type; only the types differ.
+    values = np.array([10.0] * 8 + [0.0] * 2)
+    other = np.array([10.0] * 2 + [0.0] * 8)
+    strata = np.array(["a"] * 8 + ["b"] * 2), np.array(["a"] * 2 + ["b"] * 8)
+    assert stratified_permutation(values, other, *strata, seed=0) == 1.0
+    assert compare(values, other, list(strata[0]), list(strata[1]), 0)["student_p"] < 0.01
+
+
+def test_a_group_without_spread_is_compared_without_a_warning() -> None:
+    """By hand: means 6 and 3, pooled variance 1 / 2, error √(1 / 2 (1 / 3 + 1 / 3)) = √(1 / 3)."""
+    found = compare([6, 6, 6], [2, 3, 4], ["a"] * 3, ["a"] * 3, 0)
+    assert found["student_t"] == pytest.approx(3 * np.sqrt(3))
+    assert found["student_df"] == 4
 
 
 def completed(n: int) -> pd.DataFrame:
@@ -73,18 +148,28 @@ def test_the_table_is_what_scipy_computes_from_people_alone() -> None:
         analyse(data, "people", {})
 
 
-@pytest.mark.parametrize("n", [0, 1, 2])
-def test_small_studies_are_analysed_or_refused(n: int, tmp_path: Path) -> None:
-    data = completed(n + 1).iloc[: 2 * n] if n < 2 else completed(n)
-    data.assign(interaction_time_s=5.0).to_csv(tmp_path / "participants.csv", index=False)
-    if n < 2:
-        with pytest.raises(InputError):
-            analyse(read(tmp_path), "person", {})
-    else:  # no spread in time: no t test, but no failure
-        found = analyse(read(tmp_path), "person", {})
-        time = found.measures.loc["interaction_time_s"]
-        assert np.isnan(time["student_p"])
-        assert time["permutation_p"] == 1
+NO_STUDY = {
+    "no file": (None, r"participants\.csv"),
+    "no export": (pd.DataFrame({"a": [1], "b": [2]}), "lacks the column participant"),
+    "nobody": (completed(1).iloc[:0], "stream"),
+    "nobody in one condition": (completed(2).iloc[:2], "at least 2 completed"),
+}
+
+
+@pytest.mark.parametrize("found", NO_STUDY)
+def test_what_is_no_study_is_refused(tmp_path: Path, found: str) -> None:
+    data, said = NO_STUDY[found]
+    if data is not None:
+        data.to_csv(tmp_path / "participants.csv", index=False)
+    with pytest.raises(InputError, match=said):
+        analyse(read(tmp_path), "person", {})
+
+
+def test_without_spread_in_time_there_is_no_t_test_but_no_failure(tmp_path: Path) -> None:
+    completed(2).assign(interaction_time_s=5.0).to_csv(tmp_path / "participants.csv", index=False)
+    time = analyse(read(tmp_path), "person", {}).measures.loc["interaction_time_s"]
+    assert np.isnan(time["student_p"])
+    assert time["permutation_p"] == 1
 
 
 def test_who_has_no_possible_time_counts_in_every_other_measure() -> None:
@@ -98,34 +183,6 @@ def test_who_has_no_possible_time_counts_in_every_other_measure() -> None:
     assert found.flow.loc["time left out: the clock was set back", "all"] == 1
 
 
-def test_files_that_are_no_export_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"participants\.csv"):
-        read(tmp_path)
-    (tmp_path / "participants.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="lacks the column participant"):
-        read(tmp_path)
-
-
-def test_streams_are_never_mixed(snapshot: Path, tmp_path: Path, run: Run) -> None:
-    out = tmp_path / "out"
-    export(snapshot, out)
-    said = run("study analyse", out, "--stream", "bot")[1]
-    assert "SIMULATED PARTICIPANTS" in said
-    for value in ("120.48", "100.85", "0.032", "3.45"):
-        assert value in said  # the paper's, beside ours
-    assert (out / "measures.png").stat().st_size > 10_000
-    people = pd.read_csv(out / "participants.csv")
-    flow = pd.read_csv(out / "flow.csv").set_index("stage")
-    bots = people[people["stream"] == "bot"]
-    assert flow.loc["entered", "all"] == 24
-    assert flow.loc["completed", "all"] == (bots["stage"] == "done").sum()
-    ends = ("completed", "declined", "ineligible", "withdrawn", "timed out", "still on their way")
-    assert sum(flow.loc[end, "all"] for end in ends) == 24
-    code, _, error = run("study analyse", out)  # one person is no study
-    assert code == 2
-    assert "at least 2 completed" in error
-
-
 def test_costs_and_questions_are_those_of_the_log(
     tmp_path: Path, run: Run, no_pictures: None
 ) -> None:
@@ -137,10 +194,8 @@ def test_costs_and_questions_are_those_of_the_log(
         take_part(store, (StudyBot(flow.plan, habits, rng) for rng in rngs), "bot")
     assert "all equal" in run("study replay", path)[1]
     run("study export", path, out)
-    tables = {
-        n: pd.read_csv(out / f"{n}.csv") for n in ("participants", "labels", "steps", "pages")
-    }
-    events, questions = (pd.read_csv(out / f"{n}.csv") for n in ("events", "questions"))
+    tables = {path.stem: pd.read_csv(path) for path in out.glob("*.csv")}
+    events, questions = tables["events"], tables["questions"]
     people = tables["participants"].set_index("participant")
     answered = events[(events["kind"] == "clip") & (events["source"] == "protocol")]
     each = answered.groupby("participant").size().reindex(people.index, fill_value=0)
@@ -152,11 +207,7 @@ def test_costs_and_questions_are_those_of_the_log(
     )
     assert done.loc[done["condition"] == "asking", "questions_asked"].sum() > 0
     wrong = (tables["labels"]["label"] == 0).groupby(tables["labels"]["participant"]).sum()
-    said = (
-        tables["steps"]["messages"]
-        .fillna("")
-        .map(lambda names: len([n for n in names.split(";") if n]))
-    )
+    said = tables["steps"]["messages"].str.count(r"[^;]+").fillna(0)
     told = said.groupby(tables["steps"]["participant"]).sum()
     cost = (1.5 * told + wrong + 0.25 * each)[done.index]
     assert done["cost"].to_numpy() == pytest.approx(cost.to_numpy())
@@ -165,15 +216,10 @@ def test_costs_and_questions_are_those_of_the_log(
     assert [f'{{"label": {x:.0f}}}' for x in in_order["label"]] == logged["payload"].tolist()
     of_pages = tables["pages"][tables["pages"]["stage"] == "asking"]
     assert of_pages["seconds"].sum() == pytest.approx(questions["seconds"].sum(), rel=0.05)
-    assert (
-        in_order["k"].to_numpy()
-        == of_pages[of_pages["seconds"].notna()]
-        .merge(
-            logged, left_on=["participant", "sequence"], right_on=["participant", "source_sequence"]
-        )
-        .sort_values(["participant", "sequence_x"])["step"]
-        .to_numpy()
-    ).all()
+    at = {"left_on": ["participant", "sequence"], "right_on": ["participant", "source_sequence"]}
+    merged = of_pages[of_pages["seconds"].notna()].merge(logged, **at)
+    steps = merged.sort_values(["participant", "sequence_x"])["step"]
+    assert in_order["k"].tolist() == steps.tolist()
     shown = run("study analyse", out, "--stream", "bot")[1]
     assert "Questions between steps" in " ".join(shown.split())
     assert {"table2.csv", "asking.csv", "measures.png", "asking.png"} <= {
@@ -181,18 +227,15 @@ def test_costs_and_questions_are_those_of_the_log(
     }
 
 
-def with_asking(n: int) -> pd.DataFrame:
-    data = completed(n).assign(questions_asked=0, cost=3.0)
-    third = data[data["condition"] == "personalized"].copy()
-    third["participant"] = third["participant"].str.replace("personalized", "asking")
-    rng = np.random.default_rng(5)
-    third = third.assign(condition="asking", questions_asked=rng.integers(1, 4, len(third)))
-    third["quiz_score"] = rng.integers(2, 5, len(third))
-    return pd.concat([data, third], ignore_index=True)
-
-
 def test_asking_is_compared_with_personalized_and_the_paper_s_table_stays() -> None:
-    data = with_asking(20)
+    two, rng = completed(20).assign(questions_asked=0, cost=3.0), np.random.default_rng(5)
+    third = two[two["condition"] == "personalized"].assign(
+        condition="asking",
+        participant=[f"asking{i}" for i in range(20)],
+        questions_asked=rng.integers(1, 4, 20),
+        quiz_score=rng.integers(2, 5, 20),
+    )
+    data = pd.concat([two, third], ignore_index=True)
     found, before = analyse_all(data, "person", {}), analyse_all(completed(20), "person", {})
     assert [*found] == ["table2", "asking"]
     assert [*before] == ["table2"]
@@ -219,7 +262,7 @@ RULES = {"per_cell": 7, "max_attempts": 3, "timeout_minutes": 45, "recall": True
 CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["red", "blue"]}
 
 
-def test_the_document_says_what_the_plan_does() -> None:
+def test_the_document_says_what_the_plan_does(study: Study, tmp_path: Path, run: Run) -> None:
     belief = CONFIG["belief"] | {"accept": 0.8}
     plan = street_plan(rules=RULES, before=[CHECK | {"right": "blue"}], belief=belief)
     text = document(plan)
@@ -252,9 +295,7 @@ def test_the_document_says_what_the_plan_does() -> None:
     # Without them nothing of them is promised.
     promised = "pixels|with anything except|message again|messages_again|asking"
     assert not re.search(promised, document(street_plan()))
-
-
-def test_the_command_reads_a_study_that_was_started(study: Study, tmp_path: Path, run: Run) -> None:
+    # The command reads a study that was started.
     Store(tmp_path / "s.sqlite", study).close()
     run("study preregister", "s.sqlite", "--out", "p.md")
     assert (tmp_path / "p.md").read_text() == document(study.plan)

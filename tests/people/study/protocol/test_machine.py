@@ -1,23 +1,23 @@
 """The protocol without a server: accepted answers, hidden values, and the policies' decisions."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.people.bare_flow import take_part
-from tests.people.study.stand_in import FAULTLESS, SCREENS, street_study
-from xplain.errors import Refused
+from tests.people.street import ASK, CONFIG, SCREENS, bot_of, street_plan, street_study
+from xplain.errors import InputError, Refused
 from xplain.explanation.anybody import Open
-from xplain.explanation.belief import Independent, Persistent
-from xplain.explanation.label_table import LabelTable
+from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
+from xplain.explanation.label_table import LabelTable, join_steps
 from xplain.interaction.episode import explain
-from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
+from xplain.interaction.explainees import Exact, Explainee, Heedless, SimulatedUser, Slips
 from xplain.people.flow import CANNOT_TELL
-from xplain.people.study.bot import StudyBot
 from xplain.people.study.flow import Study, StudyState
+from xplain.people.study.prepare import conditions_of
 from xplain.solvers.base import CachedPolicy
 from xplain.solvers.greedy import QMDP
 
@@ -42,76 +42,143 @@ def at_evaluation(study: Study, user_type: int, condition: str) -> StudyState:
     return state
 
 
-def evaluated(study: Study, user_type: int, condition: str) -> Iterator[StudyState]:
-    """Yields each step of the evaluation of a person who never errs, and the state after it."""
-    state = at_evaluation(study, user_type, condition)
-    while state.stage == "evaluation":
-        yield state
-        labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
-        state = study.advance(state, "labels", {"labels": labels})
-    yield state
+@pytest.fixture(scope="module")
+def asking() -> Study:
+    return street_study(ask=ASK)
 
 
-@pytest.mark.parametrize("condition", ["personalized", "conformant"])
-@pytest.mark.parametrize("user_type", range(3))
-def test_participants_meet_what_the_offline_experiment_computes(
-    study: Study, user_type: int, condition: str
-) -> None:
-    plan = study.plan
-    user = SimulatedUser.of(plan.true_labels[user_type])
-    offline = explain(plan.problem, study.policies[condition], user, study.belief)
-    *steps, state = evaluated(study, user_type, condition)
-    assert [step.step for step in steps] == list(range(plan.n_steps))
-    assert [step.new for step in steps] == offline.messages.tolist()
-    assert [step.belief for step in steps] == [tuple(b.tolist()) for b in offline.beliefs[:-1]]
-    assert state.stage == "quiz"
-    assert state.new == 0  # nothing is marked as new after the last step
-    assert state.belief == tuple(offline.beliefs[-1].tolist())
+def with_belief(study: Study, update: Any) -> Study:
+    """Returns the study with this belief about people, and policies for it."""
+    problem = update.people(study.plan.problem, None, None)
+    policies = dict.fromkeys(study.policies, CachedPolicy(QMDP().plan(problem)))
+    plan = replace(study.plan, problem=problem)
+    return replace(study, plan=plan, policies=policies, belief=update)
+
+
+FAILING = (Persistent(0.05, 0.7), Persistent(0.0, "learned", 0.1), Independent(0.0, 0.8, 0.1))
+ASKED = (None, Persistent(), Persistent(0.1), Independent("learned"), Open("learned"))
 
 
 @pytest.mark.parametrize(
-    "update",
+    ("condition", "update", "people"),
     [
-        Persistent("learned"),
-        Persistent(0.05, 0.7),
-        Persistent(0.0, "learned", 0.1),
-        Independent(0.0, 0.8, 0.1),
-        Open("learned"),
+        *product(("personalized", "conformant"), [None], [Exact()]),
+        *product(["personalized"], [Persistent("learned"), Open("learned")], [Exact()]),
+        *product(["personalized"], FAILING, [Heedless(0.4, 0.3)]),
+        *product(["asking"], ASKED, [Exact(), Slips(0.3)]),
     ],
 )
-def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
-    study: Study, update: Persistent | Independent
+def test_participants_meet_what_the_offline_experiment_computes(
+    study: Study, asking: Study, condition: str, update: BeliefUpdate | None, people: Explainee
 ) -> None:
-    """The belief that a state carries is over types, habits and knowledge, that of the log over
-    types."""
-    problem = update.people(study.plan.problem, None, None)
-    policy = QMDP().plan(problem)
-    failing = replace(
-        study,
-        plan=replace(study.plan, problem=problem),
-        policies=dict.fromkeys(study.policies, policy),
-        belief=update,
-    )
-    people = Heedless(0.4, 0.3) if not problem.messages_land else Exact()
-    said_again = 0
+    """Questions, messages and beliefs are equal to the last bit, also for people who err, miss and
+    forget. The belief that a state carries is over types, habits and knowledge, that of the log
+    over types."""
+    own = asking if condition == "asking" else study
+    own = with_belief(own, update) if update else own
+    plan, problem, met, said_again = own.plan, own.plan.problem, set(), 0
+    clips = () if plan.clip_labels is None else (plan.clip_labels,)
+    same = np.tile(np.arange(plan.n_steps), 1 + len(clips))  # the clips are the trace's own steps
     for seed, user_type in product(range(8), range(3)):
-        labels = LabelTable.dense(study.plan.true_labels[user_type][None])
-        offline_person, person = (
-            people.meet(labels, np.arange(problem.n_steps), seed) for _ in range(2)
-        )
-        offline = explain(problem, CachedPolicy(policy), offline_person, update)
-        state = at_evaluation(failing, user_type, "personalized")
-        for k in range(problem.n_steps):
-            assert (state.new, len(state.belief)) == (offline.messages[k], len(problem.start))
+        of_trace = LabelTable.dense(plan.true_labels[[user_type]])
+        labels = join_steps([of_trace, *(one.of_types([user_type]) for one in clips)])
+        offline_person, person = (people.meet(labels, same, seed) for _ in range(2))
+        offline = explain(problem, own.policies[condition], offline_person, own.belief)
+        state, pages, steps = at_evaluation(own, user_type, condition), [], 0
+        while state.stage in ("asking", "evaluation"):
+            if state.stage == "asking":
+                question = state.asked[-1].question
+                label = person.answer(plan.n_steps + question, state.given)
+                pages.append((state.step, question, label))
+                state = own.advance(state, "clip", {"label": label})
+                continue
+            assert (state.step, state.new) == (steps, offline.messages[steps])
+            assert len(state.belief) == len(problem.start)
+            assert pages or list(state.before) == offline.beliefs[steps].tolist()
             person.hear(state.new)
-            answers = person.react(state.given, k + 1).answers.tolist()
-            state = failing.advance(state, "labels", {"labels": answers})
-            assert state.after == pytest.approx(offline.beliefs[k + 1].tolist())
-            if state.stage == "evaluation":
-                assert state.before == state.after
+            answers = person.react(state.given, steps + 1).answers.tolist()
+            state, steps = own.advance(state, "labels", {"labels": answers}), steps + 1
+            assert list(state.after) == offline.beliefs[steps].tolist()
+        # After the last step nothing is marked as new.
+        assert (state.stage, state.new, steps) == ("quiz", 0, plan.n_steps)
         assert state.again == offline.n_again
+        assert pages == [tuple(one) for one in offline.questions.tolist()]
+        assert [(one.step, one.question, one.answer) for one in state.asked] == pages
+        # Each question goes on from where the one before it led, and was worth its price.
+        for one, other in zip(state.asked, state.asked[1:], strict=False):
+            assert one.step != other.step or one.after == other.before
+        assert all(one.worth is not None and one.worth > 0 for one in state.asked)
+        met |= {one.question for one in state.asked}
         said_again += state.again
-    assert (said_again > 0) != problem.messages_land
+    assert (len(met) > 1) == (condition == "asking")
+    assert (said_again > 0) == isinstance(people, Heedless) != problem.messages_land
+
+
+@pytest.mark.parametrize("condition", ["personalized", "conformant"])
+def test_the_other_conditions_are_as_they_were_to_the_last_bit(
+    study: Study, asking: Study, condition: str
+) -> None:
+    for number, user_type in product(range(5), range(3)):
+        rng = np.random.default_rng(number)
+        states = [at_evaluation(one, user_type, condition) for one in (study, asking)]
+        while states[0].stage == "evaluation":
+            assert states[0].text == states[1].text
+            payload = {"labels": rng.integers(2, size=states[0].step + 1).tolist()}
+            both = zip((study, asking), states, strict=True)
+            states = [one.advance(state, "labels", payload) for one, state in both]
+        assert states[0].text == states[1].text
+
+
+@pytest.mark.parametrize(
+    ("when", "most", "cost", "error"),
+    [("first", 10, 0.01, 0), ("anytime", 1, 0.01, 0), ("anytime", 10, 0.15, 0.3)],
+)
+def test_questions_keep_to_their_limits(when: str, most: int, cost: float, error: float) -> None:
+    """People answer at random; some get questions between later steps, too."""
+    ask = ASK | {"when": when, "most": most, "cost": cost}
+    study = street_study(ask=ask, belief=CONFIG["belief"] | {"error": error})
+    asked = later = 0
+    for number, user_type in product(range(8), range(3)):
+        rng, state = np.random.default_rng(number), at_evaluation(study, user_type, "asking")
+        while state.stage in ("asking", "evaluation"):
+            kind, labels = study.waits_for(state), rng.integers(2, size=state.step + 1).tolist()
+            if state.stage == "asking":
+                assert state.new == 0  # nothing on a question's page is new
+                later += state.step > 0
+            payload = {"label": labels[0]} if kind == "clip" else {"labels": labels}
+            state = study.advance(state, kind, payload)
+        questions = [one.question for one in state.asked]
+        assert len(questions) == len({*questions}) <= most
+        assert when == "anytime" or all((one.step, one.told) == (0, 0) for one in state.asked)
+        asked += len(questions)
+    assert asked
+    assert (later > 0) == (error > 0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"ask": ASK | {"kinds": ["beliefs"]}}, r"ask\.kinds=\['beliefs'\]: clips in a study"),
+        ({"ask": ASK | {"kinds": ["clips", "beliefs"]}}, r"ask\.kinds=.*: clips in a study"),
+        ({"ask": ASK | {"cost": -1}}, r"ask\.cost=-1"),
+        ({"ask": ASK | {"when": "later"}}, r"ask\.when='later'"),
+        ({"ask": ASK | {"clips": 0}}, r"ask\.clips=0"),
+        ({"conditions": {"asking": {}}}, r"conditions\.asking='set': only with ask=clips"),
+        (
+            {"ask": ASK, "conditions": {"conformant": {}}},
+            r"conditions\.asking=None: a condition of this name, or personal",
+        ),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        conditions_of(CONFIG | changes)
+
+
+def test_conditions_may_differ_by_questions_alone_and_have_to() -> None:
+    """If questions are too expensive, the third condition equals the first."""
+    assert Study.of(street_plan(ask=ASK)).difference() >= 1
+    assert Study.of(street_plan(ask=ASK | {"cost": 9.0})).difference() == 0
 
 
 def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) -> None:
@@ -119,7 +186,7 @@ def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) 
     for user_type, condition in plan.cells:
         user = SimulatedUser.of(plan.true_labels[user_type])
         offline = explain(plan.problem, study.policies[condition], user, study.belief)
-        person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
+        person = bot_of(study, 0)
         found = take_part(study, person, user_type, condition)
         assert found.labels.count(0) == (offline.labels[-1] == 0).sum()
         assert found.given.bit_count() == offline.n_messages

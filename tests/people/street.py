@@ -1,27 +1,43 @@
-"""A domain that the study does not know, which shows that a new one needs no new code.
+"""A street, a domain that no code of the pages knows: a study and a collection about it, and people
+who take part.
 
-A street with crossings. At each the robot goes straight on, or walks around (one step longer).
+A street has crossings. At each the robot goes straight on, or walks around (one step longer).
 Whoever believes that going straight is bad there expects it to walk around.
 """
 
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from omegaconf import OmegaConf
 
+from tests.people.visitors import take_part
 from xplain.domains.base import Item, Parameter, Scene
 from xplain.domains.mdp import MDP
 from xplain.domains.users.setting import Setting, UserType
+from xplain.domains.users.types import Explicit
 from xplain.experiment.config import CONF
 from xplain.explanation.label_table import LabelTable
+from xplain.people.bots import Bot
+from xplain.people.collect.bot import Habits as Observing
+from xplain.people.collect.bot import Observer
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.plan import CollectPlan, CollectRules
+from xplain.people.collect.prepare import assemble
+from xplain.people.flow import Flow
 from xplain.people.material import Material
 from xplain.people.plan import Ahead
-from xplain.people.study.bot import Habits
+from xplain.people.store import Store
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.prepare import conditions_of, make_draft
+from xplain.questions.designs import Adaptive, Battery
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
 """Habits of a participant who never errs, forgets or leaves."""
@@ -171,3 +187,90 @@ ASK = {"kinds": ["clips"], "cost": 0.1, "most": 10, "when": "anytime", "clips": 
 def street_study(**changes: Any) -> Study:
     """Makes the study of the street's plan."""
     return Study.of(street_plan(**changes))
+
+
+FAULTLESS_OBSERVER = Observing(error=0.0, mistake=0.0)
+
+
+def wording(**changes: Any) -> dict[str, Any]:
+    """Returns the texts that every task has."""
+    files = ("neutral.yaml", "texts/en.yaml")
+    shipped = OmegaConf.merge(*(OmegaConf.load(CONF / "collect" / file) for file in files))
+    texts: Any = OmegaConf.to_container(shipped)
+    texts["words"] |= OmegaConf.to_container(OmegaConf.load(CONF / "words" / "en.yaml"))
+    own = {"questions": CONFIG["questions"], **changes}
+    return {str(key): value for key, value in texts.items()} | own
+
+
+def collection_plan(
+    design: Adaptive | Battery | None = None,
+    points: int = 12,
+    briefing: str = "none",
+    seed: int = 3,
+    words: dict[str, Any] | None = None,
+    **rules: Any,
+) -> CollectPlan:
+    """Makes a plan for the street."""
+    usual = {"people": 6, "repeats": 2, "attention": True, "timeout_minutes": 30}
+    users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
+    config = {"seed": seed, "briefing": briefing, "wording": words or wording(), "points": points}
+    plan = assemble(
+        Material.of_domain(Street(), users, seed),
+        design or Adaptive(),
+        CollectRules(points=points, **{**usual, **rules}),
+        config,
+    )
+    return at_work(plan).plan
+
+
+def at_work(plan: CollectPlan) -> Collection:
+    """Makes a collection with a practice step that looks odd, from the text of its plan."""
+    return Collection(CollectPlan.from_text(replace(plan, ahead=AHEAD).text))
+
+
+def street_collection(*args: Any, **changes: Any) -> Collection:
+    """Makes the collection of the street's plan."""
+    return Collection.of(collection_plan(*args, **changes))
+
+
+def telling() -> Collection:
+    """Makes a collection in which every question has other messages; the street's questions need no
+    messages."""
+    plan = collection_plan()
+    transitions = plan.hypotheses.n_transitions
+    listed = tuple((told % transitions, told) for told in range(2, 14))
+    return Collection(replace(plan, questions=listed))
+
+
+KINDS = ("study", "collect")
+ASKING = "asking"
+"""A study all of whose people are asked, where pages are meant."""
+
+
+@cache
+def flow_of(kind: str) -> Flow[Any, Any]:
+    """Makes one flow for all tests; no result depends on its cache."""
+    if kind == "study":
+        return street_study()
+    if kind == ASKING:
+        own = {"asking": CONFIG["conditions"]["personalized"]}
+        return street_study(ask=ASK, conditions=own)
+    return street_collection(listening=2)
+
+
+def bot_of(flow: Flow[Any, Any], *seeds: int, **habits: Any) -> Bot[Any, Any]:
+    """Makes a participant who never errs, except for these habits."""
+    rng = np.random.default_rng(seeds)
+    if isinstance(flow, Study):
+        return StudyBot(flow.plan, replace(FAULTLESS, **habits), rng)
+    roles, own = flow.plan.roles, replace(FAULTLESS_OBSERVER, **habits)
+    return Observer(flow.plan, roles[seeds[-1] % len(roles)].held, own, rng)
+
+
+def filled(kind: str, path: Path, people: int = 3) -> list[str]:
+    """Makes a database in which this number of people reached the end; returns their ids in order
+    of arrival."""
+    with closing(Store(path, flow_of(kind))) as store:
+        ends = take_part(store, (bot_of(store.flow, number) for number in range(people)))
+        assert {*ends} == {"done"}
+        return [*store.people]
