@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 _started: list[subprocess.Popen[str]] = []
@@ -28,6 +29,17 @@ def kill(process: subprocess.Popen[str]) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
+
+
+def group_of(leader: int) -> dict[int, str]:
+    """Returns ``{process: command line}`` of a process group, except for ended processes."""
+    found = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has ended
+            state, _, group, *_ = stat.read_text().rpartition(")")[2].split()  # see proc(5)
+            if int(group) == leader and state != "Z":
+                found[int(stat.parent.name)] = (stat.parent / "cmdline").read_text()
+    return found
 
 
 def kill_all() -> None:

@@ -29,20 +29,6 @@ def test_that_waits(number):
 """
 
 
-def _group(leader: int) -> list[str]:
-    """Lists a process and the processes that it started."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        # Fields 3 and 5 of proc(5): state, process group.
-        if int(fields[2]) == leader and fields[0] != "Z":
-            found.append(stat.parent.name)
-    return found
-
-
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 @pytest.mark.skipif(
     signal.getsignal(signal.SIGHUP) == signal.SIG_IGN,
@@ -67,11 +53,14 @@ def test_a_closed_terminal_leaves_nothing_behind(tmp_path: Path) -> None:
     assert "2 processes read all tests" in said
     groups = [int(path.read_text()) for path in began]
     assert len(groups) == 2, said
-    assert all(_group(one) for one in groups)
+    assert all(processes.group_of(one) for one in groups)
     for _ in range(2):  # as the kernel and the shell do
         os.killpg(tests.pid, signal.SIGHUP)
     tests.wait(60)
-    while any(left := [_group(one) for one in (*groups, tests.pid)]) and time.monotonic() < until:
+    while (
+        any(left := [processes.group_of(one) for one in (*groups, tests.pid)])
+        and time.monotonic() < until
+    ):
         time.sleep(0.1)
     assert not any(left)
     assert len([*tmp_path.glob("*.closed")]) == 2  # whatever was open was closed, not cut off

@@ -156,18 +156,8 @@ def wait(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str]:
 
 def workers(process: subprocess.Popen[str]) -> list[int]:
     """Lists the other processes of the group that run jobs."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-            command = (stat.parent / "cmdline").read_text()
-        except OSError:
-            continue
-        pid = int(stat.parent.name)
-        # Fields 3 and 5 of proc(5): state, process group.
-        if int(fields[2]) == process.pid and pid != process.pid and "popen_loky" in command:
-            found.append(pid)
-    return sorted(found)
+    others = processes.group_of(process.pid).items()
+    return sorted(pid for pid, command in others if "popen_loky" in command)
 
 
 def kill(pid: int) -> None:
