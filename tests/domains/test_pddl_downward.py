@@ -194,9 +194,18 @@ def test_a_random_task_is_read_as_fast_downward_reads_it(seed: int, tmp_path: Pa
 
 
 def assert_alike(domain: Any, own: dict[str, Any], folder: Path) -> None:
-    """Checks that the robot's best plan costs what Fast Downward's costs, with the same files."""
+    """Checks that the robot's best plan costs what Fast Downward's costs, with the same files, and
+    that each step of Fast Downward's plan is explicable to the robot."""
     texts = [Source.read("", own[key]).text for key in ("file", "problem")]
-    assert believed(domain).to_go[0] == plan_cost(texts, folder)
+    model, state = believed(domain), 0
+    assert model.to_go[0] == plan_cost(texts, folder)
+    names, steps = [name.lower().split() for name in domain.actions], []
+    for line in (folder / "sas_plan").read_text().splitlines()[:-1]:  # the last line has the cost
+        action = names.index(line.strip("()").split())
+        steps.append([state, action, int(model.successor[state, action, 0])])
+        state = steps[-1][-1]
+    assert model.labels(np.array(steps)).all()
+    assert model.terminal[state]
 
 
 @pytest.mark.parametrize("name", ["blocks", "logistics", "rover", "search_and_rescue"])

@@ -288,7 +288,7 @@ def test_rates_of_simulated_people_are_found_again(accept: float, forget: float,
     the first message about such a fact, the label is 1 with p = α (1 − e) + (1 − α) e, so the
     standard error of α is sd(p) / (1 − 2e). An accepted fact is still known three pages later with
     (1 − φ)³, whose slope is at most 3."""
-    people, error, plan = 80, 0.05, FEW_QUESTIONS.plan
+    people, error, plan = 120, 0.05, FEW_QUESTIONS.plan
     habits = {"error": error, "forgetting": 1 - accept, "losing": forget}
     states: list[CollectState] = []
     for number in range(people):
