@@ -189,6 +189,9 @@ def test_a_belief_is_asked_by_its_two_sentences_in_their_order() -> None:
     assert question.replies == (("It needs fuel.", 0), ("It needs none.", 1))
     with pytest.raises(InputError, match="two sentences"):
         ASKING.session([0], clips=[replace(clip, text="one")])
+    for right in (0, 1):  # the label of its transition is no answer
+        session = ASKING.session([1, 0], clips=[replace(clip, right=right)])
+        assert not session._talk.problem.questions.shows.any()
 
 
 def test_a_trace_that_grows_keeps_what_was_asked() -> None:

@@ -148,6 +148,8 @@ def test_transitions_that_features_cannot_tell_apart_are_left_out_with_all_that_
     [
         ([[1, 2], [0, 1]], {}, "labels 0 and 1"),
         ([1, 0], {}, "a table"),
+        ([["1"], ["0"]], {}, "a table"),
+        (np.zeros((0, 1)), {}, "a table"),
         ([[1], [0], [1]], {}, "2\\^n rows"),
         ([[1], [0]], {"prior": [0.5, 0.6]}, "sum to 1"),
         ([[1], [0]], {"prior": [1.5, -0.5]}, "sum to 1"),
