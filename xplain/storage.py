@@ -17,6 +17,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+ALIAS = getattr(typing, "TypeAliasType", ())
+"""The class of NDArray since numpy 2.5. Python 3.11 does not have it."""
+
 
 @contextmanager
 def open_atomic(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
@@ -93,6 +96,8 @@ def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = No
         KeyError, TypeError, ValueError: ``value`` does not fit the type.
     """
     origin, options = typing.get_origin(kind), typing.get_args(kind)
+    if isinstance(origin, ALIAS):
+        return decode(origin.__value__[options], value, arrays)
     if origin in (types.UnionType, typing.Union):
         if value is None:
             return None
