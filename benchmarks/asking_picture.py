@@ -9,13 +9,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import xplain
 from xplain.report.paper import title
-from xplain.report.plots import COLOURS, save
+from xplain.report.plots import COLOURS, STYLE, save
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "asking.png"
 POLICIES = {
@@ -35,6 +36,7 @@ DRAWN: dict[str, dict[str, Any]] = {
 FLOOR = "type known (clairvoyant)"
 
 
+@matplotlib.rc_context(STYLE)
 def main() -> None:
     """Draws the picture and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__)
