@@ -217,19 +217,19 @@ def visit(
         OSError: the server was unavailable for longer than the browser's ``patience``.
     """
 
-    def answer(page: Page, fields: Fields) -> Page:
-        status, html = browser.post("/study", [*page.hidden.items(), *fields])
+    def send(path: str, page: Page, stage: str, fields: Fields) -> Page:
+        status, html = browser.post(path, [*page.hidden.items(), *fields])
         if status >= 400:
-            raise Refusal(status, page.stage)
+            raise Refusal(status, stage)
         return Page.of_html(html)
+
+    def answer(page: Page, fields: Fields) -> Page:
+        return send("/study", page, page.stage, fields)
 
     with browser.session:
         page = Page.of_html(browser.get(f"/?invitation={invitation}")[1])
-        sent = [*page.hidden.items(), ("invitation", invitation)]
-        status, html = browser.post("/enter", sent)
-        if status >= 400:
-            raise Refusal(status, "entrance")
-        return walk(Page.of_html(html), answer, person, think)
+        page = send("/enter", page, "entrance", [("invitation", invitation)])
+        return walk(page, answer, person, think)
 
 
 @dataclass(frozen=True, kw_only=True)
