@@ -14,7 +14,7 @@ from tests.learning.conftest import made
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observations
 from xplain.learning.mixture import sampler
-from xplain.learning.mixture.kernels import REACH, WIDE, resample_facts, resample_transitions
+from xplain.learning.mixture.kernels import REACH, WIDE, resample_facts
 from xplain.learning.mixture.sampler import (
     CELL,
     NOISE,
@@ -23,6 +23,7 @@ from xplain.learning.mixture.sampler import (
     Prior,
     SortedLabels,
     init,
+    resample_transitions,
     sample,
 )
 

@@ -95,17 +95,21 @@ subsets of this number of facts: its current facts and random other facts."""
 
 
 @kernel
-def resample_transitions(answers, prior, state, temperature, rng):  # type: ignore[no-untyped-def]
-    """Draws (S_τ, ε_τ) of every transition, and counts the labels by the new cells.
+def resample_subsets(answers, prior, state, held, temperature, rng):  # type: ignore[no-untyped-def]
+    """Draws (S_τ, ε_τ) of every transition, and counts the labels by the new cells. ``held`` [P] is
+    M of the observer of each label.
 
     Returns log P(all labels | everybody's R), with f integrated out and S and ε summed out. For
     more than WIDE messages each S_τ is drawn among the subsets of WIDE facts only; the result is
     then log P(all labels, the drawn S and ε | everybody's R).
     """
     levels, size, n = len(state.log_noise), len(prior.size), answers.n_messages
-    held = state.facts[answers.owner] & ~answers.message_set
-    block, candidates, weights = (1 << n) - 1, np.arange(size), np.empty(size * levels)
-    number = np.full(1 << min(n, WIDE), -1)  # number of each M, by its facts in the block
+    block, candidates, weights = (1 << n) - 1, np.empty(size, np.int64), np.empty(size * levels)
+    number = np.empty(1 << min(n, WIDE), np.int64)  # number of each M, by its facts in the block
+    for z in range(size):
+        candidates[z] = z
+    for i in range(len(number)):
+        number[i] = -1
     wrong, times = np.empty(len(number), np.int64), np.empty((len(number), 2), np.int64)
     cell, cells = np.empty(len(number), np.int64), np.empty((state.counts.shape[1], 4), np.int64)
     score = 0.0
@@ -124,10 +128,6 @@ def resample_transitions(answers, prior, state, temperature, rng):  # type: igno
         z = candidates[chosen // levels]
         score += weights[chosen] - prior.log_block[prior.size[z]] if n > WIDE else total
         _set_subset(t, z, chosen % levels, held, answers, prior.subsets, state)
-    shares = np.full(levels, 0.02)
-    for e in state.noise:
-        shares[e] += 1.0
-    state.log_noise[:] = np.log(shares / shares.sum())
     return score
 
 
@@ -174,7 +174,7 @@ def _draw_block(prior, z, n, rng):  # type: ignore[no-untyped-def]
     block = prior.members[z]
     size = prior.size[z]
     while size < WIDE:
-        one = np.int64(1) << rng.integers(0, n)
+        one = np.int64(1) << np.int64(rng.random() * n)
         size += int(block & one == 0)
         block |= one
     return block
@@ -273,12 +273,12 @@ def resample_facts(answers, prior, state, used, members, number, log_new, temper
             k = _draw_type(members, number, np.exp(log_new + len(order) * np.log(2.0)), rng)
             if k < number:  # Metropolis-Hastings: drawn from the prior, so the likelihoods decide
                 pair[0], pair[1] = facts[o], used[k]
-                values[:] = 0.0
+                values[0], values[1] = 0.0, 0.0
                 _add_log_likelihood(o, pair, answers, prior, state, by_cell, values)
                 if np.log(rng.random()) * temperature < values[1] - values[0]:
                     facts[o] = pair[1]
             for j in range(BLOCK):  # the first facts of a random order
-                other = rng.integers(j, len(order))
+                other = j + np.int64(rng.random() * (len(order) - j))
                 order[j], order[other] = order[other], order[j]
         _list_combinations(facts[o], order, width, masks)
         _weigh_types(masks, order, width, used, members, number, log_new, weights)
@@ -306,7 +306,10 @@ def _find_facts(facts, number, one):  # type: ignore[no-untyped-def]
 def _draw_type(members, number, new, rng):  # type: ignore[no-untyped-def]
     """Draws a type in use, with a probability in proportion to its ``members``. Returns ``number``
     for a new type, whose weight is ``new``."""
-    left = rng.random() * (members[:number].sum() + new)
+    total = new
+    for k in range(number):
+        total += members[k]
+    left = rng.random() * total
     for k in range(number):
         left -= members[k]
         if left < 0:

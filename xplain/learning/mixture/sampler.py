@@ -48,7 +48,7 @@ from xplain.learning.mixture.kernels import (
     log_likelihood,
     relabel,
     resample_facts,
-    resample_transitions,
+    resample_subsets,
 )
 from xplain.learning.mixture.likelihood import log_cell
 from xplain.learning.types import Clustering, shares_of
@@ -266,6 +266,22 @@ def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> Chain
         counts=np.zeros((transitions, 1 << prior.subsets.shape[1], 2), dtype=np.int64),
         order=np.arange(answers.n_messages),
     )
+
+
+def resample_transitions(
+    answers: SortedLabels,
+    prior: Prior,
+    state: ChainState,
+    temperature: float,
+    rng: np.random.Generator,
+) -> float:
+    """Draws (S_τ, ε_τ) of every transition, and then the shares of the levels of ε. Returns the
+    score of :func:`~xplain.learning.mixture.kernels.resample_subsets`."""
+    held = state.facts[answers.owner] & ~answers.message_set
+    score = resample_subsets(answers, prior, state, held, temperature, rng)
+    shares = 0.02 + np.bincount(state.noise, minlength=len(state.log_noise))
+    state.log_noise[:] = np.log(shares / shares.sum())
+    return float(score)
 
 
 def _log_restaurant(members: NDArray[np.int64], log_new: float) -> float:
