@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit, uint64
 from numpy.typing import NDArray
 
-from xplain.numba_kernels import GOLDEN, borrow, first_bit, kernel, part, splitmix64
+from xplain.numba_kernels import GOLDEN, borrow, first_bit, kernel, part, small, splitmix64
 from xplain.solvers.search_model import (
     NO_NEWS,
     SearchModel,
@@ -386,6 +386,7 @@ def _back_up(store, index, a):  # type: ignore[no-untyped-def]
 @njit(nogil=True, error_model="numpy")
 def _improve_bounds(tables, store, index):  # type: ignore[no-untyped-def]
     """Improves a node's bounds by the bounds that were published at its place."""
+    tables, store = borrow((tables, store))
     node, belief = store.nodes[index], store.belief[index]
     row = store.places[node.step, node.given].row
     for i in range(min(store.published[row, 0], KEPT) if row >= 0 else 0):
@@ -455,6 +456,7 @@ def _publish(tables, store, scratch, index, upper, lower, least):  # type: ignor
         upper, lower: the node's bounds before they were improved.
         least: the least improvement that is published.
     """
+    tables, store, scratch = borrow((tables, store, scratch))
     node = store.nodes[index]
     row = store.places[node.step, node.given].row
     if node.upper < upper - least:
@@ -490,7 +492,7 @@ def _make_alpha(tables, store, scratch, index, a):  # type: ignore[no-untyped-de
     else:
         shown |= action.messages if tables.width > 0 else 0
         if tables.width == 0:
-            _give_messages(tables, action.messages, belief)
+            _give_messages(tables.model.jump, tables.model.accept, action.messages, belief)
         for s in range(len(alpha)):
             alpha[s] = -tables.model.explain_cost[step, shown * tables.width + s]
     for o in range(action.first_answer, action.first_answer + action.n_answers):
@@ -501,7 +503,7 @@ def _make_alpha(tables, store, scratch, index, a):  # type: ignore[no-untyped-de
             for s in range(len(alpha)):
                 scratch.after[s] = tables.plans[-1, step + 1, shown * tables.width + s]
         if tables.width == 0 and action.messages >= 0:
-            _average_over_forgetting(tables, scratch.after)
+            _average_over_forgetting(tables.model.forget, scratch.after)
         for s in range(len(alpha)):
             alpha[s] += discount * store.likelihood[o, s] * scratch.after[s]
     for s in range(len(alpha)):
@@ -509,7 +511,7 @@ def _make_alpha(tables, store, scratch, index, a):  # type: ignore[no-untyped-de
             alpha[s] = tables.floor[step]
     if action.messages >= 0:
         if tables.width == 0:
-            _average_over_giving(tables, action.messages, alpha)
+            _average_over_giving(tables.model.jump, tables.model.accept, action.messages, alpha)
         for s in range(len(alpha)):
             alpha[s] = tables.factor[action.messages] * alpha[s] - tables.price[action.messages]
     for s in range(len(alpha)):
@@ -521,6 +523,7 @@ def _make_alpha(tables, store, scratch, index, a):  # type: ignore[no-untyped-de
 @njit(nogil=True, error_model="numpy")
 def _open_node(tables, store, scratch, index):  # type: ignore[no-untyped-def]
     """Lists the actions that may be optimal at a node. Returns False if the store is full."""
+    tables, store, scratch = borrow((tables, store, scratch))
     node, belief = store.nodes[index], store.belief[index]
     place = store.places[node.step, node.given]
     if place.row < 0 and not _list_sets(tables, store, scratch, node.step, node.given):
@@ -542,7 +545,7 @@ def _open_node(tables, store, scratch, index):  # type: ignore[no-untyped-def]
                 shown = node.given | action.messages
                 plan = _find_best_plan(tables, belief, node.step + 1, shown)
                 row = tables.plans[plan, node.step + 1]
-                ahead = action.base + action.later * _dot_cells(tables, belief, row, shown)
+                ahead = action.base + action.later * _dot_cells(belief, row, shown * tables.width)
                 action.lower = max(action.lower, ahead)
             action.lower = min(action.lower, upper)
             end += 1
@@ -550,9 +553,9 @@ def _open_node(tables, store, scratch, index):  # type: ignore[no-untyped-def]
         best = max(best, upper)
     said = best
     if len(tables.model.asked_answered) > 0:
-        most = _dot_cells(tables, belief, tables.model.value[node.step], node.given)
+        most = _dot_cells(belief, tables.model.value[node.step], node.given * tables.width)
         plan = _find_best_plan(tables, belief, node.step, node.given)
-        least = _dot_cells(tables, belief, tables.plans[plan, node.step], node.given)
+        least = _dot_cells(belief, tables.plans[plan, node.step], node.given * tables.width)
         most -= tables.model.question_cost
         most += HAIR * (1.0 - most)  # other bounds may be larger by rounding
         if not _is_below(most, lower):
@@ -606,7 +609,7 @@ def _list_sets(tables, store, scratch, step, given):  # type: ignore[no-untyped-
             under[s] = tables.plans[-1, step, shown + s]
         if tables.width == 0:
             for vector in (base, over, under):
-                _average_over_giving(tables, chosen, vector)
+                _average_over_giving(tables.model.jump, tables.model.accept, chosen, vector)
         factor, price = tables.factor[chosen], tables.price[chosen]
         for vector in (base, over, under):
             for s in range(states):
@@ -630,7 +633,7 @@ def _list_sets(tables, store, scratch, step, given):  # type: ignore[no-untyped-
     return True
 
 
-@part
+@small
 def _is_dominated(over, under):  # type: ignore[no-untyped-def]
     """Returns True if ``over`` is at most ``under`` in every state."""
     dominated = True
@@ -643,6 +646,7 @@ def _is_dominated(over, under):  # type: ignore[no-untyped-def]
 def _expand_action(tables, store, scratch, index, a, gap):  # type: ignore[no-untyped-def]
     """Makes the nodes of the answers to an action. Unlikely answers are left out while this widens
     the gap by at most ``gap``. Returns False if the store or the scratch memory is full."""
+    tables, store, scratch = borrow((tables, store, scratch))
     node, action, belief = store.nodes[index], store.actions[a], scratch.belief
     step, given, messages = node.step, node.given, action.messages
     _copy(store.belief[index], belief)
@@ -658,21 +662,23 @@ def _expand_action(tables, store, scratch, index, a, gap):  # type: ignore[no-un
             like[0, s] = 1.0 - like[1, s]
     else:
         if tables.width == 0:
-            _give_messages(tables, messages, belief)
+            _give_messages(tables.model.jump, tables.model.accept, messages, belief)
             given = np.int64(0)
         else:
             given |= messages
         negligible = 0.1 * gap
         while True:
-            count, like = _list_answers(tables, scratch, step, given, belief, negligible)
+            count, like = _list_answers(
+                tables.model.answered, scratch, step, given * tables.width, belief, negligible
+            )
             if count < 0:
                 return False
             for s in range(len(belief)):
                 scratch.after[s] = scratch.tail[s] * belief[s]
             if tables.width == 0:
                 forget(tables.model.forget, scratch.after)
-            upper = _dot_cells(tables, scratch.after, tables.model.value[step + 1], given)
-            lower = _dot_cells(tables, scratch.after, tables.plans[-1, step + 1], given)
+            upper = _dot_cells(scratch.after, tables.model.value[step + 1], given * tables.width)
+            lower = _dot_cells(scratch.after, tables.plans[-1, step + 1], given * tables.width)
             action.tail_upper, action.tail_lower = action.later * upper, action.later * lower
             if action.tail_upper - action.tail_lower <= gap or negligible == 0.0:
                 break
@@ -706,7 +712,7 @@ def _expand_action(tables, store, scratch, index, a, gap):  # type: ignore[no-un
 
 
 @part
-def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ignore[no-untyped-def]
+def _list_answers(answered, scratch, step, first, belief, negligible):  # type: ignore[no-untyped-def]
     """Lists the answers to *explain* with probabilities above ``negligible``. ``scratch.tail``
     receives the probability given s of all other answers.
 
@@ -717,17 +723,17 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
         The number of listed answers (−1 if there is not enough memory), and an array whose first
         rows are P(answer | s) of these answers.
     """
-    states, first = len(belief), given * tables.width
+    states = len(belief)
     like, more, count = scratch.like, scratch.more, 1
     for s in range(states):
         like[0, s] = 1.0 if belief[s] > 0.0 else 0.0
         scratch.tail[s] = 0.0
     for i in range(step + 1):
-        size = _count_equal_labels(tables, step, i, first, belief)
+        size = _count_equal_labels(answered, step, i, first, belief)
         if size == 0 or count < 0:
             continue
         for s in range(states):
-            yes = tables.model.answered[i, first + s]
+            yes = answered[i, first + s]
             for ones in range(size + 1):
                 scratch.ways[ones, s] = yes**ones * (1.0 - yes) ** (size - ones)
         found = 0
@@ -750,8 +756,8 @@ def _list_answers(tables, scratch, step, given, belief, negligible):  # type: ig
     return count, like
 
 
-@part
-def _count_equal_labels(tables, step, i, first, belief):  # type: ignore[no-untyped-def]
+@small
+def _count_equal_labels(answered, step, i, first, belief):  # type: ignore[no-untyped-def]
     """Counts the labels of a prefix that have the same P(answer 1 | s) as label i in all possible
     states. Returns 0 if i is not the first of these labels, or if P(answer 1 | s) of label i is the
     same in all possible states."""
@@ -760,12 +766,12 @@ def _count_equal_labels(tables, step, i, first, belief):  # type: ignore[no-unty
         if belief[s] > 0.0:
             if one < 0:
                 one = s
-            news |= tables.model.answered[i, first + s] != tables.model.answered[i, first + one]
+            news |= answered[i, first + s] != answered[i, first + one]
     for j in range(step + 1 if news else 0):
         same = True
         for s in range(len(belief)):
             if belief[s] > 0.0:
-                same &= tables.model.answered[i, first + s] == tables.model.answered[j, first + s]
+                same &= answered[i, first + s] == answered[j, first + s]
         if same and j < i:
             size = 0
             break
@@ -809,7 +815,7 @@ def _get_node(tables, store, step, given, belief, asked):  # type: ignore[no-unt
         plan = _find_best_plan(tables, belief, step, given)
         for s in range(len(belief)):
             store.alpha[index, s] = tables.plans[plan, step, given * tables.width + s]
-        node.upper = _dot_cells(tables, belief, tables.model.value[step], given)
+        node.upper = _dot_cells(belief, tables.model.value[step], given * tables.width)
         node.lower = min(_dot(belief, store.alpha[index]), node.upper)
         _improve_bounds(tables, store, index)
     return index
@@ -820,7 +826,7 @@ def _find_best_plan(tables, belief, step, given):  # type: ignore[no-untyped-def
     """Returns the plan with the largest value at (k, v) and a belief."""
     best, most = 0, -np.inf
     for u in range(len(tables.plans)):
-        value = _dot_cells(tables, belief, tables.plans[u, step], given)
+        value = _dot_cells(belief, tables.plans[u, step], given * tables.width)
         if value > most:
             best, most = u, value
     return best
@@ -864,41 +870,41 @@ def _rehash(store):  # type: ignore[no-untyped-def]
         store.used[HASHED] += 1
 
 
-@part
-def _give_messages(tables, messages, belief):  # type: ignore[no-untyped-def]
+@small
+def _give_messages(jump, accept, messages, belief):  # type: ignore[no-untyped-def]
     """Updates a belief in place, after each message of a bitmask was given."""
     left = messages
     while left:
-        give(tables.model.jump[first_bit(left)], tables.model.accept, belief)
+        give(jump[first_bit(left)], accept, belief)
         left &= left - 1
 
 
-@part
-def _average_over_giving(tables, messages, values):  # type: ignore[no-untyped-def]
+@small
+def _average_over_giving(jumps, accept, messages, values):  # type: ignore[no-untyped-def]
     """Replaces values v by E[v(s') | s], where s' is the state after each message of a bitmask was
     given."""
     left = messages
     while left:
-        jump = tables.model.jump[first_bit(left)]
+        jump = jumps[first_bit(left)]
         left &= left - 1
         for s in range(len(values)):
             if jump[s] > 0:
-                values[s] += tables.model.accept[s] * (values[s + jump[s]] - values[s])
+                values[s] += accept[s] * (values[s + jump[s]] - values[s])
 
 
-@part
-def _average_over_forgetting(tables, values):  # type: ignore[no-untyped-def]
+@small
+def _average_over_forgetting(lose, values):  # type: ignore[no-untyped-def]
     """Replaces values v by E[v(s') | s], where s' is the state after facts were forgotten."""
-    types = len(tables.model.forget)
+    types = len(lose)
     bit = types
     while bit < len(values):
         for s in range(len(values)):
             if s // bit % 2 == 1:
-                values[s] += tables.model.forget[s % types] * (values[s - bit] - values[s])
+                values[s] += lose[s % types] * (values[s - bit] - values[s])
         bit *= 2
 
 
-@part
+@small
 def _dot(belief, values):  # type: ignore[no-untyped-def]
     """Returns Σ_s b(s) x(s)."""
     total = 0.0
@@ -907,23 +913,23 @@ def _dot(belief, values):  # type: ignore[no-untyped-def]
     return total
 
 
-@part
-def _dot_cells(tables, belief, row, given):  # type: ignore[no-untyped-def]
-    """Returns Σ_s b(s) x(v, s) for a row x of a table."""
-    total, first = 0.0, given * tables.width
+@small
+def _dot_cells(belief, row, first):  # type: ignore[no-untyped-def]
+    """Returns Σ_s b(s) x(v, s) for a row x of a table; ``first`` is the cell of (v, 0)."""
+    total = 0.0
     for s in range(len(belief)):
         total += belief[s] * row[first + s]
     return total
 
 
-@part
+@small
 def _copy(source, target):  # type: ignore[no-untyped-def]
     """Copies an array. (``target[:] = source`` would allocate memory.)"""
     for i in range(len(target)):
         target[i] = source[i]
 
 
-@part
+@small
 def _is_below(upper, lower):  # type: ignore[no-untyped-def]
     """Returns True if an upper bound is below a lower bound by more than rounding."""
     return upper < lower - HAIR * (1.0 + abs(lower))

@@ -61,7 +61,10 @@ from xplain.solvers.pomcp_kernel import (
     NODE,
     ROOT,
     SETTLED,
+    LabelCodes,
+    Memory,
     Options,
+    Scratch,
     Tree,
     simulate,
 )
@@ -202,16 +205,18 @@ class Search:
         belief = round_belief(np.ascontiguousarray(belief, dtype=np.float64))
         seed = self.stream(visible, said, belief)
         budget = max(self.simulations, process.n_messages + 1 + _count_slots(process))
-        tree = make_tree(process, budget, seed)
+        memory = make_memory(process, budget, seed)
+        tree = memory.tree
         tree.nodes[ROOT] = (0, np.nan, 0.0, 0.0, said, 0, 0, 0, 0, 0, 0, visible.step)
         tree.beliefs[ROOT] = belief
         tree.tried[ROOT, -2:] = -1 if chosen else 0, -1
-        tree.asked[:] = [visible.asked >> q & 1 for q in range(len(tree.asked))]
+        asked = memory.scratch.asked
+        asked[:] = [visible.asked >> q & 1 for q in range(len(asked))]
         missed = None if process.jump is None else True
         roots = _compute_roots(1 << budget.bit_length())
         for done in range(0, budget, CHUNK):
             count = min(budget - done, CHUNK)
-            simulate(count, self.model, tree, self.options, missed, *roots)
+            simulate(count, self.model, memory, self.options, missed, *roots)
         return tree
 
 
@@ -275,35 +280,40 @@ def _count_slots(process: Process) -> int:
     return min(QUESTIONS, len(process.questions.answered), 61 - process.n_messages)
 
 
-def make_tree(process: Process, simulations: int, seed: int) -> Tree:
-    """Allocates a tree for this number of simulations; the caller adds the root. The operating
+def make_memory(process: Process, simulations: int, seed: int) -> Memory:
+    """Allocates the memory for this number of simulations; the caller adds the root. The operating
     system provides the memory only when a simulation uses it."""
     n, steps, states = process.n_messages, process.n_steps, process.n_states
     slots, questions = _count_slots(process), len(process.questions.answered)
     size, actions, entries = simulations + 1, n + 1 + slots, _count_entries(simulations)
     remembered = min(entries, REMEMBERED)
     sets = 1 if process.jump is not None else _count_coded(n, steps, states)
-    return Tree(
+    tree = Tree(
         np.empty(size, NODE),
         np.empty((size + 1) * actions, EDGE),
         np.empty((size, states)),
         np.zeros(entries, ENTRY),
+        np.empty((size if slots else 1, slots + 2), np.int32),
+        np.empty((n + 1) * steps + 1 + questions, MOVE),
+        np.array([1, actions, FIRST_TABLE - 1]),
+    )
+    codes = LabelCodes(
         np.zeros(remembered, np.uint64),
         np.empty((remembered, states)),
         np.full(sets, -1, np.int64),
         np.empty((sets, steps), LABEL),
         np.empty((sets, steps, states), COLUMN),
-        np.empty((n + 1) * steps + 1 + questions, MOVE),
         np.empty(steps, np.bool_),
+    )
+    scratch = Scratch(
         np.empty(states),
         np.empty(states, np.int64),
         np.zeros(n),
-        np.empty((size if slots else 1, slots + 2), np.int32),
         np.empty(questions, np.bool_),
         np.empty(questions),
-        np.array([1, actions, FIRST_TABLE - 1]),
         np.array([seed], np.uint64),
     )
+    return Memory(tree, codes, scratch)
 
 
 @lru_cache(maxsize=4)
@@ -320,7 +330,7 @@ def _count_entries(simulations: int) -> int:
 
 
 def _count_coded(messages: int, steps: int, states: int) -> int:
-    """Returns the number of message sets for which :class:`Tree` stores codes of labels at the same
+    """Returns the number of message sets for which the codes of labels are stored at the same
     time: a power of two."""
     each = steps * (COLUMN.itemsize * states + LABEL.itemsize)
     return 1 << min(max(CODED // each, 16).bit_length() - 1, 12, messages)

@@ -26,6 +26,7 @@ from xplain.numba_kernels import (
     next_uniform,
     nth_bit,
     part,
+    small,
     splitmix64,
 )
 from xplain.solvers.search_model import NO_NEWS, find_cell, forget, give, rank_questions
@@ -56,7 +57,14 @@ EDGE = np.dtype(
 )
 ENTRY = np.dtype([("node", np.int32), ("tag", np.uint32)])
 MOVE = np.dtype(
-    [("node", np.int32), ("edge", np.int32), ("action", np.int32), ("paid", np.float64)], align=True
+    [
+        ("node", np.int32),
+        ("edge", np.int32),
+        ("action", np.int32),
+        ("paid", np.float64),  # the cost of the action, if it is no *explain*
+        ("later", np.float64),  # the discount of all later rewards
+    ],
+    align=True,
 )
 LABEL = np.dtype([("weight", np.uint64), ("informative", np.int64)])
 COLUMN = np.dtype([("p", np.float64), ("probability", np.float64), ("code", np.uint64)])
@@ -93,11 +101,10 @@ class Options(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """The memory of one search of R simulations. Each simulation adds at most one node.
+    """The search tree of R simulations. Each simulation adds at most one node.
 
     There are n messages, m steps, S states and Q questions; at most B questions are tried at a
-    node. The arrays with lengths ".." have a slot for each stored observation (``likelihoods``)
-    or message set (``labels`` and ``columns``).
+    node.
 
     Attributes:
         nodes: [R + 1] NODE.
@@ -108,6 +115,27 @@ class Tree(NamedTuple):
         table: [a power of two > 2 R + 2] ENTRY, the hash table of child nodes; node 0 marks a free
             entry. Only the first ``used[MASK] + 1`` entries are in use; their number doubles as
             the tree grows.
+        tried: [R + 1, B + 2] for nodes that begin a step: the questions to try, their number, and
+            the question that led to the node (−1 for none).
+        path: [(n + 1) m + 1 + Q] the records MOVE of a simulation.
+        used: [3] the number of nodes (NODES) and edges (EDGES), and the table's mask (MASK).
+    """
+
+    nodes: NDArray[np.void]
+    edges: NDArray[np.void]
+    beliefs: NDArray[np.float64]
+    table: NDArray[np.void]
+    tried: NDArray[np.int32]
+    path: NDArray[np.void]
+    used: NDArray[np.int64]
+
+
+class LabelCodes(NamedTuple):
+    """The codes of labels, and the likelihoods of observations, that a search has computed. The
+    arrays with lengths ".." have a slot for each stored observation (``likelihoods``) or message
+    set (``labels`` and ``columns``).
+
+    Attributes:
         seen: [a power of two] hashes of the observations in ``likelihoods``; 0 marks a free slot.
         likelihoods: [.., S] P(observation | state).
         coded: [a power of two] the message set of each slot of ``labels`` and ``columns``; −1 for
@@ -118,90 +146,103 @@ class Tree(NamedTuple):
         columns: [.., m, S] records COLUMN. In element i, ``p`` is P(answer 1 | s) of the i-th
             informative label. In element k, ``probability`` and ``code`` are the probability and
             the code of the most likely answers to the first k + 1 labels in state s.
-        path: [(n + 1) m + 1 + Q] the records MOVE of a simulation.
         zero: [m] True for each informative label whose drawn answer is 0. It is filled only if some
             drawn answer was the less likely answer.
-        belief: [S] the belief of a rollout.
-        cells: [S] the cells at which tables are read for one message set.
-        gain: [n] the difference in V that each message makes under a belief; 0 between calls.
-        tried: [R + 1, B + 2] for nodes that begin a step: the questions to try, their number, and
-            the question that led to the node (−1 for none).
-        asked: [Q] True for questions that were asked before the search.
-        news: [Q] scratch memory for ranking questions.
-        used: [3] the number of nodes (NODES) and edges (EDGES), and the table's mask (MASK).
-        counter: [1] the counter of the random stream.
     """
 
-    nodes: NDArray[np.void]
-    edges: NDArray[np.void]
-    beliefs: NDArray[np.float64]
-    table: NDArray[np.void]
     seen: NDArray[np.uint64]
     likelihoods: NDArray[np.float64]
     coded: NDArray[np.int64]
     labels: NDArray[np.void]
     columns: NDArray[np.void]
-    path: NDArray[np.void]
     zero: NDArray[np.bool_]
+
+
+class Scratch(NamedTuple):
+    """The working memory of a search.
+
+    Attributes:
+        belief: [S] the belief of a rollout.
+        cells: [S] the cells at which tables are read for one message set.
+        gain: [n] the difference in V that each message makes under a belief; 0 between calls.
+        asked: [Q] True for questions that were asked before the search.
+        news: [Q] the information of each question, for ranking.
+        counter: [1] the counter of the random stream.
+    """
+
     belief: NDArray[np.float64]
     cells: NDArray[np.int64]
     gain: NDArray[np.float64]
-    tried: NDArray[np.int32]
     asked: NDArray[np.bool_]
     news: NDArray[np.float64]
-    used: NDArray[np.int64]
     counter: NDArray[np.uint64]
 
 
+class Memory(NamedTuple):
+    """The memory of one search. Compiled functions get only the parts that they use, because numba
+    copies the arrays of a tuple at every call."""
+
+    tree: Tree
+    codes: LabelCodes
+    scratch: Scratch
+
+
 @kernel
-def simulate(simulations, model, tree, options, missed, log_root, inverse_root):  # type: ignore[no-untyped-def]
+def simulate(simulations, model, memory, options, missed, log_root, inverse_root):  # type: ignore[no-untyped-def]
     """Runs simulations from the root. The caller has set the root's belief.
 
     ``log_root[v]`` is sqrt(log v) and ``inverse_root[v]`` is 1 / sqrt(v), and 0 for v = 0. Both
     tables are longer than the largest number of visits.
     """
-    model, tree, log_root, inverse_root = borrow((model, tree, log_root, inverse_root))
+    model, memory, log_root, inverse_root = borrow((model, memory, log_root, inverse_root))
+    tree, codes, scratch = memory
     n, last = len(model.price), tree.beliefs.shape[1] - 1
     while tree.beliefs[ROOT, last] <= 0.0:
         last -= 1
     for _ in range(simulations):
         _grow_table(tree)
-        state = _draw_state(tree, last)
+        state = _draw_state(tree.beliefs, scratch.counter, last)
         node, depth, length, is_new = ROOT, 0, 0, False
         while depth < options.depth and not is_new and node != END:
             if tree.nodes[node].edges == UNOPENED:
-                _open_node(model, tree, missed, node)
+                _open_node(model, tree, scratch, missed, node)
             edge, action = _select_action(
-                model, tree, options, missed, node, log_root, inverse_root
+                model, tree, scratch, options, missed, node, log_root, inverse_root
             )
             move = tree.path[length]
             move.node = node
             move.edge = edge
             move.action = action
             if action < n:
-                move.paid = model.price[action]
+                move.paid, move.later = model.price[action], model.message_discount
+                depth += options.message_depth
+            elif action == n:
+                move.later = model.discount
+                depth += 1
+            else:  # a question costs no depth
+                move.paid, move.later = model.question_cost, 1.0
             length += 1
-            if action <= n:  # a question costs no depth
-                depth += 1 if action == n else options.message_depth
-            node, is_new, state = _take_action(model, tree, missed, node, edge, action, state)
-        value = _evaluate(model, tree, options, missed, node, is_new, state)
-        _back_up(model, tree, options, node, length, value)
+            node, is_new, state = _take_action(
+                model, tree, codes, scratch, missed, node, edge, action, state
+            )
+        value = _evaluate(model, tree, codes, scratch, options, missed, node, is_new, state)
+        _back_up(tree, n, options.backup == MAX, node, length, value)
 
 
-@part
-def _draw_state(tree, last):  # type: ignore[no-untyped-def]
+@small
+def _draw_state(beliefs, counter, last):  # type: ignore[no-untyped-def]
     """Draws a state from the root's belief. The last possible state gets the remainder due to
     rounding."""
-    u = next_uniform(tree.counter)
+    u = next_uniform(counter)
     s = 0
-    while s < last and u >= tree.beliefs[ROOT, s]:
-        u -= tree.beliefs[ROOT, s]
+    while s < last and u >= beliefs[ROOT, s]:
+        u -= beliefs[ROOT, s]
         s += 1
     return s
 
 
 @part
-def _select_action(model, tree, options, missed, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
+def _select_action(model, tree, scratch, options, missed, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
     """Chooses the action to try at an open node; returns its edge and the action. QMDP's action is
     tried first and the others follow in random order. Then UCB1 decides (Auer et al. 2002)."""
     record = tree.nodes[node]
@@ -209,11 +250,13 @@ def _select_action(model, tree, options, missed, node, log_root, inverse_root): 
     if untried != 0:
         if untried == actions:
             belief = tree.beliefs[record.base if missed is None else node]
-            _find_cells(model.value_stride, tree, record.given)
+            _find_cells(model.value_stride, record.given, scratch.cells)
             messages = actions & ((1 << len(model.price)) - 1)
-            _, action, _ = _evaluate_qmdp(model, tree, missed, record.step, messages, belief, 0.0)
+            _, action, _ = _evaluate_qmdp(
+                model, scratch, missed, np.int64(record.step), messages, belief, 0.0
+            )
         else:
-            action = nth_bit(untried, next_below(tree.counter, count_bits(untried)))
+            action = nth_bit(untried, next_below(scratch.counter, count_bits(untried)))
         record.untried = untried & ~(1 << action)
         return first + count_bits(actions & ((1 << action) - 1)), action
     bonus, best, chosen = options.exploration * log_root[record.visits], -np.inf, uint64(first)
@@ -227,28 +270,29 @@ def _select_action(model, tree, options, missed, node, log_root, inverse_root): 
 
 
 @part
-def _take_action(model, tree, missed, node, edge, action, state):  # type: ignore[no-untyped-def]
+def _take_action(model, tree, codes, scratch, missed, node, edge, action, state):  # type: ignore[no-untyped-def]
     """Takes an action and draws its outcome for a user in this state. Returns the next node (END
     after the last *explain*), True if the node is new, and the next state. Sets the belief of a new
     node."""
     record, n = tree.nodes[node], len(model.price)
     step, said, base = np.int64(record.step), record.given, np.int64(record.base)
-    question, answer, before = np.int64(-1), False, state
+    question, answer, before, at = np.int64(-1), False, state, np.int64(0)
     if action < n:
         said |= 1 << action
         parent, code = ~base, uint64(said)
         if missed is not None:
-            state = _draw_after_message(model, tree, state, action)
+            state = _draw_after_message(model, scratch.counter, state, action)
     elif action == n:
         if step + 1 == len(model.explain_cost):
             return np.int64(END), False, state
-        parent, code = node, _draw_labels(model, tree, missed, step, said, state)
+        at = _find_coded_slot(model, codes, said if missed is None else np.int64(0))
+        parent, code = node, _draw_labels(codes, scratch.counter, at, step, state)
         if missed is not None:
-            state = _draw_after_step(model, tree, state)
+            state = _draw_after_step(model, scratch.counter, state)
     else:
         question = np.int64(tree.tried[node, action - n - 1])
         yes = model.asked_answered[question, find_cell(model.question_stride, said, state)]
-        answer = next_uniform(tree.counter) < yes
+        answer = next_uniform(scratch.counter) < yes
         parent, code = node, splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
     child = np.int64(tree.edges[edge].child)
     if child != UNVISITED and tree.nodes[child].code == code:  # often the last answer
@@ -268,14 +312,14 @@ def _take_action(model, tree, missed, node, edge, action, state):  # type: ignor
             record.base = child
         if action == n:
             record.step = step + 1
-            _update_belief(model, tree, missed, step, said, before, code, belief)
+            _update_belief(codes, at, step, before, code, belief)
         if missed is not None:
             if action < n:
                 give(model.jump[action], model.accept, belief)
             elif action == n:
                 record.given = 0
                 forget(model.forget, belief)
-        if len(tree.asked) > 0 and action >= n:
+        if len(scratch.asked) > 0 and action >= n:
             tree.tried[child, tree.tried.shape[1] - 1] = question
             if action > n:
                 _update_by_answer(model, question, said, answer, belief)
@@ -284,7 +328,7 @@ def _take_action(model, tree, missed, node, edge, action, state):  # type: ignor
 
 
 @part
-def _evaluate(model, tree, options, missed, node, is_new, state):  # type: ignore[no-untyped-def]
+def _evaluate(model, tree, codes, scratch, options, missed, node, is_new, state):  # type: ignore[no-untyped-def]
     """Estimates the return after the end of a simulation: 0 after the last *explain*, a rollout's
     return at a new node, QMDP's value at the depth limit. If messages may be missed, a rollout over
     so many states would take longer than everything else, so QMDP's value is used at new nodes,
@@ -295,20 +339,20 @@ def _evaluate(model, tree, options, missed, node, is_new, state):  # type: ignor
     step, said = np.int64(record.step), record.given
     belief = tree.beliefs[record.base if missed is None else node]
     if missed is None and (is_new or options.backup == MAX):
-        value = _roll_out(model, tree, missed, step, said, state, belief)
+        value = _roll_out(model, codes, scratch, missed, step, said, state, belief)
         return record.value + (value - record.value) / (record.visits + 1)
     if np.isnan(record.leaf):
-        _find_cells(model.value_stride, tree, said)
+        _find_cells(model.value_stride, said, scratch.cells)
         if missed is None:
-            messages = max(_find_wanted(model, tree, step, said), 0)
+            messages = max(_find_wanted(model.wanted, scratch.cells, step, said), 0)
         else:
-            messages = _find_relevant(model, belief) & ~said
-        record.leaf = _evaluate_qmdp(model, tree, missed, step, messages, belief, 0.0)[0]
+            messages = _find_relevant(model.relevant, belief) & ~said
+        record.leaf = _evaluate_qmdp(model, scratch, missed, step, messages, belief, 0.0)[0]
     return record.leaf
 
 
 @part
-def _back_up(model, tree, options, node, length, value):  # type: ignore[no-untyped-def]
+def _back_up(tree, n, to_max, node, length, value):  # type: ignore[no-untyped-def]
     """Adds a return to the statistics of all nodes on the path up to the root.
 
     With MAX, a node's value is the value of its best action. The value of *explain* is its reward
@@ -316,7 +360,7 @@ def _back_up(model, tree, options, node, length, value):  # type: ignore[no-unty
     value of such a node changes, this mean also changes for earlier visits of the node: ``moved``
     is their number times the change.
     """
-    n, to_max, moved = len(model.price), options.backup == MAX, 0.0
+    moved = 0.0
     if node != END:
         record = tree.nodes[node]
         moved = record.visits * (value - record.value)
@@ -325,19 +369,16 @@ def _back_up(model, tree, options, node, length, value):  # type: ignore[no-unty
     for i in range(length - 1, -1, -1):
         move = tree.path[i]
         record, edge = tree.nodes[move.node], tree.edges[move.edge]
-        later = model.discount if move.action == n else 1.0
-        if move.action < n:
-            value = model.message_discount * value - move.paid
-        elif move.action == n:
-            value = record.reward + later * value
+        if move.action == n:
+            value = record.reward + move.later * value
         else:
-            value -= model.question_cost
+            value = move.later * value - move.paid
         edge.visits += 1
         before = edge.value
         if edge.visits == 1 or (to_max and move.action < n):
             edge.value = value
         elif to_max:
-            edge.value += (value - before + later * moved) / edge.visits
+            edge.value += (value - before + move.later * moved) / edge.visits
         else:
             edge.value += (value - before) / edge.visits
         if to_max:
@@ -412,16 +453,18 @@ def _add_node(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
 
 
 @part
-def _open_node(model, tree, missed, node):  # type: ignore[no-untyped-def]
+def _open_node(model, tree, scratch, missed, node):  # type: ignore[no-untyped-def]
     """Adds the edges of a node, and computes the expected reward of *explain*. There is one edge
     for each message that has an effect on a possible state and was not given yet, one for
     *explain*, and, if a step begins at the node, one for each of the most informative questions."""
     record, n = tree.nodes[node], len(model.price)
     belief = tree.beliefs[record.base if missed is None else node]
     questions = 0
-    if len(tree.asked) > 0 and record.base == node:
-        questions = _list_questions(model, tree, node, record.step, record.given, belief)
-    record.actions = _find_relevant(model, belief) & ~record.given | ((2 << questions) - 1) << n
+    if len(scratch.asked) > 0 and record.base == node:
+        questions = _list_questions(model, tree, scratch, node, record.step, record.given, belief)
+    record.actions = (
+        _find_relevant(model.relevant, belief) & ~record.given | ((2 << questions) - 1) << n
+    )
     record.untried = record.actions
     record.edges = tree.used[EDGES]
     tree.used[EDGES] += count_bits(record.actions)
@@ -438,46 +481,47 @@ def _open_node(model, tree, missed, node):  # type: ignore[no-untyped-def]
     record.reward = reward
 
 
-@part
-def _find_relevant(model, belief):  # type: ignore[no-untyped-def]
+@small
+def _find_relevant(relevant, belief):  # type: ignore[no-untyped-def]
     """Returns the bitmask of the messages that have an effect on a possible state."""
     messages = np.int64(0)
     for s in range(len(belief)):
         if belief[s] > 0.0:
-            messages |= model.relevant[s]
+            messages |= relevant[s]
     return messages
 
 
-@part
-def _find_cells(stride, tree, said):  # type: ignore[no-untyped-def]
-    """Computes in ``tree.cells``, for each s, the cell of (v, s) in tables with these strides."""
-    for s in range(len(tree.cells)):
-        tree.cells[s] = find_cell(stride, said, s)
+@small
+def _find_cells(stride, said, cells):  # type: ignore[no-untyped-def]
+    """Computes in ``cells``, for each s, the cell of (v, s) in tables with these strides."""
+    for s in range(len(cells)):
+        cells[s] = find_cell(stride, said, s)
 
 
-@part
-def _find_wanted(model, tree, step, said):  # type: ignore[no-untyped-def]
+@small
+def _find_wanted(wanted, cells, step, said):  # type: ignore[no-untyped-def]
     """Returns the bitmask of the messages that are better than *explain* in some state; SETTLED if
     no state needs a message from this step to the end. Reads the states' cells in
-    ``tree.cells``."""
+    ``cells``."""
     mask, settled = np.int64(0), True
-    for s in range(len(tree.cells)):
-        own = model.wanted[step, tree.cells[s]]
+    for s in range(len(cells)):
+        own = wanted[step, cells[s]]
         if own != SETTLED:
             settled = False
             mask |= own
     return np.int64(SETTLED) if settled else mask & ~said
 
 
-@part
-def _evaluate_qmdp(model, tree, missed, step, messages, belief, patience):  # type: ignore[no-untyped-def]
+@njit(nogil=True, error_model="numpy")
+def _evaluate_qmdp(model, scratch, missed, step, messages, belief, patience):  # type: ignore[no-untyped-def]
     """Evaluates QMDP at a belief: max_a Σ_s b(s) Q(k, v, s, a) over *explain* and these messages.
 
-    The function reads the states' cells in ``tree.cells``. It reads values after a message only in
-    the states on which the message has an effect, and adds up the differences in ``tree.gain``.
+    The function reads the states' cells in ``scratch.cells``. It reads values after a message only
+    in the states on which the message has an effect, and adds up the differences in
+    ``scratch.gain``.
 
     Args:
-        model, tree, missed: as in :func:`simulate`.
+        model, missed: as in :func:`simulate`.
         step: k.
         messages: bitmask of the possible messages.
         belief: [S].
@@ -487,11 +531,12 @@ def _evaluate_qmdp(model, tree, missed, step, messages, belief, patience):  # ty
     Returns:
         The maximum, its action (a message, or n for *explain*), and Σ_s b(s) V(k, v, s).
     """
+    model, scratch = borrow((model, scratch))
     best, base, action, likeliest = 0.0, 0.0, len(model.price), 0.0
     for s in range(len(belief)):
         if belief[s] <= 0.0:
             continue
-        at = tree.cells[s]
+        at = scratch.cells[s]
         now = model.value[step, at]
         base += belief[s] * now
         best += belief[s] * model.explain[step, at if missed is None else s]
@@ -505,40 +550,42 @@ def _evaluate_qmdp(model, tree, missed, step, messages, belief, patience):  # ty
             if missed is not None:
                 landed = model.value[step, more + model.jump[j, s]]
                 later += model.accept[s] * (landed - later)
-            tree.gain[j] += belief[s] * (later - now)
+            scratch.gain[j] += belief[s] * (later - now)
     extra = 0.0
     while messages:
         j = first_bit(messages)
         messages &= messages - 1
         waits = patience * (1.0 - likeliest) * model.price[j]
-        value = model.message_discount * (base + tree.gain[j]) - model.price[j]
-        tree.gain[j] = 0.0
+        value = model.message_discount * (base + scratch.gain[j]) - model.price[j]
+        scratch.gain[j] = 0.0
         if value - waits > best - extra + ROUNDING:
             best, action, extra = value, j, waits
     return best, action, base
 
 
 @kernel
-def roll(model, tree, missed, step, said, belief, states, weights, seeds):  # type: ignore[no-untyped-def]
+def roll(model, codes, scratch, missed, step, said, belief, states, weights, seeds):  # type: ignore[no-untyped-def]
     """Estimates by simulation the return of QMDP's decisions from a belief at (k, v).
 
     Args:
         model, missed: as in :func:`simulate`.
-        tree: scratch memory.
+        codes, scratch: working memory.
         step, said, belief: k, v, and the belief [S].
         states, weights, seeds: [R] the first state of each simulation, its weight, and the seed of
             its random stream.
     """
-    model, tree = borrow((model, tree))
+    model, codes, scratch = borrow((model, codes, scratch))
     total = 0.0
     for i in range(len(states)):
-        tree.counter[0] = seeds[i]
-        total += weights[i] * _roll_out(model, tree, missed, step, said, states[i], belief)
+        scratch.counter[0] = seeds[i]
+        total += weights[i] * _roll_out(
+            model, codes, scratch, missed, step, said, states[i], belief
+        )
     return total
 
 
-@part
-def _roll_out(model, tree, missed, step, said, state, belief):  # type: ignore[no-untyped-def]
+@njit(nogil=True, error_model="numpy")
+def _roll_out(model, codes, scratch, missed, step, said, state, belief):  # type: ignore[no-untyped-def]
     """Simulates QMDP with exact beliefs for a user in this state; returns the estimated return.
 
     The estimate is the value of the known state minus the expected loss of each decision, which
@@ -546,99 +593,99 @@ def _roll_out(model, tree, missed, step, said, state, belief):  # type: ignore[n
     and less noise. If messages always correct the fact, the simulation ends as soon as no later
     decision can have a loss: the state is certain, or no state needs a message.
     """
+    model, codes, scratch = borrow((model, codes, scratch))
     n, steps, value, scale = len(model.price), len(model.explain_cost), 0.0, 1.0
-    _find_cells(model.value_stride, tree, said)
+    _find_cells(model.value_stride, said, scratch.cells)
     for s in range(len(belief)):
-        tree.belief[s] = belief[s]
-        value += belief[s] * model.value[step, tree.cells[s]]
+        scratch.belief[s] = belief[s]
+        value += belief[s] * model.value[step, scratch.cells[s]]
     while step < steps:
         if missed is None:
-            wanted = _find_wanted(model, tree, step, said)
-            if tree.belief[state] > CERTAIN or wanted == SETTLED:
+            wanted = _find_wanted(model.wanted, scratch.cells, step, said)
+            if scratch.belief[state] > CERTAIN or wanted == SETTLED:
                 break
         else:
-            wanted = _find_relevant(model, tree.belief) & ~said
+            wanted = _find_relevant(model.relevant, scratch.belief) & ~said
         action = n
         if wanted != 0:
             best, action, sure = _evaluate_qmdp(
-                model, tree, missed, step, wanted, tree.belief, model.patience
+                model, scratch, missed, step, wanted, scratch.belief, model.patience
             )
             value -= scale * (sure - best)
         if action < n:
             scale *= model.message_discount
             said |= 1 << action
             for s in range(len(belief)):
-                tree.cells[s] += model.value_stride[action, s]
+                scratch.cells[s] += model.value_stride[action, s]
             if missed is not None:
-                give(model.jump[action], model.accept, tree.belief)
-                state = _draw_after_message(model, tree, state, action)
+                give(model.jump[action], model.accept, scratch.belief)
+                state = _draw_after_message(model, scratch.counter, state, action)
         else:
             scale *= model.discount
             step += 1
             if step < steps:
-                code = _draw_labels(model, tree, missed, step - 1, said, state)
-                _update_belief(model, tree, missed, step - 1, said, state, code, tree.belief)
+                at = _find_coded_slot(model, codes, said if missed is None else np.int64(0))
+                code = _draw_labels(codes, scratch.counter, at, step - 1, state)
+                _update_belief(codes, at, step - 1, state, code, scratch.belief)
                 if missed is not None:
-                    forget(model.forget, tree.belief)
-                    state = _draw_after_step(model, tree, state)
+                    forget(model.forget, scratch.belief)
+                    state = _draw_after_step(model, scratch.counter, state)
                     said = 0
-                    _find_cells(model.value_stride, tree, said)
+                    _find_cells(model.value_stride, said, scratch.cells)
     return value
 
 
 @part
-def _draw_labels(model, tree, missed, step, said, s):  # type: ignore[no-untyped-def]
-    """Draws the informative labels of a user in state s after *explain* at (k, v); returns their
-    code.
+def _draw_labels(codes, counter, at, step, s):  # type: ignore[no-untyped-def]
+    """Draws the informative labels of a user in state s after *explain* at step k; returns their
+    code. ``at`` is the slot of v in ``codes``.
 
     A random number u decides which label is the first unlikely answer. Usually there is none, and
-    the code is read from a table. Otherwise ``tree.zero`` is filled, and a new u is drawn after
+    the code is read from a table. Otherwise ``codes.zero`` is filled, and a new u is drawn after
     each unlikely answer.
     """
-    at = _find_coded_slot(model, tree, missed, said)
-    code, count = uint64(0), tree.labels[at, step].informative
+    code, count = uint64(0), codes.labels[at, step].informative
     if count > 0:
-        u = next_uniform(tree.counter)
-        code = tree.columns[at, step, s].code
-        if u >= tree.columns[at, step, s].probability:
+        u = next_uniform(counter)
+        code = codes.columns[at, step, s].code
+        if u >= codes.columns[at, step, s].probability:
             as_likely = 1.0
             for i in range(count):
-                yes = tree.columns[at, i, s].p
+                yes = codes.columns[at, i, s].p
                 zero = yes < 0.5
                 as_likely *= 1.0 - yes if zero else yes
                 if u >= as_likely:
                     zero = not zero
-                    weight = tree.labels[at, i].weight
+                    weight = codes.labels[at, i].weight
                     code = code + weight if zero else code - weight
-                    u = next_uniform(tree.counter)
+                    u = next_uniform(counter)
                     as_likely = 1.0
-                tree.zero[i] = zero
+                codes.zero[i] = zero
     return code
 
 
 @part
-def _update_belief(model, tree, missed, step, said, state, code, belief):  # type: ignore[no-untyped-def]
+def _update_belief(codes, at, step, state, code, belief):  # type: ignore[no-untyped-def]
     """Updates a belief [S] by the labels that :func:`_draw_labels` has just drawn for a user in
     this state. The likelihoods of these labels are stored, for later draws of the same labels."""
-    at = _find_coded_slot(model, tree, missed, said)
-    count = tree.labels[at, step].informative
+    count = codes.labels[at, step].informative
     if count > 0:
-        shown = said if missed is None else 0
-        key = splitmix64(code + uint64(shown * len(model.answered) + step + 1) * GOLDEN)
-        slot = np.int64(key & uint64(len(tree.seen) - 1))
-        if tree.seen[slot] != key:
-            tree.seen[slot] = key
-            usual = code == tree.columns[at, step, state].code  # nothing was written to ``zero``
+        place = codes.coded[at] * len(codes.zero) + step + 1
+        key = splitmix64(code + uint64(place) * GOLDEN)
+        slot = np.int64(key & uint64(len(codes.seen) - 1))
+        if codes.seen[slot] != key:
+            codes.seen[slot] = key
+            usual = code == codes.columns[at, step, state].code  # nothing was written to ``zero``
             for s in range(len(belief)):
                 likelihood = 1.0
                 for i in range(count):
-                    zero = tree.columns[at, i, state].p < 0.5 if usual else tree.zero[i]
-                    yes = tree.columns[at, i, s].p
+                    zero = codes.columns[at, i, state].p < 0.5 if usual else codes.zero[i]
+                    yes = codes.columns[at, i, s].p
                     likelihood *= 1.0 - yes if zero else yes
-                tree.likelihoods[slot, s] = likelihood
+                codes.likelihoods[slot, s] = likelihood
         total = 0.0
         for s in range(len(belief)):
-            belief[s] *= tree.likelihoods[slot, s]
+            belief[s] *= codes.likelihoods[slot, s]
             total += belief[s]
         scale = 1.0 / total
         for s in range(len(belief)):
@@ -646,38 +693,38 @@ def _update_belief(model, tree, missed, step, said, state, code, belief):  # typ
 
 
 @part
-def _find_coded_slot(model, tree, missed, said):  # type: ignore[no-untyped-def]
-    """Returns the slot of ``tree.labels`` and ``tree.columns`` for v, and fills it if necessary.
-    Message sets with the same hash use the same slot: v replaces the earlier set."""
-    shown = said if missed is None else np.int64(0)
+def _find_coded_slot(model, codes, shown):  # type: ignore[no-untyped-def]
+    """Returns the slot of ``codes.labels`` and ``codes.columns`` for the messages on which labels
+    depend: v, or 0 if messages may be missed. Fills the slot if necessary. Message sets with the
+    same hash use the same slot: a set replaces the earlier set."""
     slot = shown
-    if slot >= len(tree.coded):
+    if slot >= len(codes.coded):
         slot ^= slot >> 24 ^ slot >> 48
-        slot = (slot ^ slot >> 12) & (len(tree.coded) - 1)
-    if tree.coded[slot] != shown:
-        _code_labels(model, tree, shown, slot)
-        tree.coded[slot] = shown
+        slot = (slot ^ slot >> 12) & (len(codes.coded) - 1)
+    if codes.coded[slot] != shown:
+        _code_labels(model.answered, model.stride, shown, codes.labels[slot], codes.columns[slot])
+        codes.coded[slot] = shown
     return slot
 
 
 @njit(nogil=True)
-def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
-    """Fills this slot of ``tree.labels`` and ``tree.columns`` for v."""
-    steps, states = len(model.answered), len(model.relevant)
-    labels, columns, found = tree.labels[slot], tree.columns[slot], 0
-    cells = np.arange(states)
+def _code_labels(answered, stride, said, labels, columns):  # type: ignore[no-untyped-def]
+    """Fills this slot of ``codes.labels`` and ``codes.columns`` for v."""
+    steps, states = columns.shape
+    found = 0
+    cells = np.empty(states, np.int64)
     for s in range(states):
-        cells[s] = find_cell(model.stride, said, s)
+        cells[s] = find_cell(stride, said, s)
     for i in range(steps):
         differs, code = False, GOLDEN
-        first = model.answered[i, cells[0]]
+        first = answered[i, cells[0]]
         for s in range(states):
-            p = model.answered[i, cells[s]]
+            p = answered[i, cells[s]]
             columns[found, s].p = p  # overwritten if the label is not informative
             differs |= p != first
             code = splitmix64((code + GOLDEN) ^ np.float64(p).view(np.uint64))
         for s in range(states):
-            usual, p = columns[i, s], model.answered[i, cells[s]]
+            usual, p = columns[i, s], answered[i, cells[s]]
             usual.probability = columns[i - 1, s].probability if i > 0 else 1.0
             usual.code = columns[i - 1, s].code if i > 0 else np.uint64(0)
             if differs:
@@ -690,21 +737,21 @@ def _code_labels(model, tree, said, slot):  # type: ignore[no-untyped-def]
 
 
 @part
-def _draw_after_message(model, tree, state, message):  # type: ignore[no-untyped-def]
+def _draw_after_message(model, counter, state, message):  # type: ignore[no-untyped-def]
     """Draws the state of a user after a message was given once."""
     jump = model.jump[message, state]
-    if jump > 0 and next_uniform(tree.counter) < model.accept[state]:
+    if jump > 0 and next_uniform(counter) < model.accept[state]:
         state += jump
     return state
 
 
 @part
-def _draw_after_step(model, tree, state):  # type: ignore[no-untyped-def]
+def _draw_after_step(model, counter, state):  # type: ignore[no-untyped-def]
     """Draws the state of a user after a step, at whose end known facts may be forgotten."""
     types = len(model.forget)
     lost, bit = model.forget[state % types], types
     while lost > 0.0 and bit < len(model.relevant):
-        if state // bit % 2 == 1 and next_uniform(tree.counter) < lost:
+        if state // bit % 2 == 1 and next_uniform(counter) < lost:
             state -= bit
         bit *= 2
     return state
@@ -723,28 +770,35 @@ def _update_by_answer(model, question, said, answer, belief):  # type: ignore[no
 
 
 @njit(nogil=True)
-def _list_questions(model, tree, node, step, said, belief):  # type: ignore[no-untyped-def]
+def _list_questions(model, tree, scratch, node, step, said, belief):  # type: ignore[no-untyped-def]
     """Lists in ``tree.tried`` the most informative questions at a node that begins a step; returns
     their number."""
-    count, slots, asked = 0, tree.tried.shape[1] - 2, tree.asked.copy()
+    count, slots = 0, tree.tried.shape[1] - 2
+    cells, news = scratch.cells, scratch.news
     if tree.tried[ROOT, slots] < 0 and node == ROOT:  # the step already has messages
         return 0
+    for q in range(len(news)):
+        news[q] = -1.0 if scratch.asked[q] else 0.0
     before = node
     while before != ROOT:
         if tree.tried[before, slots + 1] >= 0:
-            asked[tree.tried[before, slots + 1]] = True
+            news[tree.tried[before, slots + 1]] = -1.0
         before = np.int64(tree.nodes[tree.nodes[before].parent].base)
-    if asked.sum() >= model.most or (model.first and (step > 0 or said > 0)):
+    asked = 0
+    for q in range(len(news)):
+        asked += news[q] < 0.0
+    if asked >= model.most or (model.first and (step > 0 or said > 0)):
         return 0
-    _find_cells(model.question_stride, tree, said)
-    for q in range(len(asked)):
-        tree.news[q] = -1.0 if asked[q] else 0.0
-    rank_questions(model.asked_answered, model.likelier, tree.cells, belief, tree.news)
+    _find_cells(model.question_stride, said, cells)
+    rank_questions(model.asked_answered, model.likelier, cells, belief, news)
     while count < slots:
-        best = np.argmax(tree.news)
-        if tree.news[best] <= NO_NEWS:
+        best = 0
+        for q in range(len(news)):
+            if news[q] > news[best]:
+                best = q
+        if news[best] <= NO_NEWS:
             break
         tree.tried[node, count] = best
-        tree.news[best] = -1.0
+        news[best] = -1.0
         count += 1
     return count

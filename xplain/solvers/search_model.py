@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.numba_kernels import first_bit, kernel, part
+from xplain.numba_kernels import first_bit, kernel, small
 
 NO_NEWS = 1e-12
 """A question whose answer is expected to give less information than this, in nats, is not asked."""
@@ -68,7 +68,7 @@ class SearchModel(NamedTuple):
     patience: float
 
 
-@part
+@small
 def find_cell(stride, said, s):  # type: ignore[no-untyped-def]
     """Returns the cell of (v, s) in a table with these strides [n, S]."""
     at = s
@@ -78,7 +78,7 @@ def find_cell(stride, said, s):  # type: ignore[no-untyped-def]
     return at
 
 
-@part
+@small
 def give(jump, accept, belief):  # type: ignore[no-untyped-def]
     """Updates a belief [S]: a message with these jumps [S] is given once, and accepted with α."""
     for s in range(len(belief)):
@@ -88,7 +88,7 @@ def give(jump, accept, belief):  # type: ignore[no-untyped-def]
             belief[s + jump[s]] += landed
 
 
-@part
+@small
 def forget(lose, belief):  # type: ignore[no-untyped-def]
     """Updates a belief [S]: each known fact is forgotten with probability φ, ``lose`` [N]."""
     types = len(lose)
@@ -102,7 +102,7 @@ def forget(lose, belief):  # type: ignore[no-untyped-def]
         bit *= 2
 
 
-@part
+@small
 def _entropy(p):  # type: ignore[no-untyped-def]
     """Returns the entropy of a bit that is 1 with probability p, in nats."""
     value = 0.0

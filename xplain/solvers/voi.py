@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from xplain.explanation.actions import Action, AskQuestion, VisibleState
 from xplain.randomness import derive_seed
 from xplain.solvers.base import TIE, Policy
-from xplain.solvers.pomcp import make_tree, search_model
-from xplain.solvers.pomcp_kernel import Tree, roll
+from xplain.solvers.pomcp import make_memory, search_model
+from xplain.solvers.pomcp_kernel import Memory, roll
 from xplain.solvers.process import KnownValues, Process, before_step, hear_answer
 from xplain.solvers.search_model import NO_NEWS, SearchModel, rank_questions
 
@@ -104,8 +104,8 @@ class VoiPolicy:
         if not questions:
             return {}
         said, gains = before_step(self.process, visible.given), dict[int, float]()
-        tree = make_tree(self.process, 1, self.stream)
-        now = self._estimate_value(tree, visible.step, said, belief)
+        memory = make_memory(self.process, 1, self.stream)
+        now = self._estimate_value(memory, visible.step, said, belief)
         for q in questions:
             gains[q] = -now - self.process.questions.cost
             for answer in (1, 0):
@@ -113,12 +113,12 @@ class VoiPolicy:
                 share = float(joint.sum())
                 if share > 0:
                     gains[q] += share * self._estimate_value(
-                        tree, visible.step, said, joint / share
+                        memory, visible.step, said, joint / share
                     )
         return gains
 
     def _estimate_value(
-        self, tree: Tree, step: int, said: int, belief: NDArray[np.float64]
+        self, memory: Memory, step: int, said: int, belief: NDArray[np.float64]
     ) -> float:
         """Estimates the value of QMDP's decisions from a belief [S]."""
         process, model = self.process, self.model
@@ -127,7 +127,10 @@ class VoiPolicy:
         states, weights, streams = _choose_states(belief, 1 if certain else ROLLS)
         seeds = np.array([self.stream + i * SPREAD & WORDS for i in streams], np.uint64)
         missed = None if process.jump is None else True
-        return float(roll(model, tree, missed, step, said, belief, states, weights, seeds))
+        _, codes, scratch = memory
+        return float(
+            roll(model, codes, scratch, missed, step, said, belief, states, weights, seeds)
+        )
 
 
 def _choose_states(
