@@ -206,12 +206,11 @@ class Search:
         seed = self.stream(visible, said, belief)
         budget = max(self.simulations, process.n_messages + 1 + _count_slots(process))
         memory = make_memory(process, budget, seed)
-        tree = memory.tree
+        tree, _, scratch = memory
         tree.nodes[ROOT] = (0, np.nan, 0.0, 0.0, said, 0, 0, 0, 0, 0, 0, visible.step)
         tree.beliefs[ROOT] = belief
         tree.tried[ROOT, -2:] = -1 if chosen else 0, -1
-        asked = memory.scratch.asked
-        asked[:] = [visible.asked >> q & 1 for q in range(len(asked))]
+        scratch.asked[:] = [visible.asked >> q & 1 for q in range(len(scratch.asked))]
         missed = None if process.jump is None else True
         roots = _compute_roots(1 << budget.bit_length())
         for done in range(0, budget, CHUNK):
@@ -313,7 +312,7 @@ def make_memory(process: Process, simulations: int, seed: int) -> Memory:
         np.empty(questions),
         np.array([seed], np.uint64),
     )
-    return Memory(tree, codes, scratch)
+    return tree, codes, scratch
 
 
 @lru_cache(maxsize=4)

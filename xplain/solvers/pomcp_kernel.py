@@ -178,13 +178,9 @@ class Scratch(NamedTuple):
     counter: NDArray[np.uint64]
 
 
-class Memory(NamedTuple):
-    """The memory of one search. Compiled functions get only the parts that they use, because numba
-    copies the arrays of a tuple at every call."""
-
-    tree: Tree
-    codes: LabelCodes
-    scratch: Scratch
+Memory = tuple[Tree, LabelCodes, Scratch]
+"""The memory of one search. Compiled functions get only the parts that they use, because numba
+copies the arrays of a tuple at every call."""
 
 
 @kernel
@@ -773,20 +769,19 @@ def _update_by_answer(model, question, said, answer, belief):  # type: ignore[no
 def _list_questions(model, tree, scratch, node, step, said, belief):  # type: ignore[no-untyped-def]
     """Lists in ``tree.tried`` the most informative questions at a node that begins a step; returns
     their number."""
-    count, slots = 0, tree.tried.shape[1] - 2
-    cells, news = scratch.cells, scratch.news
+    slots, cells, news = tree.tried.shape[1] - 2, scratch.cells, scratch.news
     if tree.tried[ROOT, slots] < 0 and node == ROOT:  # the step already has messages
         return 0
+    count, asked = 0, 0
     for q in range(len(news)):
         news[q] = -1.0 if scratch.asked[q] else 0.0
+        asked += scratch.asked[q]
     before = node
     while before != ROOT:
         if tree.tried[before, slots + 1] >= 0:
             news[tree.tried[before, slots + 1]] = -1.0
+            asked += 1
         before = np.int64(tree.nodes[tree.nodes[before].parent].base)
-    asked = 0
-    for q in range(len(news)):
-        asked += news[q] < 0.0
     if asked >= model.most or (model.first and (step > 0 or said > 0)):
         return 0
     _find_cells(model.question_stride, said, cells)
