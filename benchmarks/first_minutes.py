@@ -4,7 +4,7 @@
 
 The bare script does what any experiment does: it imports scikit-learn and MLflow and logs a run
 into an existing SQLite store. It alternates with later runs, so that a machine with a varying speed
-favours neither. The table has user + system seconds of whole processes with their children, and the
+favours neither. Each later run has another seed: a run with the same seed only reads the result. The table has user + system seconds of whole processes with their children, and the
 imports that take most time. The first run finds no compiled kernels (with ``--quick`` the kernels
 of other runs). Goals: a first run takes at most 5 times the seconds of the bare script, a later run
 at most 1.5 times.
@@ -43,8 +43,8 @@ def main() -> None:
         made = seconds(["-c", BARE], folder, {})  # makes the store
         first = seconds(run, folder, kernels)
         bare, warm = ([made], [first]) if quick else ([], [])  # a smoke run measures nothing twice
-        for _ in range(rounds):
-            warm.append(seconds(run, folder, kernels))
+        for seed in range(1, rounds + 1):
+            warm.append(seconds([*run, f"seed={seed}"], folder, kernels))
             bare.append(seconds(["-c", BARE], folder, {}))
         imported = imports(run, folder, kernels)
     ratios = [one / other for one, other in zip(warm, bare, strict=True)]
