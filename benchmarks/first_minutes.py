@@ -4,10 +4,11 @@
 
 The bare script does what any experiment does: it imports scikit-learn and MLflow and logs a run
 into an existing SQLite store. It alternates with later runs, so that a machine with a varying speed
-favours neither. Each later run has another seed: a run with the same seed only reads the result. The table has user + system seconds of whole processes with their children, and the
-imports that take most time. The first run finds no compiled kernels (with ``--quick`` the kernels
-of other runs). Goals: a first run takes at most 5 times the seconds of the bare script, a later run
-at most 1.5 times.
+favours neither. Each later run has another seed: a run with the same seed only reads the result.
+The table has user + system seconds of whole processes with their children, and the imports that
+take most time. The first run finds no compiled kernels (with ``--quick`` the kernels of other
+runs). Goals: a first run takes at most 5 times the seconds of the bare script, a later run at most
+1.5 times.
 """
 
 import os
