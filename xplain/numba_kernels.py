@@ -8,6 +8,7 @@ entry contains a digest of these files.
 
 import logging
 from collections.abc import Callable
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -47,40 +48,24 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 class _Compilation(event.Listener):  # type: ignore[misc]
-    """A listener that reports the name of an xplain kernel when its compilation starts, and "" when
-    a compilation ends."""
+    """A listener that logs the first compilation of an xplain kernel."""
 
-    say: Callable[[str], None] | None = None
-    logged = False
+    is_logged = False
 
     def on_start(self, event: event.Event) -> None:
         function = event.data["dispatcher"].py_func
-        if self.say is not None and str(function.__module__).startswith("xplain."):
-            self.say(function.__name__.strip("_"))
+        if not self.is_logged and str(function.__module__).startswith("xplain."):
+            log.warning("compiling kernels once; later runs load them")
+            self.is_logged = True
 
     def on_end(self, event: event.Event) -> None:
-        if self.say is not None:
-            self.say("")
+        """Logs nothing."""
 
 
-_compilation = _Compilation()
-event.register("numba:compile", _compilation)
-
-
-def _log_once(kernel: str) -> None:
-    if kernel and not _compilation.logged:
-        log.warning("compiling the solvers' kernels once; later runs load them")
-        _compilation.logged = True
-
-
-def tell_when_compiling(say: Callable[[str], None] | None = None) -> None:
-    """Makes this process report the compilation of kernels from now on.
-
-    Args:
-        say: receives the name of a kernel, and "" when its compilation ends. None keeps the earlier
-            ``say``; without an earlier one, a line is logged.
-    """
-    _compilation.say = say or _compilation.say or _log_once
+@cache
+def tell_when_compiling() -> None:
+    """Makes this process log, from now on, when kernels are compiled for the first time."""
+    event.register("numba:compile", _Compilation())
 
 
 @intrinsic  # type: ignore[untyped-decorator]

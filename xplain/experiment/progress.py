@@ -18,17 +18,17 @@ class Progress:
             what: name of the stage, such as "certificates".
             count: number of items.
         """
-        with self.stage(what, count):
+        with self.stage(what):
             for done, item in enumerate(items, start=1):
                 yield item
-                self.note(f"{done} of {count}", done)
+                self.note(f"{done} of {count}")
 
-    def stage(self, what: str, count: int | None = None) -> AbstractContextManager[Any]:
-        """Opens a context with ``what`` as the current activity, for ``count`` items if known."""
+    def stage(self, what: str) -> AbstractContextManager[Any]:
+        """Opens a context with ``what`` as the current activity."""
         return nullcontext()
 
-    def note(self, text: str, done: int | None = None) -> None:
-        """Reports a text about the most recent open stage, and the number of finished items."""
+    def note(self, text: str) -> None:
+        """Reports a text about the most recent open stage."""
 
 
 SILENT = Progress()

@@ -40,16 +40,16 @@ def job(cfg: DictConfig) -> float | None:
 
 
 def _run_single(cfg: DictConfig, own: Any) -> float | None:
-    from xplain.report.stages import stages
+    from xplain.report.stages import Stages
 
-    progress = stages()
+    progress = Stages()
     folder = Path(own.runtime.output_dir)
     try:
         shown = progress.stage("loading") if is_terminal(sys.stderr) else nullcontext()
         with shown, leave_at_once():
             from xplain.numba_kernels import tell_when_compiling
             from xplain.runs.job import Job, run_alone
-        tell_when_compiling(progress.compiling)
+        tell_when_compiling()
         made = Job.of(cfg, own.runtime.choices)
         if cfg.dry_run:
             _check_job(made)

@@ -23,7 +23,7 @@ from xplain.errors import InputError, first_line
 from xplain.experiment.fingerprint import code_version, git_state
 from xplain.experiment.results import RESULTS
 from xplain.report.folder import FAILURE, SWEEP, ListedJob, SweepFolder
-from xplain.report.stages import stages
+from xplain.report.stages import Stages
 from xplain.runs.folder import Disk, alone, attempt, without_passwords
 from xplain.runs.job import Job, failing_into, save_batch
 from xplain.runs.plan import Plan, command, label_jobs, values_of
@@ -196,7 +196,7 @@ def _report_progress(plan: Plan) -> Iterator[None]:
     runs."""
     began, folder, done = time.time(), plan.folder, len(plan.finished)
     jobs = [job for job in plan.jobs if job.fingerprint in plan.todo]
-    progress, stop, said = stages(), threading.Event(), list[ListedJob]()
+    progress, stop, said = Stages(), threading.Event(), list[ListedJob]()
 
     def ended(path: Path) -> bool:  # in this attempt, not an earlier one
         return path.exists() and path.stat().st_mtime >= began - 1
