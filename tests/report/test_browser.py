@@ -38,9 +38,7 @@ def driver():
 def sweep(tmp_path_factory, driver):
     """Runs a sweep; returns its folder and output."""
     folder = tmp_path_factory.mktemp("sweep")
-    # The paper's clusterer has a curve to draw.
-    other = {"users.count=2": "users.count=2,3", "clusterer=perfect": "clusterer=kmeans"}
-    arguments = [other.get(word, word) for word in sweeps.TINY]
+    arguments = ["users.count=2,3" if word == "users.count=2" else word for word in sweeps.TINY]
     code, output = sweeps.run(folder, *arguments)
     assert code == 0, output
     return folder, output
@@ -189,7 +187,7 @@ def test_the_report_page_renders(driver, sweep, width, colours):
         ground = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
         bright = sum(map(int, re.findall(r"\d+", ground)[:3])) > 380
         assert bright == (colours == "light")
-        assert driver.execute_script("return document.images.length") >= 6
+        assert driver.execute_script("return document.images.length") >= 5
         screenshot(driver, f"report-{width}-{colours}.png")
     finally:
         driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

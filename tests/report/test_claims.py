@@ -288,7 +288,7 @@ def test_a_ratio_is_to_the_best_other_way() -> None:
     summary: Any = SimpleNamespace(
         posed=["domain", "explainee"],
         ways=["solver"],
-        pool=(),
+        problem=["seed", "trace", "type"],
         replicate="seed",
         episodes=frame,
         values=lambda key: list(dict.fromkeys(frame[key])),

@@ -119,13 +119,12 @@ def test_the_page_is_whole_and_loads_nothing(known):
     for domain in (setting["domain"] for setting in SETTINGS):
         said = f"The robot of {domain} likes <fire>."
         assert text.count(html.escape(said)) == 1
-    for name in ("regret.svg", "messages.svg", "inexplicable.svg", "disagreements.svg"):
+    for name in ("regret.svg", "messages.svg", "inexplicable.svg"):
         drawing = ElementTree.parse(report / name).getroot()
         lines = drawing.iter(f"{SVG}path")
         drawn = [line for line in lines if line.get("clip-path") and GRID not in line.get("style")]
-        # A curve a method and domain, one a domain of the disagreements.
-        curves = len(SETTINGS) * (1 if name == "disagreements.svg" else len(METHODS))
-        assert len({line.get("d") for line in drawn if "L" in line.get("d")}) >= curves
+        curves = {line.get("d") for line in drawn if "L" in line.get("d")}
+        assert len(curves) >= len(SETTINGS) * len(METHODS)
 
 
 def test_the_page_says_who_costs_least_and_how_to_see_an_explanation(tmp_path, no_pictures):

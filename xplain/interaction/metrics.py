@@ -24,7 +24,12 @@ RATIOS = (
 """Ratios of the costs of two solvers of the records: name, numerator, denominator."""
 
 
-RANGES: dict[str, Range] = {"regret": ANY, "final_belief": (0.0, 1.0), "fit": (0.0, 1.0)}
+RANGES: dict[str, Range] = {
+    "regret": ANY,
+    "difference": ANY,
+    "final_belief": (0.0, 1.0),
+    "fit": (0.0, 1.0),
+}
 """Ranges of measures that are no costs. A regret may be negative: the oracle's labelers err, so
 another plan can have a lower cost by chance."""
 

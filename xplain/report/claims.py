@@ -24,7 +24,6 @@ import pandas as pd
 
 from xplain.interaction.statistics import Estimate, Range, clustered_mean, clustered_share
 from xplain.report import compare
-from xplain.report.compare import pair_episodes
 from xplain.report.frame import Summary
 from xplain.report.paper import NAMES, group_title, title
 from xplain.report.table import Table, cell, interval, number, table_of
@@ -83,10 +82,8 @@ class Claim:
     @property
     def verdict(self) -> Verdict:
         """The verdict that follows from the interval."""
-        low, high = self.estimate.low, self.estimate.high
+        low, high = self.estimate.low, self.estimate.high  # NaN with one seed
         least, most = self.true_in
-        if math.isnan(low):
-            return "not decided"
         if least < low and high < most:
             return "holds"
         return "does not hold" if high <= least or most <= low else "not decided"
@@ -140,42 +137,37 @@ Tested = tuple[str, str, Estimate, Range, str]
 
 def _test_orders(episodes: pd.DataFrame, pool: Sequence[str]) -> Iterator[Tested]:
     """Tests the claims that one solver costs less than another, or about the same, at each λ."""
-    on = [*pool, "lambda", "seed", "trace", "type"]
+    on, parts = (
+        [*pool, "seed", "trace", "type"],
+        ["communication", "inexplicability", "true_labels"],
+    )
     groups: Any = episodes.groupby("lambda")
     for trade_off, own in groups:
+        costs = {name: one.set_index(on)[["cost", *parts]] for name, one in own.groupby("solver")}
         for less, more in (("qmdp", "pomcp_paper"), *ORDER):
-            both = pair_episodes(own, ["solver"], [more], [less], on)
-            if not len(both):
+            if not {less, more} <= costs.keys():
                 continue
+            apart = (costs[more] - costs[less]).dropna(subset=["cost"])
             names, limits = [SHORT[name] for name in (less, more)], (0.0, math.inf)
             text = f"{names[0]} costs less than {names[1]}"
             if (less, more) not in ORDER:
-                margin = ALIKE * float(both["cost_other"].mean())
+                margin = ALIKE * float(costs[less].loc[apart.index, "cost"].mean())
                 text, limits = f"{names[0]} and {names[1]} cost about the same", (-margin, margin)
-            found = clustered_mean(both["difference"], both["seed"])
+            found = clustered_mean(apart["cost"], apart.index.get_level_values("seed"))
             figure = f"{names[1]} − {names[0]}"
-            yield (
-                f"{text}, λ = {trade_off:g}",
-                figure,
-                found,
-                limits,
-                _describe_parts(both, trade_off),
-            )
+            about = _describe_parts(apart.mean(), trade_off)
+            yield f"{text}, λ = {trade_off:g}", figure, found, limits, about
 
 
-def _describe_parts(both: pd.DataFrame, trade_off: float) -> str:
+def _describe_parts(apart: pd.Series[float], trade_off: float) -> str:
     """Describes the parts of a difference of costs: first the cost of the messages (λ times the sum
     of their costs) and the number of inexplicable labels; then the difference with true types and
     labels, and the rest, which is due to learned types and labels."""
-    apart = {
-        name: float((both[name] - both[f"{name}_other"]).mean())
-        for name in ("communication", "inexplicability", "true_labels")
-    }
     text = (
         f"{trade_off * apart['communication']:+z.2f} messages, {apart['inexplicability']:+z.2f} "
         "inexplicable labels"
     )
-    learned = float(both["difference"].mean()) - apart["true_labels"]
+    learned = apart["cost"] - apart["true_labels"]
     if math.isnan(learned) or abs(learned) < 1e-9:
         return f"{text}; types and labels are true"
     return (
@@ -252,19 +244,14 @@ def decomposition(summary: Summary) -> Table:
     """Makes a table of the parts of each solver's cost. Every job explains each trace to each user
     four times: with the learned types and labels, with the true types and labels, as the oracle,
     and as the clairvoyant."""
-    rows = []
+    known = summary.episodes.dropna(subset=["oracle", "clairvoyant", "true_labels"])
     keys = [key for key in ("domain", "solver", *summary.shown) if key != "lambda"]
-    for values, frame in compare.group_episodes(summary, [*dict.fromkeys((*keys, "lambda"))]):
-        own = frame.dropna(subset=["oracle", "clairvoyant", "true_labels"])
-        if len(own):
-            heads = {compare.heading(k): compare.value_title(k, v) for k, v in values.items()}
-            parts = {
-                name: clustered_mean(
-                    own[one] - own[less] if less else own[one], own[summary.replicate]
-                )
-                for name, (one, less) in PARTS.items()
-            }
-            rows.append(heads | {name: cell(found) for name, found in parts.items()})
+
+    def cells(own: pd.DataFrame) -> dict[str, str]:
+        costs = {name: own[one] - own.get(less, 0) for name, (one, less) in PARTS.items()}
+        clusters = own[summary.replicate]
+        return {name: cell(clustered_mean(cost, clusters)) for name, cost in costs.items()}
+
     caption = (
         "A cost is the sum of the clairvoyant's cost, the additional cost of an unknown type (with "
         "true types and labels), and the additional cost of learned types and labels. The last "
@@ -272,7 +259,7 @@ def decomposition(summary: Summary) -> Table:
         "± half-width of the 95 % interval over "
         f"{summary.replicate}s."
     )
-    return table_of(rows, len(rows[0]) - len(PARTS) if rows else 1, caption)
+    return compare.tabulate(summary, [*dict.fromkeys([*keys, "lambda"])], known, cells, caption)
 
 
 def answer(summary: Summary) -> str:
@@ -298,11 +285,8 @@ def list_undecided(summary: Summary) -> Table:
     """Makes a table of the undecided differences to the lowest cost, or of Table 1's undecided
     claims. Each row has the number of seeds that would decide the difference or claim, and the
     minutes to compute the additional seeds."""
-    found = (
-        _find_undecided_claims(summary) if summary.is_table1 else compare.find_undecided(summary)
-    )
     rows = []
-    for heads, gap, shown in found:
+    for heads, gap, shown in _find_undecided(summary):
         seeds, minutes = compare.effort(summary, gap)
         rows.append({**heads, "Difference": shown, "Seeds": seeds, "Minutes": minutes})
     words = [w for w in shlex.split(summary.about["command"]) if not w.startswith("seed=")]
@@ -314,9 +298,15 @@ def list_undecided(summary: Summary) -> Table:
     return table_of(rows, max(1, len(rows[0]) - 3) if rows else 1, caption)
 
 
-def _find_undecided_claims(summary: Summary) -> Iterator[compare.Undecided]:
-    for claim in claims(summary):
+def _find_undecided(summary: Summary) -> Iterator[tuple[dict[str, str], Estimate, str]]:
+    """Yields the headings of a row, a difference whose interval contains 0, and its text."""
+    for claim in claims(summary) if summary.is_table1 else []:
         if claim.verdict == "not decided":
             heads = {"Types and labels": claim.group} if claim.group else {}
             heads |= {"Domain": title(claim.domain), "Claim": claim.text}
             yield heads, claim.gap, f"{claim.figure}: {cell(claim.estimate)}"
+    for values, (best, *others) in [] if summary.is_table1 else compare.verdicts(summary):
+        for other in others:
+            if not other.is_decided:
+                heads = compare.headings(values) | {"Cost of": f"{other.name} − {best.name}"}
+                yield heads, other.behind, cell(other.behind)

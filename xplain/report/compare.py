@@ -5,15 +5,16 @@ A sweep's keys are its dimensions. Seeds are replicates, never a dimension. A ke
 only if the sweep's file says so (``pool``).
 """
 
-import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 from math import prod
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from xplain.interaction.metrics import possible
@@ -53,24 +54,24 @@ def estimate(summary: Summary, frame: pd.DataFrame, column: str) -> Estimate:
     return clustered_mean(known[column], known[summary.replicate], possible=possible(column))
 
 
-def reference(summary: Summary, frame: pd.DataFrame, name: str) -> Estimate:
-    """Estimates the cost of the oracle or the clairvoyant. This cost is the same in every job of a
-    problem, so each trace and user counts once."""
-    problem = [*summary.pool, "seed", "trace", "type"]
-    return estimate(summary, frame.dropna(subset=[name]).drop_duplicates(problem), name)
-
-
 def group_episodes(
-    summary: Summary, keys: Sequence[str]
+    summary: Summary, keys: Sequence[str], frame: pd.DataFrame | None = None
 ) -> list[tuple[dict[str, Value], pd.DataFrame]]:
-    """Groups the episodes by these keys. Returns ({key: value}, episodes) for every combination
-    of their values, in the order of :meth:`xplain.report.frame.Summary.values`."""
+    """Groups episodes by these keys. Returns ({key: value}, episodes) for every combination of
+    their values, in the order of :meth:`xplain.report.frame.Summary.values`.
+
+    Args:
+        summary: the sweep.
+        keys: columns of the frame.
+        frame: a part of the sweep's episodes; None takes all of them.
+    """
+    frame = summary.episodes if frame is None else frame
     if not keys:
-        return [({}, summary.episodes)]
+        return [({}, frame)]
     order = {key: {value: i for i, value in enumerate(summary.values(key))} for key in keys}
     groups: list[tuple[dict[str, Any], pd.DataFrame]] = [
-        (dict(zip(keys, values, strict=True)), frame)
-        for values, frame in summary.episodes.groupby(list(keys), sort=False)
+        (dict(zip(keys, values, strict=True)), own)
+        for values, own in frame.groupby(list(keys), sort=False)
     ]
     return sorted(groups, key=lambda group: [order[key][group[0][key]] for key in keys])
 
@@ -82,40 +83,11 @@ def select_rows(frame: pd.DataFrame, values: Mapping[str, Value]) -> pd.DataFram
     return frame
 
 
-def pair_episodes(
-    frame: pd.DataFrame,
-    by: Sequence[str],
-    one: Sequence[Value],
-    two: Sequence[Value],
-    on: Sequence[str],
-) -> pd.DataFrame:
-    """Pairs the episodes of one way to solve a problem with the episodes of another way, on the
-    same problem. Episodes without a partner are left out.
-
-    Args:
-        frame: episodes.
-        by: columns whose values define a way to solve a problem, such as ``solver``.
-        one, two: values of these columns for the first way and for the other way.
-        on: columns that must be equal in both episodes of a pair, such as trace and user.
-
-    Returns:
-        A row for each pair. The columns of the second episode end in ``_other``, and ``difference``
-        is the cost of the first episode minus the cost of the second.
-    """
-    left, right = (select_rows(frame, dict(zip(by, way, strict=True))) for way in (one, two))
-    both = left.merge(right, on=[*on], suffixes=("", "_other"), validate="one_to_one")
-    return both.assign(difference=both["cost"] - both["cost_other"])
-
-
-def difference(
-    summary: Summary, frame: pd.DataFrame, by: Sequence[str], one: Way, two: Way
-) -> Estimate:
-    """Estimates the cost of one way minus the cost of another way, on the same traces and users;
-    NaN if the two ways have no trace and user in common."""
-    both = pair_episodes(frame, by, one, two, [*summary.pool, "seed", "trace", "type"])
-    if not len(both):
-        return UNKNOWN
-    return clustered_mean(both["difference"], both[summary.replicate])
+def difference(summary: Summary, one: pd.DataFrame, other: pd.DataFrame) -> Estimate:
+    """Estimates the cost of one way to solve a problem minus the cost of another way, on the same
+    traces and users; NaN if the episodes of the two ways have no trace and user in common."""
+    costs = [own.set_index(summary.problem)["cost"] for own in (one, other)]
+    return estimate(summary, (costs[0] - costs[1]).rename("difference").reset_index(), "difference")
 
 
 @dataclass(frozen=True)
@@ -123,65 +95,58 @@ class RankedWay:
     """One way to solve a problem, ranked among all ways that the sweep compares.
 
     Attributes:
-        way: values of the swept keys that define the way.
-        name: readable name of the way.
-        estimate: estimate of the measure that compares the sweep's jobs.
-        cost: mean cost.
-        behind: cost of this way minus the cost of the best way, on the same traces and users.
+        values: values of the swept keys that define the way.
+        episodes: episodes of the way, on the traces and users that all ways have.
+        behind: cost of this way minus the cost of the best way, on the same traces and users; NaN
+            if no trace and user is shared by all ways, or if the measure is not fair.
     """
 
-    way: Way
-    name: str
-    estimate: Estimate
-    cost: float
+    values: Mapping[str, Value]
+    episodes: pd.DataFrame
     behind: Estimate
+
+    @property
+    def name(self) -> str:
+        """Readable name."""
+        return label(self.values)
 
     @property
     def is_decided(self) -> bool:
         """True if the interval of the difference to the best way excludes 0."""
         return self.behind.low > 0
 
-
-def select_shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
-    """Selects the episodes on the traces and users for which all ways to solve the problem have an
-    episode. If jobs are missing, means over all episodes would compare different traces and users.
-
-    Args:
-        summary: the sweep.
-        frame: episodes.
-        by: columns whose values define a way to solve a problem, such as ``solver``.
-    """
-    known = frame.dropna(subset=[summary.measure.name])
-    ways = known.groupby([*by], sort=False).ngroup()
-    problem = [known[key] for key in (*summary.pool, "seed", "trace", "type")]
-    return known[ways.groupby(problem).transform("nunique") == ways.nunique()]
+    @property
+    def mark(self) -> str:
+        """The mark of the lowest cost, or of a cost that is not distinguishable from it."""
+        if round(self.behind.mean, 9) == 0:
+            return BEST
+        return "" if self.is_decided or math.isnan(self.behind.mean) else TIE
 
 
 def rank_ways(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[RankedWay]:
     """Ranks the ways to solve a problem by the mean of the measure that compares the sweep's jobs,
     the lowest first.
 
+    Only traces and users for which all ways have an episode count. If jobs are missing, means over
+    all episodes would compare different traces and users. If no trace and user is shared by all
+    ways, the ways have all their episodes.
+
     Args:
         summary: the sweep.
         frame: episodes of the problem.
         by: columns whose values define a way, such as ``solver``.
-
-    Returns:
-        The ranked ways; empty if no trace and user is shared by all ways.
     """
-    frame = select_shared(summary, frame, by)
-    groups: Any = frame.groupby([*by], sort=False)
     measure = summary.measure.name
-    order = sorted(groups, key=lambda item: round(float(item[1][measure].mean()), 9))
+    known = frame.dropna(subset=[measure])
+    ways = known.groupby([*by], sort=False).ngroup()
+    problem = [known[key] for key in summary.problem]
+    shared = known[ways.groupby(problem).transform("nunique") == ways.nunique()]
+    found = group_episodes(summary, by, shared if len(shared) else frame)
+    found.sort(key=lambda way: round(float(way[1][measure].mean()), 9))
+    is_known = len(shared) and summary.measure.fair
     return [
-        RankedWay(
-            way,
-            label(dict(zip(by, way, strict=True))),
-            estimate(summary, own, measure),
-            own["cost"].mean(),
-            difference(summary, frame, by, way, order[0][0]),
-        )
-        for way, own in order
+        RankedWay(way, own, difference(summary, own, found[0][1]) if is_known else UNKNOWN)
+        for way, own in found
     ]
 
 
@@ -193,11 +158,11 @@ def verdicts(summary: Summary) -> list[tuple[dict[str, Value], list[RankedWay]]]
         For each problem with at least two ways: ({swept key: value} that define the problem, the
         ranked ways). Empty if no swept key chooses a way, or if the requested measure is not fair.
     """
-    if not summary.results or not summary.ways or not summary.measure.fair:
+    if not summary.results or not summary.ways:
         return []
     groups = group_episodes(summary, summary.posed)
     found = [(values, rank_ways(summary, frame, summary.ways)) for values, frame in groups]
-    return [one for one in found if len(one[1]) > 1]
+    return [one for one in found if len(one[1]) > 1 and not math.isnan(one[1][0].behind.mean)]
 
 
 def layout(summary: Summary) -> tuple[list[str], list[str], list[str]]:
@@ -234,73 +199,85 @@ def table(summary: Summary) -> Table:
 
     Rows are problems. Columns are the costs of the oracle and the clairvoyant, then the ways to
     solve the problems, with the paper's values in parentheses. If the sweep varies only problems or
-    only ways, each problem or way has a row, and its measures are the columns.
+    only ways, each problem or way has a row, and its measures are the columns; the best way is in
+    the first row.
     """
     down, grouping, across = layout(summary)
-    if not across or not (down or grouping):
-        return _list_combinations(summary, down or across, bool(across))
-    measure, rows = summary.measure.name, list[dict[tuple[str, str], str]]()
-    known = [name for name in _list_references(summary) if summary.episodes[name].notna().any()]
-    is_beside = is_beside_paper(summary)
-    groups, ways = (
-        [own for own, _ in group_episodes(summary, keys)] for keys in (grouping, across)
-    )
+    is_wide = bool(across and (down or grouping))
+    rows = list[dict[Any, str]]()
     for values, frame in group_episodes(summary, down):
-        row = {("", heading(key)): value_title(key, value) for key, value in values.items()}
-        at = str(frame["domain"].iloc[0]), float(frame["lambda"].iloc[0])
-        published = paper.table1().get(at, {}) if is_beside else {}
-        for group in groups:
-            own, title = select_rows(frame, group), paper.group_title(group, label(group))
-            mark = NO_REFERENCE if is_unreliable(own) else ""
-            for name in known:
-                place = ("" if name == "clairvoyant" else title, TITLES[name])
-                after = _join_marks(mark if name == "oracle" else "", published.get(name))
-                row[place] = cell(reference(summary, own, name), after, "", bool(grouping))
-            found = {one.way: one for one in rank_ways(summary, own, across)}
-            best = next(iter(found.values()), None)
-            for way in ways:
-                one, solver = found.get(tuple(way.values())), str(way.get("solver"))
-                alone = select_rows(own, way)
-                shown = estimate(summary, alone, measure) if one is None else one.estimate
-                cost = alone["cost"].mean() if one is None else one.cost
-                below = "" if grouping or measure == "cost" else f"cost {number(cost)}"
-                after = _join_marks(_choose_mark(summary, one, best), published.get(solver))
-                row[title, label(way)] = cell(shown, after, below, bool(grouping))
-        rows.append(row)
-    about = f"{summary.measure.title}: {_list_common(summary)}"
-    caption = _make_caption(summary, True) + " In parentheses the paper's values." * is_beside
-    return table_of(rows, len(down), caption, about)
+        if is_wide:
+            heads = {("", head): text for head, text in headings(values).items()}
+            rows.append(heads | _make_row(summary, frame, grouping, across))
+        else:
+            ways = rank_ways(summary, frame, across) if across else [RankedWay({}, frame, UNKNOWN)]
+            rows += [
+                headings({**values, **way.values}) | _list_measures(summary, way) for way in ways
+            ]
+    caption = _make_caption(summary, bool(across))
+    caption += " In parentheses the paper's values." * (is_wide and is_beside_paper(summary))
+    about = f"{summary.measure.title}: " * bool(across) + _list_common(summary)
+    return table_of(rows, len(down or across), caption, about)
 
 
-def _list_combinations(summary: Summary, keys: Sequence[str], compete: bool) -> Table:
-    """Makes the table with a row for each combination of the keys' values, and a column for each
-    measure. If ``compete`` is True, the combinations are different ways to explain: the best is in
-    the first row, and marks show the lowest cost and the costs that cannot be distinguished from
-    it."""
+def _make_row(
+    summary: Summary, frame: pd.DataFrame, grouping: Sequence[str], across: Sequence[str]
+) -> dict[tuple[str, str], str]:
+    """Makes the cells of a problem: in each group of columns, the costs of the references and the
+    measure of each way."""
+    row, measure, split = dict[tuple[str, str], str](), summary.measure.name, bool(grouping)
+    at = str(frame["domain"].iloc[0]), float(frame["lambda"].iloc[0])
+    published = paper.table1().get(at, {}) if is_beside_paper(summary) else {}
+    shown = {name: f"({value:.2f})" for name, value in published.items()}
+    for group, _ in group_episodes(summary, grouping):
+        title, own = paper.group_title(group, label(group)), select_rows(frame, group)
+        ways = {one.name: one for one in rank_ways(summary, own, across)}
+        for name in _list_references(summary):
+            found = estimate(summary, pd.concat(one.episodes for one in ways.values()), name)
+            mark = NO_REFERENCE if name == "oracle" and is_unreliable(own) else ""
+            place = "" if name == "clairvoyant" else title, TITLES[name]
+            row[place] = cell(found, f"{mark} {shown.get(name, '')}", "", split)
+        for values, _ in group_episodes(summary, across):
+            if (one := ways.get(label(values))) is not None:
+                after = f"{one.mark} {shown.get(str(values.get('solver')), '')}"
+                cost = f"cost {number(one.episodes['cost'].mean())}"
+                below = "" if grouping or measure == "cost" else cost
+                row[title, one.name] = cell(
+                    estimate(summary, one.episodes, measure), after, below, split
+                )
+    return row
+
+
+def _list_measures(summary: Summary, way: RankedWay) -> dict[str, str]:
+    """Makes the cells of a problem, or of a way to solve the only problem: all measures."""
+    row, compared = dict[str, str](), summary.measure.name
     questions = ["questions"] if summary.episodes["questions"].any() else []
-    measures = [summary.measure.name, "cost", *_list_references(summary)]
-    shown = dict.fromkeys([*measures, "messages", "inexplicable_labels", *questions])
-    frame = summary.episodes
-    order = rank_ways(summary, frame, keys) if compete else []
-    frame = select_shared(summary, frame, keys) if order else frame
-    found = {one.way: one for one in order}
-    ways = dict.fromkeys(
-        [*found, *(tuple(own.values()) for own, _ in group_episodes(summary, keys))]
-    )
-    rows = []
-    for way in ways:
-        values = dict(zip(keys, way, strict=True))
-        own = select_rows(frame, values)
-        mark = NO_REFERENCE if is_unreliable(own) else ""
-        row = {heading(key): value_title(key, value) or "–" for key, value in values.items()}
-        for name in shown:
-            words = [mark] if name in ("regret", "oracle") else []
-            if name == summary.measure.name and order:
-                words.append(_choose_mark(summary, found.get(way), order[0]))
-            row[TITLES[name]] = cell(estimate(summary, own, name), " ".join(filter(None, words)))
-        rows.append(row)
-    start = f"{summary.measure.title}: " if compete else ""
-    return table_of(rows, len(keys), _make_caption(summary, compete), start + _list_common(summary))
+    measures = [compared, "cost", *_list_references(summary), "messages", "inexplicable_labels"]
+    for name in dict.fromkeys([*measures, *questions]):
+        is_wrong = name in ("regret", "oracle") and is_unreliable(way.episodes)
+        marks = NO_REFERENCE * is_wrong, way.mark * (name == compared)
+        row[TITLES[name]] = cell(estimate(summary, way.episodes, name), " ".join(marks))
+    return row
+
+
+def tabulate(
+    summary: Summary,
+    keys: Sequence[str],
+    frame: pd.DataFrame,
+    cells: Callable[[pd.DataFrame], dict[str, str]],
+    caption: str,
+) -> Table:
+    """Makes a table with a row for each combination of the keys' values.
+
+    Args:
+        summary: the sweep.
+        keys: columns of the frame.
+        frame: episodes or data sets.
+        cells: makes the cells of a row, by heading, from the frame's rows of one combination.
+        caption: explains how to read the table.
+    """
+    groups = group_episodes(summary, keys, frame)
+    return table_of([headings(values) | cells(own) for values, own in groups], len(keys), caption)
 
 
 def is_beside_paper(summary: Summary) -> bool:
@@ -312,20 +289,8 @@ def is_beside_paper(summary: Summary) -> bool:
 def _list_references(summary: Summary) -> list[str]:
     """Lists the columns of the clairvoyant and, if regrets are shown, of the oracle. The
     clairvoyant is first because it costs least."""
-    return ["clairvoyant", *(["oracle"] if summary.measure.name == "regret" else [])]
-
-
-def _choose_mark(summary: Summary, one: RankedWay | None, best: RankedWay | None) -> str:
-    if one is None or best is None or not summary.measure.fair:
-        return ""
-    if round(one.estimate.mean - best.estimate.mean, 9) == 0:
-        return BEST
-    return "" if one.is_decided else TIE
-
-
-def _join_marks(mark: str, published: float | None) -> str:
-    """Joins a mark and the paper's value, such as ``* (0.52)``; leaves out what is missing."""
-    return " ".join(filter(None, [mark, "" if published is None else f"({published:.2f})"]))
+    names = ["clairvoyant", *(["oracle"] if summary.measure.name == "regret" else [])]
+    return [name for name in names if summary.episodes[name].notna().any()]
 
 
 def heading(key: str) -> str:
@@ -340,8 +305,13 @@ def plain_text(value: Value) -> str:
 
 def value_title(key: str, value: Value) -> str:
     """Returns a readable form of a value."""
-    text = plain_text(value)
+    text = plain_text(value) or "–"
     return paper.title(text) if key in ("domain", "solver") else text
+
+
+def headings(values: Mapping[str, Value]) -> dict[str, str]:
+    """Returns the headings of a row: readable forms of keys and their values."""
+    return {heading(key): value_title(key, value) for key, value in values.items()}
 
 
 def label(values: Mapping[str, Value]) -> str:
@@ -369,28 +339,28 @@ def _list_common(summary: Summary) -> str:
 def _make_caption(summary: Summary, is_marked: bool) -> str:
     """Explains how to read the table."""
     frame, measure = summary.episodes, summary.measure
-    text, is_marked = [measure.why], is_marked and measure.fair
+    is_marked = is_marked and measure.fair
     several = frame[summary.replicate].nunique() > 1
-    text += [f"± half-width of the 95 % interval over {summary.replicate}s."] if several else []
-    text += [] if several else ["One trace and one seed: no intervals."]
-    if is_marked:
-        text.append(
-            f"{BEST} marks the lowest cost of a row. {TIE} marks costs that are not "
-            "distinguishable from the lowest: the interval of the difference on the same traces "
-            "and users contains 0."
-        )
-    if measure.name == "regret":
-        keys = [*dict.fromkeys((*summary.shown, "solver"))]
-        rows = frame.fillna({"fresh_accuracy": 1.0}).groupby(keys, dropna=False)
-        least = rows[["fresh_accuracy", "regret"]].mean().min()
-        shares = {"fresh_accuracy": float(least["fresh_accuracy"])}
-        text.append(warning_about_oracle(shares, least["regret"]))
-    if summary.pool:
-        text.append(f"Means over {', '.join(summary.pool)}, as configured in the sweep's file.")
-    if summary.missing:
-        text.append(f"{summary.missing} of {len(summary.jobs)} jobs are missing.")
-        text += ["Ways are compared on traces and users that all of them have."] * is_marked
-    return " ".join(filter(None, text))
+    keys = [*dict.fromkeys((*summary.shown, "solver"))]
+    rows = frame.fillna({"fresh_accuracy": 1.0}).groupby(keys, dropna=False)
+    least: Any = rows[["fresh_accuracy", "regret"]].mean().min()
+    marks = (
+        f"{BEST} marks the lowest cost of a row. {TIE} marks costs that are not distinguishable "
+        "from the lowest: the interval of the difference on the same traces and users contains 0."
+    )
+    said = {
+        measure.why: True,
+        f"± half-width of the 95 % interval over {summary.replicate}s.": several,
+        "One trace and one seed: no intervals.": not several,
+        marks: is_marked,
+        warning_about_oracle(least, least["regret"]): measure.name == "regret",
+        f"Means over {', '.join(summary.pool)}, as configured in the sweep's file.": summary.pool,
+        f"{summary.missing} of {len(summary.jobs)} jobs are missing.": summary.missing,
+        "Ways are compared on traces and users that all of them have.": (
+            summary.missing and is_marked
+        ),
+    }
+    return " ".join(text for text, is_true in said.items() if text and is_true)
 
 
 def least_cost(summary: Summary) -> str:
@@ -400,33 +370,28 @@ def least_cost(summary: Summary) -> str:
     found = verdicts(summary)
     if not found:
         return ""
-    if len(found) == 1:
-        best, second = found[0][1][:2]
-        text = f"{best.name} costs least"
-        if best.estimate.mean == second.estimate.mean:
-            return f"{text}, as does {second.name}."
-        gap = second.behind
-        if math.isnan(gap.low):
-            return f"{text}. Not decided: one trace and one seed say nothing about others."
-        word = "Decided" if second.is_decided else "Not decided"
-        return (
-            f"{text}, {number(gap.mean)} less than {second.name}. {word}: 95 % interval of the "
-            f"difference {number(gap.low)} … {number(gap.high)}.{_warn_if_few(summary)}"
-        )
-    won = Counter(order[0].name for _, order in found)
-    decided = Counter(order[0].name for _, order in found if order[1].is_decided)
-    parts = [
-        f"{name} in {times} of {len(found)} problems ({decided[name]} decided)"
-        for name, times in won.most_common()
-    ]
-    return f"Least cost: {'; '.join(parts)}.{_warn_if_few(summary)}"
-
-
-def _warn_if_few(summary: Summary) -> str:
     amount = int(summary.episodes[summary.replicate].nunique())
     counted = count_things(amount, summary.replicate)
-    few = f" With only {counted}, only large differences can be decided."
-    return few if amount < FEW else ""
+    few = f" With only {counted}, only large differences can be decided." if amount < FEW else ""
+    if len(found) > 1:
+        won = Counter(order[0].name for _, order in found)
+        decided = Counter(order[0].name for _, order in found if order[1].is_decided)
+        parts = [
+            f"{name} in {times} of {len(found)} problems ({decided[name]} decided)"
+            for name, times in won.most_common()
+        ]
+        return f"Least cost: {'; '.join(parts)}.{few}"
+    best, second = found[0][1][:2]
+    gap, text = second.behind, f"{best.name} costs least"
+    if gap.mean == 0:
+        return f"{text}, as does {second.name}."
+    if math.isnan(gap.low):
+        return f"{text}. Not decided: one trace and one seed say nothing about others."
+    return (
+        f"{text}, {number(gap.mean)} less than {second.name}. "
+        f"{'Decided' if second.is_decided else 'Not decided'}: 95 % interval of the difference "
+        f"{number(gap.low)} … {number(gap.high)}.{few}"
+    )
 
 
 def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
@@ -444,11 +409,10 @@ def seeds_to_decide(gap: Estimate, seeds: int) -> int | None:
     if seeds < 2 or not gap.mean or not width >= 0:
         return None
     deviation = width * math.sqrt(seeds) / half_width(1.0, seeds - 1)
-    for count in range(max(seeds, 2), MOST_SEEDS + 1):
-        needed = half_width(1.0, count - 1) + float(stdtrit(count - 1, 0.8))
-        if needed * deviation <= abs(gap.mean) * math.sqrt(count):
-            return count
-    return None
+    counts = np.arange(seeds, MOST_SEEDS + 1)
+    quantiles = stdtrit(counts - 1, 0.975) + stdtrit(counts - 1, 0.8)
+    enough = counts[quantiles * deviation <= abs(gap.mean) * np.sqrt(counts)]
+    return int(enough[0]) if len(enough) else None
 
 
 def effort(summary: Summary, gap: Estimate) -> tuple[str, str]:
@@ -463,21 +427,6 @@ def effort(summary: Summary, gap: Estimate) -> tuple[str, str]:
     return f"seed='range({seeds})'", f"{more * seconds / summary.seeds / 60:.1f}"
 
 
-Undecided = tuple[dict[str, str], Estimate, str]
-"""Row headings, a difference, and the difference in words."""
-
-
-def find_undecided(summary: Summary) -> Iterator[Undecided]:
-    """Finds the ways to solve a problem whose cost is not distinguishable from the lowest: the
-    95 % interval of the difference contains 0."""
-    for values, (best, *others) in verdicts(summary):
-        heads = {heading(key): value_title(key, own) for key, own in values.items()}
-        for other in others:
-            if not other.is_decided:
-                ways = {"Cost of": f"{other.name} − {best.name}"}
-                yield heads | ways, other.behind, cell(other.behind)
-
-
 def regret_csv(summary: Summary) -> str:
     """Makes a CSV text with one row for each combination of the swept values, never pooled.
 
@@ -485,15 +434,15 @@ def regret_csv(summary: Summary) -> str:
     the mean, the low and high end of the 95 % interval, and n, the number of seeds (with one seed:
     traces).
     """
-    keys = [*dict.fromkeys(["solver", "lambda", *summary.keys])]
     asks = summary.episodes["questions"].any()
     names, rows = [name for name in TITLES if name != "questions" or asks], []
-    for values, frame in group_episodes(summary, keys):
+    keys = dict.fromkeys(["solver", "lambda", *summary.keys])
+    for values, frame in group_episodes(summary, [*keys]):
         row: dict[str, object] = {key: plain_text(value) for key, value in values.items()}
         for name in names:
-            ends = vars(estimate(summary, frame, name)).items()
-            row |= {f"{name}_{end}": value for end, value in ends}
-            row[f"{name}_n"] = int(frame.dropna(subset=[name])[summary.replicate].nunique())
+            count = frame.dropna(subset=[name])[summary.replicate].nunique()
+            ends = vars(estimate(summary, frame, name)) | {"n": count}
+            row |= {f"{name}_{end}": value for end, value in ends.items()}
         rows.append(row)
     return _format_csv(pd.DataFrame(rows))
 
@@ -508,21 +457,21 @@ def differences_csv(summary: Summary) -> str:
     swept = [key for key in summary.keys if key not in summary.pool]
     by = [key for key in swept if summary.competes(key)] or ["solver"]
     posed = [*dict.fromkeys(["domain", *(k for k in swept if k not in by), "lambda"])]
-    ways = {
-        tuple(way.values()): " ".join(
-            plain_text(v) if k == "solver" else f"{k}={plain_text(v)}" for k, v in way.items() if v
-        )
-        for way, _ in group_episodes(summary, by)
-    }
     rows = []
     for values, frame in group_episodes(summary, posed):
-        for other, method in itertools.combinations(ways, 2):
-            found = difference(summary, frame, by, method, other)
+        for (other, less), (method, more) in combinations(group_episodes(summary, by, frame), 2):
+            found = difference(summary, more, less)
             if not math.isnan(found.mean):
-                pair = {"method": ways[method], "minus": ways[other]}
+                pair = {"method": _name_way(method), "minus": _name_way(other)}
                 rows.append({k: plain_text(v) for k, v in values.items()} | pair | vars(found))
-    return _format_csv(
-        pd.DataFrame(rows, columns=[*posed, "method", "minus", "mean", "low", "high"])
+    columns = [*posed, "method", "minus", "mean", "low", "high"]
+    return _format_csv(pd.DataFrame(rows, columns=columns))
+
+
+def _name_way(way: Mapping[str, Value]) -> str:
+    """Names a way as on the command line; solvers without their key."""
+    return " ".join(
+        plain_text(v) if k == "solver" else f"{k}={plain_text(v)}" for k, v in way.items() if v
     )
 
 

@@ -9,7 +9,7 @@ the same jobs give the same bytes.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ import pandas as pd
 
 from xplain.errors import one_of
 from xplain.experiment.cache import SOURCE
-from xplain.experiment.results import Results, load_results
+from xplain.experiment.results import EpisodeFigures, Results, load_results
 from xplain.report.folder import ListedJob, SweepFolder
 
 ORDER = (
@@ -180,88 +180,68 @@ class Summary:
         return [(job.label, self.folder.error(job)) for job in failed]
 
     @cached_property
-    def _numbers(self) -> set[str]:
-        """Swept keys whose values are all numbers."""
-        texts = {key: [job.values.get(key, "0") for job in self.jobs] for key in self.keys}
-        return {key for key, own in texts.items() if all(map(is_number, own))}
-
-    def values_of(self, job: ListedJob, results: Results) -> dict[str, Value]:
-        """Returns the values of the swept keys in one job, and its ``domain``, ``solver`` and
-        ``lambda`` even if these are not swept."""
-        texts = {key: job.values.get(key, "") for key in self.keys}
-        values: dict[str, Value] = {
-            k: float(t) if t and k in self._numbers else t for k, t in texts.items()
+    def swept(self) -> pd.DataFrame:
+        """A row for each finished job: the values of the swept keys ("" for a job that lacks the
+        key); ``domain``, ``solver``, ``lambda`` and ``seed`` even if these are not swept; and
+        ``fresh_accuracy``, the share of new labels that the job's labelers predict correctly."""
+        swept: dict[Any, Any] = {
+            key: _read_values([job.values.get(key) for job, _ in self.results]) for key in self.keys
         }
-        own: dict[str, Value] = {"domain": results.domain, "solver": results.solver}
-        return values | own | {"lambda": results.trade_off}
+        own = [
+            {
+                "domain": results.domain,
+                "solver": results.solver,
+                "lambda": results.trade_off,
+                "seed": results.seed,
+                "fresh_accuracy": results.learning.get("fresh_accuracy", math.nan),
+            }
+            for _, results in self.results
+        ]
+        return pd.DataFrame(swept | dict(pd.DataFrame(own)))
 
     @cached_property
     def episodes(self) -> pd.DataFrame:
         """A row for each episode of the solver that a job evaluates.
 
-        Columns: the swept keys, domain, solver, lambda and seed; the fields of
+        Columns: the columns of ``swept``; the fields of
         :class:`xplain.experiment.results.EpisodeFigures`, such as ``cost``; ``oracle``,
         ``clairvoyant`` and ``true_labels``, the costs of these references on the same trace and
         user; ``regret``, the cost minus the oracle's; ``above_floor``, the cost minus the
-        clairvoyant's; ``fresh_accuracy``, the share of new labels that the job's labelers predict
-        correctly.
+        clairvoyant's.
         """
-        frame = pd.DataFrame([row for own in self.results for row in self._list_rows(*own)])
-        if len(frame):
-            frame["regret"] = frame["cost"] - frame["oracle"]
-            frame["above_floor"] = frame["cost"] - frame["clairvoyant"]
-        return frame
-
-    def _list_rows(self, job: ListedJob, results: Results) -> Iterator[dict[str, Any]]:
-        swept = self.values_of(job, results)
-        costs = {(e.solver, e.trace, e.type): e.cost for e in results.episodes}
-        for episode in results.episodes:
-            if episode.solver == "solver":
-                key = (episode.trace, episode.type)
-                references = {
-                    name: costs.get((name, *key), math.nan)
-                    for name in ("oracle", "clairvoyant", "true_labels")
-                }
-                share = results.learning.get("fresh_accuracy", math.nan)
-                own = {**vars(episode), "seed": results.seed, "fresh_accuracy": share}
-                yield own | references | swept
+        rows = [
+            {"job": i} | vars(e) for i, (_, own) in enumerate(self.results) for e in own.episodes
+        ]
+        every = pd.DataFrame(rows, columns=["job", *EpisodeFigures.__dataclass_fields__])
+        costs = every.pivot(index=["job", "trace", "type"], columns="solver", values="cost")
+        costs = costs.reindex(columns=["oracle", "clairvoyant", "true_labels"])
+        frame = every[every["solver"] == "solver"].drop(columns="solver")
+        frame = frame.join(costs, on=["job", "trace", "type"]).join(self.swept, on="job")
+        more = {"regret": frame["cost"] - frame["oracle"]}
+        more["above_floor"] = frame["cost"] - frame["clairvoyant"]
+        return frame.assign(**more).drop(columns="job")
 
     @cached_property
     def data_sets(self) -> pd.DataFrame:
         """A row for each data set from which types are learned.
 
-        Columns: the swept keys that decide the data set; seed; ``curve``, the disagreements of
-        labels for each number of types; ``chosen``, the number of types found; and the figures of
-        the learning stage, by name.
+        Columns: the swept keys that decide the data set; seed; and the figures of the learning
+        stage, by name.
         """
-        rows = [
-            {
-                **{key: self.values_of(job, own)[key] for key in self.settings},
-                "seed": own.seed,
-                "curve": own.elbow.disagreements,
-                "chosen": len(own.types.found),
-                **own.learning,
-            }
-            for job, own in self.results
-        ]
-        return pd.DataFrame(rows).drop_duplicates([*self.settings, "seed"], keep="last")
+        keys, learning = [*self.settings, "seed"], [own.learning for _, own in self.results]
+        return self.swept[keys].join(pd.DataFrame(learning)).drop_duplicates(keys, keep="last")
 
     @cached_property
     def steps(self) -> pd.DataFrame:
         """A row for each job and each step of its episodes: the values of the swept keys, the
         mean belief in the true type after the step, and the number of episodes that have the
         step."""
-        return pd.DataFrame(
-            {**self.values_of(job, own), "step": step, "belief": mean, "episodes": count}
-            for job, own in self.results
-            for step, (mean, count) in enumerate(
-                zip(
-                    own.steps.get("belief_in_true_type", ()),
-                    own.steps.get("episodes", ()),
-                    strict=False,
-                )
-            )
-        )
+        names = {"belief": "belief_in_true_type", "episodes": "episodes"}
+        frames = {
+            job: pd.DataFrame({name: own.steps[key] for name, key in names.items()})
+            for job, (_, own) in enumerate(self.results)
+        }
+        return pd.concat(frames, names=["job", "step"]).reset_index().join(self.swept, on="job")
 
     @cached_property
     def settings(self) -> list[str]:
@@ -272,7 +252,7 @@ class Summary:
     def values(self, key: str) -> list[Value]:
         """Lists the values of a swept key, ``solver`` or ``lambda`` in the finished jobs: numbers
         ascending, solvers in the paper's order, other texts in the sweep's order."""
-        found: list[Any] = list(dict.fromkeys(self.episodes[key])) if len(self.episodes) else []
+        found: list[Any] = self.swept[key].unique().tolist()
         if key == "solver":
             return sorted(found, key=lambda name: (rank(name), name))
         if all(isinstance(value, float) or value == "" for value in found):
@@ -285,12 +265,16 @@ class Summary:
         averaged over (``pool``). A key is also left out if the value of an earlier key decides
         its value."""
         keys = [k for k in self.keys if len(self.values(k)) > 1 and k not in self.pool]
-        frame = self.episodes
         return [
             key
             for i, key in enumerate(keys)
-            if not any(frame.groupby(before)[key].nunique().max() == 1 for before in keys[:i])
+            if not any(self.swept.groupby(k)[key].nunique().max() == 1 for k in keys[:i])
         ]
+
+    @property
+    def problem(self) -> list[str]:
+        """The columns that identify an episode among those of one way to solve a problem."""
+        return [*self.pool, "seed", "trace", "type"]
 
     def competes(self, key: str) -> bool:
         """True if tables rank the values of this swept key. Solvers are ranked, but not values
@@ -315,7 +299,9 @@ class Summary:
         differently, it is the cost itself. A measure that the user chose is used in any case."""
         same = self.keys if self.is_table1 else [k for k in self.keys if is_in(k, PROBLEM)]
         shared = [*(key for key in same if key != "solver"), "seed", "trace", "type"]
-        fair = {n: column is None or self._is_shared(shared, column) for n, column in _PAIRS}
+        fair = {
+            n: column is None or self._is_shared(shared, column) for n, column in REFERENCES.items()
+        }
         name = self._asked or next(name for name in REFERENCES if fair[name])
         earlier = list(REFERENCES)[: list(REFERENCES).index(name)]
         why = [_WHY[name], *(_UNFAIR[own] for own in earlier if not fair[own])]
@@ -331,15 +317,14 @@ class Summary:
             by: columns that identify a problem, with its seed, trace and user.
             column: column of the reference's cost.
         """
-        if self.episodes[column].isna().any():
-            return False
         costs = self.episodes.groupby(by)[column]
-        return bool((costs.max() - costs.min()).max() <= 1e-9)
+        is_equal = (costs.max() - costs.min()).max() <= 1e-9
+        return bool(is_equal and self.episodes[column].notna().all())
 
     @property
     def seeds(self) -> int:
         """Number of distinct seeds."""
-        return int(self.episodes["seed"].nunique()) if len(self.episodes) else 0
+        return int(self.swept["seed"].nunique())
 
     @property
     def replicate(self) -> str:
@@ -349,15 +334,12 @@ class Summary:
         return "seed" if self.seeds > 1 else "trace"
 
 
-_PAIRS = tuple(REFERENCES.items())
-
-
-def is_number(text: str) -> bool:
-    """True if the text of a swept value is a finite number."""
+def _read_values(texts: Sequence[str | None]) -> list[Value]:
+    """Converts the texts of a key's values to numbers, if all are numbers; None becomes ""."""
     try:
-        return math.isfinite(float(text))
+        return ["" if text is None else float(text) for text in texts]
     except ValueError:
-        return False
+        return [text or "" for text in texts]
 
 
 def rank(solver: str) -> int:

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import json
+import math
 import shlex
 from importlib.resources import files
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import matplotlib
 import pandas as pd
+from matplotlib.figure import Figure
 
 from xplain.experiment.fingerprint import code_version, library_versions
 from xplain.experiment.results import RESULTS
@@ -20,12 +22,12 @@ from xplain.report.compare import (
     is_beside_paper,
     regret_csv,
     table,
-    value_title,
+    tabulate,
 )
 from xplain.report.frame import TITLES, Summary, rank
 from xplain.report.paper import title
 from xplain.report.ratios import compute_ratios
-from xplain.report.table import Table, count_things, number, table_of
+from xplain.report.table import Table, count_things, number
 from xplain.storage import write_text
 
 REPORT = "report"
@@ -128,19 +130,16 @@ def draw(summary: Summary, report: Path) -> dict[str, dict[str, str]]:
     measures = {"regret": summary.measure.name, "messages": "messages"}
     measures["inexplicable"] = "inexplicable_labels"
     drawn = {
-        name: (f"{TITLES[own]} against {key}", plots.against_main_key(summary, own))
+        name: (f"{TITLES[own].capitalize()} against {key}", plots.against_main_key(summary, own))
         for name, own in measures.items()
     }
-    caption = "belief in the user's true type, mean over the episodes with this step"
+    caption = "Belief in the user's true type, mean over the episodes with this step"
     drawn["belief"] = caption, plots.belief_over_steps(summary)
-    caption = "disagreements of labels within clusters; rings mark the numbers of types chosen"
-    drawn["disagreements"] = caption, plots.elbows(summary)
-    found = {}
-    for name, (caption, figure) in drawn.items():
-        if figure is not None:
-            plots.save(figure, path := report / f"{name}.svg")
-            found[name] = {"caption": caption[0].upper() + caption[1:], "address": address(path)}
-    return found
+    return {
+        name: {"caption": caption, "address": save_picture(figure, report / f"{name}.svg")}
+        for name, (caption, figure) in drawn.items()
+        if figure is not None
+    }
 
 
 def example(summary: Summary, domain: Any, report: Path) -> dict[str, Any]:
@@ -152,39 +151,41 @@ def example(summary: Summary, domain: Any, report: Path) -> dict[str, Any]:
     at = [one for one in own if one[1].trade_off == middle]
     job, results = min(at, key=lambda one: (rank(one[1].solver), one[1].solver))
     figure, story, which = trace.draw_typical(summary.folder.address(job), results)
-    plots.save(figure, path := report / f"trace_{domain}.svg")
     words = [*job.overrides, "--trace", str(story["trace"]), "--user", story["type"]]
     whose = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job.label}”)"
     return {
         "domain": title(domain),
         "caption": f"{title(domain)}, {whose}: {which}.",
-        "address": address(path),
+        "address": save_picture(figure, report / f"trace_{domain}.svg"),
         "sentences": dict(sorted(results.messages.items())),
         "command": shlex.join(["python", "-m", "xplain", "demo", *words]),
     }
 
 
-def address(path: Path) -> str:
-    """Encodes an SVG as a ``data:`` address."""
+def save_picture(figure: Figure, path: Path) -> str:
+    """Writes an SVG. Returns a ``data:`` address with the whole picture."""
+    plots.save(figure, path)
     return f"data:image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def learning_table(summary: Summary) -> Table:
     """Makes a table of how well types and labels were learned. Each combination of the swept
     values that decide the data has a row."""
-    found, rows = summary.data_sets, []
+    found = summary.data_sets
     names = [name for name in LEARNING if name in found and found[name].notna().any()]
-    groups: Any = found.groupby(summary.settings, sort=False)
-    for values, own in groups:
-        pairs = zip(summary.settings, values, strict=True)
-        row = {heading(key): value_title(key, value) for key, value in pairs}
-        for name in names:
-            mean = own[name].mean()
-            shown = f"{mean:.1%}" if name.endswith("accuracy") else number(mean)
-            row[LEARNING[name]] = "" if pd.isna(mean) else shown
-        rows.append(row)
+
+    def cells(own: pd.DataFrame) -> dict[str, str]:
+        means = {name: own[name].mean() for name in names}
+        shown = {
+            name: f"{m:.1%}" if name.endswith("accuracy") else number(m)
+            for name, m in means.items()
+        }
+        return {
+            LEARNING[name]: "" if math.isnan(means[name]) else text for name, text in shown.items()
+        }
+
     caption = "Means over seeds. Labelers are scored on labels that were held out."
-    return table_of(rows if names else [], len(summary.settings), caption)
+    return tabulate(summary, summary.settings, found, cells, caption)
 
 
 def _make_heading(summary: Summary) -> str:

@@ -4,7 +4,6 @@ Axes are labelled; colours, markers and line styles differ for colour-blind peop
 Figures are made without pyplot, which keeps every figure until the figure is closed.
 """
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ from xplain.report.compare import (
     value_title,
 )
 from xplain.report.frame import TITLES, Summary, Value
-from xplain.report.paper import group_title, table1, title
+from xplain.report.paper import group_title, table1
 from xplain.storage import open_atomic
 
 # Okabe and Ito's palette, with grey instead of yellow.
@@ -102,14 +101,13 @@ def draw(
         hollow: text of the legend for hollow markers.
     """
     points = points.reindex(columns=[*["panel", "line", "x", "mean", "low", "high", "hollow"]])
-    panels, lines = (list(dict.fromkeys(points[key])) for key in ("panel", "line"))
-    ticks = list(dict.fromkeys(points["x"]))
+    panels, lines, ticks = ([*dict.fromkeys(points[key])] for key in ("panel", "line", "x"))
     is_numeric = not any(isinstance(tick, str) for tick in ticks)
     place = {tick: tick if is_numeric else i for i, tick in enumerate(ticks)}
-    gap = min(np.diff(sorted(place.values())), default=1.0)
-    span = np.ptp([*place.values()]) if len(ticks) > 1 else 4.0
-    apart = min(0.12 * gap, 0.03 * span) if is_numeric else 0.12 * gap  # a point stays at its tick
-    spread = apart * points["low"].notna().any()
+    apart = 0.12 * min(np.diff(sorted(place.values())), default=1.0)
+    if is_numeric and len(ticks) > 1:  # a point stays at its tick
+        apart = min(apart, 0.03 * np.ptp(ticks))
+    apart *= points["low"].notna().any()
     columns = min(per_row, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
@@ -117,22 +115,18 @@ def draw(
     is_negative = points["low"].min() < 0 or points["mean"].min() < 0
     is_long = sum(len(str(tick)) for tick in ticks) > 32
     slope: dict[str, Any] = {"rotation": 30, "ha": "right"} if is_long else {}
-    named: dict[str, Any] = {}
-    for axes, panel in zip(every, panels, strict=False):
+    hole: dict[str, Any] = {"mfc": "white", "ls": "none", "ms": 8}
+    for number, (axes, panel) in enumerate(zip(every, panels, strict=False)):
         for index, line in enumerate(lines):
             own = points[(points["panel"] == panel) & (points["line"] == line)]
-            at = own["x"].map(place).to_numpy(float) + spread * (index - (len(lines) - 1) / 2)
+            at = own["x"].map(place).to_numpy(float) + apart * (index - (len(lines) - 1) / 2)
             style = series_style(index) | ({} if is_numeric else {"linestyle": "none"})
-            ends: Any = [own["mean"] - own["low"], own["high"] - own["mean"]]
+            ends = np.nan_to_num([own["mean"] - own["low"], own["high"] - own["mean"]]).clip(0)
             many = dict[str, Any](markevery=max(1, len(own) // 12), capsize=2.5, lw=1.4, ms=5)
-            if len(own):
-                ends = np.nan_to_num(ends).clip(0)
-                drawn = axes.errorbar(at, own["mean"], ends, label=line, **many, **style)
-                named.setdefault(line, drawn)
-            if own["hollow"].notna().any():
-                look = {"marker": style["marker"], "mfc": "white", "ls": "none", "ms": 8}
-                axes.plot(at, own["hollow"], color=style["color"], zorder=1, **look)
-        axes.set(xlabel=x_label)
+            axes.errorbar(at, own["mean"], ends, label=line, **many, **style)
+            look = {name: style[name] for name in ("color", "marker")} | hole
+            axes.plot(at, own["hollow"], zorder=1, **look)
+        axes.set(xlabel=x_label, ylabel="" if number % columns else y_label)
         axes.set_title(panel, loc="left", weight="bold", fontsize=10)
         if not is_numeric:
             axes.set_xticks(range(len(ticks)), ticks, **slope)
@@ -145,16 +139,14 @@ def draw(
     if not is_negative:  # after all lines, because a limit ends the scaling of a row
         for axes in every[::columns]:
             axes.set_ylim(0, 1.04 * axes.get_ylim()[1])
-    for row in range(rows):
-        figure.axes[row * columns].set_ylabel(y_label)
-    for axes in figure.axes[len(panels) :]:
+    for axes in every[len(panels) :]:
         axes.set_visible(False)
+    handles, labels = every[0].get_legend_handles_labels()
     if points["hollow"].notna().any():
-        look = {"marker": "o", "mfc": "white", "ls": "none", "ms": 8}
-        named[hollow] = Line2D([], [], color="#666666", **look)
-    named.pop("", None)
-    if named:
-        figure.legend([*named.values()], [*named], loc="outside right center")
+        handles.append(Line2D([], [], color="#666666", marker="o", **hole))
+        labels.append(hollow)
+    if handles:
+        figure.legend(handles, labels, loc="outside right center")
     return figure
 
 
@@ -170,16 +162,18 @@ def plot_keys(summary: Summary) -> tuple[str | None, list[str], list[str]]:
     return x, lines, panels
 
 
-def _list_panels(summary: Summary, keys: Sequence[str]) -> list[tuple[str, pd.DataFrame]]:
-    """Returns the name and the episodes of each panel. A panel has one combination of the keys'
-    values."""
+def _list_panels(
+    summary: Summary, keys: Sequence[str], frame: pd.DataFrame | None = None
+) -> list[tuple[str, pd.DataFrame]]:
+    """Returns the name and the rows of each panel. A panel has one combination of the keys'
+    values. ``frame`` is a part of the sweep; None takes its episodes."""
     _, grouping, _ = layout(summary)
     found = []
-    for values, frame in group_episodes(summary, keys)[:MOST_PANELS]:
+    for values, own in group_episodes(summary, keys, frame)[:MOST_PANELS]:
         group = {key: values[key] for key in grouping if key in values}
         rest = {key: value for key, value in values.items() if key not in group}
         name = [label(rest), group_title(group, label(group))]
-        found.append((": ".join(filter(None, name)), frame))
+        found.append((": ".join(filter(None, name)), own))
     return found
 
 
@@ -199,19 +193,16 @@ def against_main_key(summary: Summary, measure: str) -> Figure | None:
         return None
     rows = []
     for panel, frame in _list_panels(summary, panels):
-        for line, _ in group_episodes(summary, lines):
-            for at in summary.values(x):
-                own = select_rows(select_rows(frame, line), {x: at})
-                found = estimate(summary, own, measure)
-                if not np.isnan(found.mean):
-                    problem = str(own["domain"].iloc[0]), float(own["lambda"].iloc[0])
-                    known = table1().get(problem, {}) if is_beside_paper(summary) else {}
-                    paper = known.get(str(line.get("solver"))) if measure == "regret" else None
-                    tick = at if isinstance(at, float) else value_title(x, at)
-                    names = {"panel": panel, "line": label(line), "x": tick, "hollow": paper}
-                    rows.append(names | vars(found))
-    frame = pd.DataFrame(rows).astype({"hollow": float})
-    return draw(frame, AXES.get(x, heading(x)), TITLES[measure], _count_per_row(summary, panels))
+        for values, own in group_episodes(summary, [*lines, x], frame):
+            at, line = values[x], {key: values[key] for key in lines}
+            problem = str(own["domain"].iloc[0]), float(own["lambda"].iloc[0])
+            known = table1().get(problem, {}) if is_beside_paper(summary) else {}
+            paper = known.get(str(line.get("solver"))) if measure == "regret" else None
+            tick = at if isinstance(at, float) else value_title(x, at)
+            names = {"panel": panel, "line": label(line), "x": tick, "hollow": paper}
+            rows.append(names | vars(estimate(summary, own, measure)))
+    points = pd.DataFrame(rows).astype({"hollow": float}).dropna(subset=["mean"])
+    return draw(points, AXES.get(x, heading(x)), TITLES[measure], _count_per_row(summary, panels))
 
 
 def belief_over_steps(summary: Summary) -> Figure | None:
@@ -225,47 +216,16 @@ def belief_over_steps(summary: Summary) -> Figure | None:
         values = summary.values(x)
         fixed = {x: 1.0 if x == "lambda" and 1.0 in values else values[len(values) // 2]}
     steps, rows = select_rows(summary.steps, fixed), []
-    for panel, frame in _list_panels(summary, panels):
-        at = {key: frame[key].iloc[0] for key in panels}
-        for line, _ in group_episodes(summary, lines):
-            own = select_rows(select_rows(steps, at), line)
-            if line.get("solver") != "baseline" and len(own):  # the baseline has no belief
-                sums = own.assign(belief=own["belief"] * own["episodes"]).groupby("step").sum(True)
-                for step, mean in (sums["belief"] / sums["episodes"]).items():
-                    names = {"panel": panel, "line": label(line), "x": step, "mean": mean}
-                    rows.append(names)
+    steps = steps[steps["solver"] != "baseline"]  # it has no belief
+    for panel, frame in _list_panels(summary, panels, steps):
+        for line, own in group_episodes(summary, lines, frame):
+            for step, at in own.groupby("step"):
+                mean = np.average(at["belief"], weights=at["episodes"])
+                rows.append({"panel": panel, "line": label(line), "x": step, "mean": mean})
     if not rows:
         return None
     words = ", ".join(filter(None, ["belief in the true type", label(fixed)]))
     return draw(pd.DataFrame(rows), "steps explained", words, _count_per_row(summary, panels))
-
-
-def elbows(summary: Summary) -> Figure | None:
-    """Draws the disagreements of labels within clusters against the number k of clusters. Each
-    setting has a line (the mean over seeds), on which the chosen k is marked."""
-    found = summary.data_sets
-    found, rows = found[found["curve"].map(len) > 0], []
-    groups: Any = found.groupby(summary.settings, sort=False)
-    for values, own in groups:
-        shortest = own["curve"].map(len).min()
-        mean = np.mean([curve[:shortest] for curve in own["curve"]], axis=0)
-        chosen = Counter(own["chosen"])
-        words = ", ".join(f"{k} ({times})" for k, times in sorted(chosen.items()))
-        setting = label(dict(zip(summary.settings[1:], values[1:], strict=True)))
-        line = ": ".join(filter(None, [setting if len(values) > 1 else "", f"chosen {words}"]))
-        rows += [
-            {
-                "panel": title(values[0]),
-                "line": line,
-                "x": k,
-                "mean": height,
-                "hollow": height if k in chosen else np.nan,
-            }
-            for k, height in enumerate(mean, 1)
-        ]
-    if not rows:
-        return None
-    return draw(pd.DataFrame(rows), CLUSTERS, DISAGREEMENTS, 1, "chosen (seeds)")
 
 
 def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
@@ -279,9 +239,9 @@ def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
 def posterior(probability: Mapping[int, float], found: int) -> Figure:
     """Draws P(number of types | labels), with the chosen number."""
     numbers = range(1, max(*probability, found) + 2)
-    points = pd.DataFrame({"panel": "", "line": "", "x": numbers})
-    points["mean"] = [probability.get(k, 0.0) for k in numbers]
-    taken = points["mean"].where(points["x"] == found)
+    mean = pd.Series(probability).reindex(numbers, fill_value=0.0)
+    points = pd.DataFrame({"panel": "", "line": "", "x": numbers, "mean": mean})
+    taken = mean.where(points["x"] == found)
     words = "number of user types", "posterior probability"
     return draw(points.assign(hollow=taken), *words, hollow=f"taken: {found}")
 
@@ -289,16 +249,14 @@ def posterior(probability: Mapping[int, float], found: int) -> Figure:
 def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> Figure:
     """Draws the share of labels 1 with a message minus the share without it, with a panel for each
     type. There is no point if one of the two shares is unknown."""
-    given = bits_of(dataset.message_set, dataset.n_messages).astype(bool)
-    own = pd.DataFrame({"panel": np.array(names)[clustering.assignment[dataset.observer]]})
-    own["label"], gains = dataset.label, []
-    for j, message in enumerate(dataset.messages):
-        shares = own.groupby(["panel", given[:, j]])["label"].mean().unstack()
-        gain = 100 * shares.reindex(columns=[False, True]).diff(axis=1)[True]
-        gains.append(pd.DataFrame({"x": message, "mean": gain}).reset_index())
-    points = pd.concat(gains, ignore_index=True).assign(line="")
-    order = {name: place for place, name in enumerate(names)}
-    points = points.sort_values("panel", key=lambda own: own.map(order), kind="stable")
+    given = pd.DataFrame(bits_of(dataset.message_set, dataset.n_messages).astype(bool))
+    labels = given.set_axis(dataset.messages, axis=1).assign(label=dataset.label)
+    labels["panel"] = clustering.assignment[dataset.observer]
+    one = labels.melt(["panel", "label"], var_name="x", value_name="given")
+    shares = one.pivot_table("label", ["panel", "x"], "given", sort=False)
+    gain = 100 * (shares[True] - shares[False])
+    points = gain.rename("mean").reset_index().assign(line="").sort_values("panel", kind="stable")
+    points["panel"] = points["panel"].map(dict(enumerate(names)))
     return draw(points, "message", "explicable labels in %:\ngiven − not given")
 
 

@@ -88,13 +88,11 @@ class Table:
         from rich.text import Text
 
         frame, shown = self.sparse, []
-        grouped = frame.columns.nlevels > 1
-        groups = dict.fromkeys(frame.columns.get_level_values(0)) if grouped else {"": None}
-        for group in [name for name in groups if name or not grouped]:
-            title = Text(str(group), "bold") if group else None
+        names, is_grouped = frame.columns.get_level_values(0), frame.columns.nlevels > 1
+        for group in [name for name in dict.fromkeys(names) if name] if is_grouped else [""]:
+            title = Text(group, "bold") if group else None
             one = Shown(box=None, pad_edge=False, title=title, title_justify="left")
-            level = frame.columns.get_level_values(0)
-            own = frame.loc[:, (level == "") | (level == group)] if grouped else frame
+            own = frame.loc[:, names.isin(["", group])] if is_grouped else frame
             for i, head in enumerate(own.columns.get_level_values(-1)):
                 one.add_column(Text(head), justify="left" if i < self.left else "right")
             for row in own.itertuples(index=False):

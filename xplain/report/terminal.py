@@ -2,8 +2,8 @@
 
 import sys
 from collections.abc import Mapping
-from statistics import fmean
 
+import pandas as pd
 from rich.console import Console
 
 from xplain.experiment.progress import is_terminal
@@ -56,17 +56,17 @@ def print_summary(results: Results) -> None:
     as_paper = results.choices["explainee"] == "exact" and not _describe_questions(results)
     setting = results.choices["domain"], results.trade_off
     published = table1().get(setting, {}) if as_paper else {}
-    regret = None if results.solver == "oracle" else published.get(results.solver)
-    paper = {"oracle_cost": published.get("oracle"), "regret": regret}
+    paper = {"oracle_cost": published.get("oracle")}
+    if results.solver != "oracle":
+        paper["regret"] = published.get(results.solver)
     known, rows = results.metrics, []
     is_marked = results.learning.get("fresh_accuracy", 1.0) < RIGHT
     for name in (name for name in TITLES if name in known):
         mark = f" {NO_REFERENCE}" if is_marked and name in ("oracle_cost", "regret") else ""
-        figure, value = known[name], paper.get(name)
-        row = {"measure": TITLES[name] + mark, "mean": f"{figure.mean:.3f}"}
-        row["95 % interval"] = _format_interval(figure)
-        row |= {"paper": "" if value is None else f"{value:.2f}"} if published else {}
-        rows.append(row)
+        row = {"measure": TITLES[name] + mark, "mean": f"{known[name].mean:.3f}"}
+        row["95 % interval"] = _format_interval(known[name])
+        value = paper.get(name)
+        rows.append(row | ({"paper": "" if value is None else f"{value:.2f}"} if published else {}))
     console.print(table_of(rows, 1).text())
     if said := _compare_for_no_type(results):
         console.print(said)
@@ -91,18 +91,15 @@ def _compare_for_no_type(results: Results) -> str:
     """Returns a sentence about the users whom no found type fits. It compares the mean costs for
     these users of the solver, of giving all messages, and of one explanation for all types.
     Returns "" if the belief has only the found types."""
-    cost: dict[str, dict[tuple[int, str], float]] = {}
-    for one in results.episodes:
-        cost.setdefault(one.solver, {})[one.trace, one.type] = one.cost
-    own = [one for one in results.episodes if one.solver == "solver"]
-    users = [(one.trace, one.type) for one in own if one.fit < NO_FIT]
-    if "say_all" not in cost:
+    frame = pd.DataFrame(map(vars, results.episodes))
+    wide = frame.pivot(index=["trace", "type"], columns="solver", values=["cost", "fit"])
+    if "say_all" not in wide["cost"]:
         return ""
-    said = f"no found type fits {len(users)} of {len(own)} users"
-    if not users:
+    users = wide["cost"][wide["fit"]["solver"] < NO_FIT]
+    said = f"no found type fits {len(users)} of {len(wide)} users"
+    if not len(users):
         return said
-    mean = {name: fmean(found[user] for user in users) for name, found in cost.items()
-            if name in ("solver", "say_all", "conformant")}  # fmt: skip
+    mean = users.mean()
     return (
         f"{said}; for these users the solver costs {mean['solver']:.2f}, giving all messages "
         f"{mean['say_all']:.2f}, and one explanation for all types {mean['conformant']:.2f}"

@@ -51,7 +51,7 @@ from xplain.report.claims import answer
 from xplain.report.compare import table
 from xplain.report.folder import SWEEP
 from xplain.report.frame import TITLES, Summary, warning_about_oracle
-from xplain.report.stages import stages
+from xplain.report.stages import Stages
 from xplain.runs.discovery import Discovery, discovery, require_writable
 from xplain.runs.job import Job, run_alone, run_batch
 from xplain.runs.plan import Compose, Plan, set_values
@@ -136,14 +136,9 @@ class Sweep:
         """
         if one_of("rows", rows, ("jobs", "episodes")) == "episodes":
             return self.summary.episodes.copy()
-        return pd.DataFrame(
-            {
-                **self.summary.values_of(job, results),
-                "seed": results.seed,
-                **{name: figure.mean for name, figure in results.metrics.items()},
-            }
-            for job, results in self.summary.results
-        )
+        metrics = [one.metrics.items() for _, one in self.summary.results]
+        means = [{name: figure.mean for name, figure in own} for own in metrics]
+        return self.summary.swept.join(pd.DataFrame(means))
 
     def plot(self, measure: str | None = None) -> list[Axes]:
         """Draws a measure against the main swept key, with a panel for each combination of the
@@ -187,7 +182,7 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
         job = Job.of(cfg, dict(cfg.hydra.runtime.choices) | set_values(cfg, _require_single(given)))
         _require_runnable([job], cfg)
         folder = Path(cfg.hydra.run.dir).absolute()
-        run_alone(job, folder, instantiate(cfg.tracking), stages(), shown=False)
+        run_alone(job, folder, instantiate(cfg.tracking), Stages(), shown=False)
         return Run(folder)
 
 
