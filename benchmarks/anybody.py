@@ -25,8 +25,7 @@ from xplain.errors import InputError
 from xplain.experiment.config import compose_config
 from xplain.experiment.explanations import problem_of_types, true_thoughts
 from xplain.experiment.from_config import components_of
-from xplain.experiment.pipeline import Case, PreparedData
-from xplain.experiment.strangers import with_others
+from xplain.experiment.pipeline import Case, PreparedData, with_others
 from xplain.explanation.anybody import Open
 from xplain.explanation.belief import BeliefUpdate, Independent
 from xplain.interaction.episode import Episode, explain

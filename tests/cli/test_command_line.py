@@ -75,7 +75,7 @@ BAD = [
     (["solver=[qmdp,qhr]"], ["solver", "[qmdp,qhr]", "a choice"]),
     (["dry_run=maybe"], ["dry_run='maybe': true or false"]),
     (["~solver"], ["solver", "a choice"]),
-    (["certify=null"], ["certify", "traces, gap"]),
+    (["certify=null"], ["certify", "keys"]),
     (["--config-name=nowhere"], ["nowhere"]),
     (["--config-path=nowhere"], ["nowhere", "not found"]),
     (["lambda=0.5;1"], ["lambda=0.5;1", "commas"]),

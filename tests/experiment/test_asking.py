@@ -22,9 +22,8 @@ from xplain.experiment.explanations import (
     with_true_labels,
 )
 from xplain.experiment.from_config import components_of
-from xplain.experiment.pipeline import observe
+from xplain.experiment.pipeline import observe, with_others
 from xplain.experiment.results import EPISODES, episode_lines
-from xplain.experiment.strangers import with_others
 from xplain.explanation.asking import SENSE, Limits, Pool
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hydra.utils import instantiate
 from scipy import stats
 
 from tests.configurations import composed
@@ -25,7 +26,7 @@ from xplain.testing.literal_pomdp import literal_optimal_value, reduced_optimal_
 
 COSTS = Costs(0.8, 0.6, 1.5, 0.9, "action", "observers")
 PREPARED = a_prepared(steps=(2, 3))
-EFFORT = {**composed().certify, "traces": 3}
+EFFORT = vars(instantiate(composed().certify, traces=3))
 
 
 def problem_of(case: Case) -> Problem:
@@ -221,7 +222,7 @@ def test_a_trace_whose_certificate_takes_too_much_memory_has_none(caplog):
     """The longer of two traces has no certificate; the shorter trace is certified as if it were
     alone."""
     sizes = sorted(known_bytes(problem) / GIB for problem in PROBLEMS)
-    little = Certify(**EFFORT, memory_gib=sum(sizes) / 2)
+    little = Certify(**{**EFFORT, "memory_gib": sum(sizes) / 2})
     solver = Silent()
     found = little.certificates(PREPARED, COSTS, solver, Independent(), 4)
     assert "no certificate of trace 1" in caplog.text
@@ -231,5 +232,5 @@ def test_a_trace_whose_certificate_takes_too_much_memory_has_none(caplog):
     )
     assert found == alone
     assert found["traces"] == 1
-    least = Certify(**EFFORT, memory_gib=1e-9)
+    least = Certify(**{**EFFORT, "memory_gib": 1e-9})
     assert least.certificates(PREPARED, COSTS, solver, Independent(), 4) == {}

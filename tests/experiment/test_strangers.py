@@ -6,7 +6,7 @@ import pytest
 from tests.configurations import composed, world
 from xplain.experiment.explanations import Costs, evaluate
 from xplain.experiment.from_config import components_of
-from xplain.experiment.strangers import with_others
+from xplain.experiment.pipeline import with_others
 from xplain.explanation.belief import Independent
 from xplain.interaction.explainees import (
     AllWrong,

@@ -13,11 +13,18 @@ from scipy import stats
 
 from tests.report import handmade
 from xplain.experiment.results import load_results, save_results
-from xplain.report.claims import Claim, answer, claims, claims_of, claims_table, decomposition
+from xplain.report.claims import (
+    Claim,
+    answer,
+    claims,
+    claims_of,
+    claims_table,
+    compute_ratios,
+    decomposition,
+)
 from xplain.report.compare import table
 from xplain.report.frame import Summary
 from xplain.report.paper import table1
-from xplain.report.ratios import compute_ratios
 
 TRADE_OFFS = (0.5, 1.0, 1.5, 2.0, 2.5)
 SEEDS = range(6)

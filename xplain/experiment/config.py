@@ -126,9 +126,9 @@ def require_usable(cfg: DictConfig) -> None:
         XplainError: a choice that is null, an unknown ``resume``, or a domain's file in the wrong
             package.
     """
-    for group in (*GROUPS, "tracking"):
+    for group in (*GROUPS, "tracking", "certify"):
         if cfg.get(group) is None:
-            raise InputError(group, None, "the name of a choice")
+            raise InputError(group, None, "the name of a choice, or keys")
     one_of("resume", cfg.resume, RESUME)
     if "_target_" not in cfg.domain and "domain" in cfg.domain:
         raise XplainError(NO_PACKAGE)

@@ -16,9 +16,8 @@ from xplain.experiment.explanations import (
     with_true_labels,
     without_tables,
 )
-from xplain.experiment.pipeline import Components, PreparedData, prepare
+from xplain.experiment.pipeline import Components, PreparedData, prepare, with_others
 from xplain.experiment.progress import Progress
-from xplain.experiment.strangers import with_others
 from xplain.explanation.belief import BeliefUpdate
 from xplain.interaction.explainees import Explainee
 from xplain.interaction.metrics import Record

@@ -2,28 +2,24 @@
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, replace
 from functools import partial
 from importlib import import_module
 from inspect import signature
-from typing import Any, TypeVar
+from typing import Any
 
 from hydra.errors import InstantiationException
 from hydra.utils import get_class, instantiate
 
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting
-from xplain.errors import InputError, mapping, one_of
+from xplain.errors import InputError
 from xplain.experiment.cache import SOURCE
-from xplain.experiment.certificates import Certify
 from xplain.experiment.experiment import Experiment
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
 from xplain.explanation.asking import Limits, Pool
 from xplain.randomness import stream
 from xplain.solvers.base import Solver
-
-T = TypeVar("T")
 
 Config = Mapping[str, Any]
 """A composed configuration, or a resolved one as plain values."""
@@ -92,18 +88,6 @@ def _require_parameters(group: str, node: Config) -> None:
             raise InputError(f"{group}.{key}", node[key], allowed)
 
 
-def _make_section(cfg: Config, key: str, kind: type[T]) -> T:
-    """Makes the value that a group of keys describes.
-
-    Raises:
-        InputError: the group is not a mapping, or has an unknown key.
-    """
-    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    for name in mapping(key, cfg[key], f"keys: {', '.join(names)}"):
-        one_of(f"{key}.{name}", name, names, "key")
-    return kind(**cfg[key])
-
-
 def experiment_of(cfg: Config) -> Experiment:
     """Makes everything that a run needs, so that all values are checked before any work.
 
@@ -116,19 +100,9 @@ def experiment_of(cfg: Config) -> Experiment:
         solver=component(cfg, "solver"),
         belief=component(cfg, "belief"),
         explainee=component(cfg, "explainee"),
-        certify=certify_of(cfg),
+        certify=component(cfg, "certify"),
         seed=cfg["seed"],
     )
-
-
-def certify_of(cfg: Config) -> Certify:
-    """Makes the work limits of the certificates; their memory limit is the solver's.
-
-    Raises:
-        InputError: a number is out of its range, or a key is unknown.
-    """
-    certify = _make_section(cfg, "certify", Certify)
-    return replace(certify, memory_gib=cfg["solver"].get("memory_gib", 8.0))
 
 
 def components_of(cfg: Config) -> Components:
@@ -200,7 +174,7 @@ def check(configurations: Iterable[Mapping[str, Any]]) -> None:
             (("solver",), lambda cfg: component(cfg, "solver")),
             (("belief",), lambda cfg: component(cfg, "belief")),
             (("explainee",), lambda cfg: component(cfg, "explainee")),
-            (("certify", "solver"), certify_of),
+            (("certify",), lambda cfg: component(cfg, "certify")),
             (("domain", *COSTS), costs_of),
             (("domain", "users"), _solve_task),
         ):

@@ -7,6 +7,7 @@ second half, Problem ── Policy ── Episode, is in :mod:`xplain.experiment
 is one function, which commands and the study also call.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -14,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Domain, Scene, changes_of, transition_features
-from xplain.domains.users.setting import Setting
+from xplain.domains.users.setting import Setting, UserType
 from xplain.domains.users.types import TypeSource
-from xplain.errors import Count, Range, checks
+from xplain.errors import Count, DomainError, InputError, Range, checks
 from xplain.experiment.asking import CaseQuestions, Clips, belief_questions, merge_questions
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Pool
 from xplain.explanation.belief import OPEN
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
+from xplain.interaction.explainees import Explainee
 from xplain.learning.data.observers import Observations, Observers
 from xplain.learning.data.queries import Queries, sample_trace
 from xplain.learning.labelers import LabelerTrainer
@@ -237,3 +239,52 @@ def build_case(
         labels=labels,
         **tables(features, transitions)._asdict(),
     )
+
+
+def with_others(
+    prepared: PreparedData, components: Components, explainee: Explainee
+) -> PreparedData:
+    """Returns the same learned types and traces, with users of other types (``Explainee.others``).
+    There are as many users as true types, if enough other types differ from every true type and
+    from each other.
+
+    Fields that need observers of a true type are empty: the oracle's labels, and the matching
+    learned type.
+
+    Raises:
+        InputError: all other types behave like the true types.
+    """
+    domain, seed = components.domain, components.seed
+    observed = components.users.types(domain, stream(seed, "users"))
+    others = explainee.others(domain, observed, stream(seed, "explainee", "strangers"))
+    setting = Setting.build(domain, (*observed, *(t for t in others if _is_solvable(domain, t))))
+    alike = setting.distinct.tolist()
+    new = [t for t in range(len(observed), len(alike)) if alike[t] not in alike[:t]]
+    new = new[: len(observed)]
+    if not new:
+        name = type(explainee).__name__
+        raise InputError(
+            "explainee", name, "a domain in which such users differ from the true types"
+        )
+    return replace(
+        prepared,
+        types=tuple(setting.types[t].name for t in new),
+        distinct=len(alike) + np.arange(len(new)),
+        cases=tuple(
+            replace(
+                case,
+                perfect=None,
+                labels=setting.true_labels(case.transitions).of_types(new),
+                questions=case.questions and case.questions.of_users(setting, new),
+            )
+            for case in prepared.cases
+        ),
+    )
+
+
+def _is_solvable(domain: Domain, user_type: UserType) -> bool:
+    """True if the task can be solved under the type's beliefs."""
+    with suppress(DomainError):
+        Setting.build(domain, (user_type,))
+        return True
+    return False

@@ -22,7 +22,13 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from xplain.interaction.statistics import Estimate, Range, clustered_mean, clustered_share
+from xplain.interaction.statistics import (
+    Estimate,
+    Range,
+    clustered_mean,
+    clustered_ratio,
+    clustered_share,
+)
 from xplain.report import compare
 from xplain.report.frame import Summary
 from xplain.report.paper import NAMES, group_title, title
@@ -260,6 +266,40 @@ def decomposition(summary: Summary) -> Table:
         f"{summary.replicate}s."
     )
     return compare.tabulate(summary, [*dict.fromkeys([*keys, "lambda"])], known, cells, caption)
+
+
+def compute_ratios(summary: Summary) -> Table:
+    """Makes a table of ratios, with a row for each problem and a column for each way to explain.
+
+    A ratio is the cost of a way divided by the cost of the best other way in the sweep, for the
+    same people. Above 1, the other way costs less. The last rows are geometric means over the kinds
+    of people.
+    """
+    found = []
+    for values, frame in compare.group_episodes(summary, summary.posed):
+        ways = compare.group_episodes(summary, summary.ways or ["solver"], frame)
+        costs = pd.DataFrame(
+            {compare.label(k): own.set_index(summary.problem)["cost"] for k, own in ways}
+        )
+        for way in costs:
+            best = costs.drop(columns=way).mean().idxmin()
+            both = costs[[way, best]].dropna()
+            clusters = both.index.get_level_values(summary.replicate)
+            ratio = clustered_ratio(both[way], both[best], clusters)
+            text = f"{ratio.mean:.2f} ± {(ratio.high - ratio.low) / 2:.2f}"
+            found.append({**compare.headings(values), "way": way, "mean": ratio.mean, "text": text})
+    cells = pd.DataFrame(found)
+    posed = [compare.heading(key) for key in summary.posed]
+    kinds = {head: "all" for head in posed if head.startswith("explainee")}
+    cells["log"] = np.log(cells["mean"].clip(1e-9))
+    every = cells.assign(**kinds).groupby([*posed, "way"], sort=False)["log"].mean()
+    means = np.exp(every).map("{:.2f}".format).reset_index(name="text")
+    shown = pd.concat([cells, means]).set_index([*posed, "way"])["text"].unstack(sort=False)
+    caption = (
+        "Cost divided by the cost of the best other way for the same people, with its 95 % "
+        "interval."
+    )
+    return Table(shown.fillna("").reset_index(), len(posed), caption)
 
 
 def answer(summary: Summary) -> str:

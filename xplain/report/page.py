@@ -26,7 +26,6 @@ from xplain.report.compare import (
 )
 from xplain.report.frame import TITLES, Summary, rank
 from xplain.report.paper import title
-from xplain.report.ratios import compute_ratios
 from xplain.report.table import Table, count_things, number
 from xplain.storage import write_text
 
@@ -68,7 +67,7 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
         if summary.is_table1:
             tables["claims"] = claims.claims_table(summary)
         if "explainee" in summary.posed:
-            tables["ratios"] = compute_ratios(summary)
+            tables["ratios"] = claims.compute_ratios(summary)
         tables["learning"] = learning_table(summary)
         tables["decomposition"] = claims.decomposition(summary)
         tables = {name: own for name, own in tables.items() if len(own.frame)}
