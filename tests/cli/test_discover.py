@@ -14,7 +14,7 @@ from tests.refusals import line_of, refused
 from xplain.errors import XplainError
 from xplain.learning.saved import LearnedTypes
 from xplain.learning.user_types import Single
-from xplain.runs.discovery import sentences_of
+from xplain.runs.labels import sentences_of
 
 pytestmark = pytest.mark.usefixtures("no_pictures")
 

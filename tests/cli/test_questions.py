@@ -9,7 +9,7 @@ import pytest
 from tests.refusals import refused
 from xplain import Hypotheses
 from xplain.experiment.config import compose_config
-from xplain.runs.observing import write_questions
+from xplain.runs.labels import write_questions
 
 
 def questions(words):

@@ -44,7 +44,7 @@ def discover(words: list[str]) -> dict[str, Any]:
     interval]}.
     """
     from xplain.experiment.config import compose_config
-    from xplain.runs.discovery import discovery, require_writable
+    from xplain.runs.labels import discovery, require_writable
 
     cfg = compose_config("discover", words)
     folder = Path(cfg.output)
@@ -66,7 +66,7 @@ def observe(words: list[str]) -> dict[str, Any]:
     ``types``.
     """
     from xplain.experiment.config import compose_config
-    from xplain.runs.observing import write_labels
+    from xplain.runs.labels import write_labels
 
     return write_labels(compose_config("observe", words, with_hydra=True))
 
@@ -87,7 +87,7 @@ def questions(words: list[str]) -> dict[str, Any]:
     from rich.table import Table
 
     from xplain.experiment.config import compose_config
-    from xplain.runs.observing import write_questions
+    from xplain.runs.labels import write_questions
 
     rows, about = write_questions(compose_config("questions", words, with_hydra=True))
     table = Table("", "the robot", "told before")

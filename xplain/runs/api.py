@@ -52,8 +52,8 @@ from xplain.report.compare import table
 from xplain.report.folder import SWEEP
 from xplain.report.frame import TITLES, Summary, warning_about_oracle
 from xplain.report.stages import Stages
-from xplain.runs.discovery import Discovery, discovery, require_writable
 from xplain.runs.job import Job, run_alone, run_batch
+from xplain.runs.labels import Discovery, discovery, require_writable
 from xplain.runs.plan import Compose, Plan, set_values
 from xplain.runs.sweep import finish, run_missing
 

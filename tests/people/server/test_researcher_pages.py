@@ -24,7 +24,7 @@ from xplain.people.log import Clock
 from xplain.people.server import Keys
 from xplain.people.store import Store, Unknown
 from xplain.people.study.flow import Study
-from xplain.runs.discovery import sentences_of
+from xplain.runs.labels import sentences_of
 
 
 def test_the_researchers_page_needs_its_key(store: Store, client: Client) -> None:
