@@ -3,6 +3,8 @@
 # make test-slow  the long ones: twenty kill -9, ten thousand hostile requests, every command of
 #                 the docs, the examples against a built wheel; browser-test needs Chromium
 # make mutants  puts mistakes in at random, and tells which ones no test noticed (tests/mutants)
+# make versions  the tests with the oldest versions that pyproject.toml admits (make oldest), and with
+#                the newest (make newest); needs uv
 # make ui     MLflow on the runs and sweeps in outputs/ (http://127.0.0.1:5000)
 # make study  starts the study's server
 # make bench  the benchmarks, whole
@@ -19,7 +21,7 @@ CORES := $(shell getconf _NPROCESSORS_ONLN)
 # they compute, so there is a process more than cores; those in a browser mostly wait.
 SPREAD = --dist loadfile --no-loadscope-reorder --numprocesses
 
-.PHONY: run test style types tests test-docs test-slow browser-test mutants lint docs outputs bench bench-quick study ui clean
+.PHONY: run test style types tests test-docs test-slow browser-test versions oldest newest mutants lint docs outputs bench bench-quick study ui clean
 
 run: $(RUN)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
@@ -40,6 +42,17 @@ test-slow: $(READY)
 # These files alone: each process would read all the others first.
 browser-test: $(READY)
 	$(BIN)/python -m pytest -q -m browser $(SPREAD) $(shell expr $(CORES) \* 2) $$(grep -rl --include='*.py' 'mark\.browser' tests)
+
+# PYTHON is a version here, that uv finds.
+versions: oldest newest
+oldest: PYTHON = 3.11
+oldest: WHICH = lowest-direct
+newest: PYTHON = 3.13
+newest: WHICH = highest
+oldest newest:
+	uv venv --clear --python $(PYTHON) build/$@
+	uv pip install --python build/$@ --resolution $(WHICH) --editable ".[test,gym,docs]"
+	NUMBA_CACHE_DIR=$(CURDIR)/build/$@/numba build/$@/bin/python -m pytest -q -m "not browser and not slow" $(SPREAD) $(CORES)
 
 # Interrupted, it goes on where it was; another SEED is another sample.
 EACH ?= 8

@@ -25,6 +25,7 @@ import tempfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -191,7 +192,7 @@ def killed(service: Service, sessions: int, kills: int) -> int:
             one.result()
     took = time.perf_counter() - start
     service.kill()
-    with sqlite3.connect(service.database) as stored:
+    with closing(sqlite3.connect(service.database)) as stored:
         sql = "SELECT participant, state, payload ->> 'person' FROM event WHERE kind = 'begin'"
         rows = stored.execute(sql).fetchall()
     kept = {which: json.loads(decided) for which, decided, _ in rows}

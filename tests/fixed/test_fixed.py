@@ -42,6 +42,8 @@ LONG = ("rescue", "paper")
     "name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in RUNS]
 )
 def test_a_run_comes_out_as_it_is_kept(name: str, tmp_path: Path) -> None:
+    if name not in ("collection", "study"):
+        pytest.importorskip("sklearn", "1.9")  # older trees break ties between splits differently
     kept = json.loads(Path(__file__).with_name(f"{name}.json").read_text(encoding="utf-8"))
     found = differences(kept, json.loads(json.dumps(RUNS[name](tmp_path))))
     assert not found, f"{len(found)} values differ: " + "; ".join(found[:5])

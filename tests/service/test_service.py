@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +168,7 @@ def test_a_person_like_no_observer_is_noticed(task: ServedTask, talks: Talks) ->
 
 def test_reading_writes_nothing(service: Direct, tmp_path: Path) -> None:
     which = {kind: service.post(f"{kind}s", person="p").json()["id"] for kind in KINDS}
-    with sqlite3.connect(tmp_path / "service.sqlite") as other:
+    with closing(sqlite3.connect(tmp_path / "service.sqlite")) as other:
         (before,) = other.execute("PRAGMA data_version").fetchone()
         paths = [f"{kind}s/{one}" for kind, one in which.items()]
         paths += ["task", "labels.csv", f"{paths[1]}/labels.csv", "openapi.json", "", "docs"]
@@ -320,7 +321,7 @@ def test_what_was_acknowledged_survives_kill_9(
             stop.set()
         for one in running:
             one.result()
-    with sqlite3.connect(server.database) as stored:
+    with closing(sqlite3.connect(server.database)) as stored:
         sql = "SELECT participant, kind, payload, state FROM event WHERE source = 'protocol'"
         rows = stored.execute(sql).fetchall()
     found = {row[:2]: (json.loads(row[2]), json.loads(row[3])) for row in rows}
