@@ -8,8 +8,6 @@ from typing import Any
 
 import click
 
-from xplain.errors import InputError, quote
-
 FILE = click.Path(path_type=Path)
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -72,13 +70,9 @@ def keys(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(function)
     def with_keys(*given: Any, words: tuple[str, ...], config_dir: str | None, **more: Any) -> Any:
-        where = []
-        if config_dir is not None:
-            folder = Path(config_dir).absolute()
-            if not folder.is_dir():
-                raise InputError("--config-dir", str(folder), "a folder with choices of your own")
-            where = [f"hydra.searchpath=[{quote(f'file://{folder}')}]"]
-        return function(*given, [*words, *where], **more)
+        from xplain.experiment.config import search_path
+
+        return function(*given, [*words, *search_path("--config-dir", config_dir)], **more)
 
     words = click.argument("words", nargs=-1)
     return words(click.option("--config-dir", "-cd")(with_keys))

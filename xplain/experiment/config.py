@@ -35,7 +35,7 @@ from omegaconf.errors import (
 )
 from yaml import MarkedYAMLError, YAMLError
 
-from xplain.errors import InputError, XplainError, first_line, one_of
+from xplain.errors import InputError, XplainError, first_line, one_of, quote
 
 _INSIDE = Path(__file__).parents[1] / "conf"
 CONF = _INSIDE if _INSIDE.is_dir() else _INSIDE.parents[1] / "conf"
@@ -104,6 +104,20 @@ def compose_config(name: str, overrides: Sequence[str], with_hydra: bool = False
     register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         return compose(name, [*overrides], return_hydra_config=with_hydra)
+
+
+def search_path(key: str, folder: str | None) -> list[str]:
+    """Returns the override that lets Hydra find choices in another folder; [] without a folder.
+
+    Raises:
+        InputError: the folder, which ``key`` names, does not exist.
+    """
+    if folder is None:
+        return []
+    path = Path(folder).absolute()
+    if not path.is_dir():
+        raise InputError(key, str(path), "a folder with choices of your own")
+    return [f"hydra.searchpath=[{quote(f'file://{path}')}]"]
 
 
 def require_names(overrides: Sequence[str]) -> None:

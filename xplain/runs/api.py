@@ -35,7 +35,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from xplain.errors import InputError, XplainError, one_of, quote
+from xplain.errors import InputError, XplainError, one_of
 from xplain.experiment.config import (
     CONF,
     GROUPS,
@@ -44,6 +44,7 @@ from xplain.experiment.config import (
     one_line,
     register,
     require_names,
+    search_path,
 )
 from xplain.experiment.fingerprint import clear_caches, require_as_loaded
 from xplain.experiment.results import RESULTS, Results, load_results
@@ -292,19 +293,14 @@ def _compose_request(
         function that composes a configuration from overrides.
     """
     own = logging.getLogger("xplain")
-    quiet = bool(logging.getLogger().handlers or own.handlers)
-    handler, level = logging.StreamHandler(sys.stderr), own.level
+    quiet, level = bool(logging.getLogger().handlers or own.handlers), own.level
+    handler = logging.NullHandler() if quiet else logging.StreamHandler(sys.stderr)
     with _ONE_AT_A_TIME:
         clear_caches()  # a component may have been edited since the last call
         try:
-            if not quiet:
-                own.addHandler(handler)
-                own.setLevel(logging.INFO)
-            where = []
-            if config_dir is not None:
-                if not Path(config_dir).is_dir():
-                    raise InputError("config_dir", config_dir, "a folder with choices of your own")
-                where = [f"hydra.searchpath=[{quote(f'file://{Path(config_dir).absolute()}')}]"]
+            own.addHandler(handler)
+            own.setLevel(level if quiet else logging.INFO)
+            where = search_path("config_dir", config_dir)
             register()
             with initialize_config_dir(str(CONF), version_base="1.3"):
                 known = [*map(str, compose(of, where)), "sweeps", "hydra"]
@@ -316,17 +312,14 @@ def _compose_request(
                     given,
                     lambda own: compose(of, [*where, *own], return_hydra_config=True),
                 )
-        except XplainError:
-            raise
         except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
             text = one_line(error)
             if text is None:
                 raise
             raise XplainError(text) from None
         finally:
-            if not quiet:
-                own.removeHandler(handler)
-                own.setLevel(level)
+            own.removeHandler(handler)
+            own.setLevel(level)
 
 
 def _require_runnable(jobs: Iterable[Job], cfg: DictConfig) -> None:

@@ -6,7 +6,7 @@ Slow imports happen only after the configuration is checked.
 import os
 import sys
 import time
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from xplain.errors import leave_at_once
 from xplain.experiment.config import CONF, register, report_errors
-from xplain.experiment.progress import is_terminal
 
 register()
 
@@ -45,8 +44,7 @@ def _run_single(cfg: DictConfig, own: Any) -> float | None:
     progress = Stages()
     folder = Path(own.runtime.output_dir)
     try:
-        shown = progress.stage("loading") if is_terminal(sys.stderr) else nullcontext()
-        with shown, leave_at_once():
+        with leave_at_once():
             from xplain.numba_kernels import tell_when_compiling
             from xplain.runs.job import Job, run_alone
         tell_when_compiling()

@@ -214,6 +214,7 @@ def run_alone(
 
 def save_batch(path: Path, jobs: Iterable[Job]) -> None:
     """Writes the list of jobs that one worker of a sweep runs in sequence."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, json.dumps({job.fingerprint: asdict(job) for job in jobs}))
 
 

@@ -13,7 +13,6 @@ import json
 import logging
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,8 @@ from hydra.core.override_parser.types import Glob, Override
 from hydra.errors import ConfigCompositionException
 from joblib import effective_n_jobs
 from omegaconf import DictConfig, OmegaConf, open_dict
-from omegaconf.errors import OmegaConfBaseException
 
-from xplain.errors import InputError, checks, mapping
+from xplain.errors import InputError, mapping
 from xplain.experiment.config import GROUPS, missing_key
 from xplain.experiment.from_config import check
 from xplain.report.folder import FAILURE, ListedJob, SweepFolder
@@ -92,9 +90,9 @@ class Plan:
                 allowed = "outputs=FOLDER instead: a sweep's folder gets its name from the jobs"
                 raise InputError(key, value, allowed)
         keys: Any = OmegaConf.to_container(config.hydra.sweeper)
-        file = _File(**{key: value for key, value in keys.items() if not key.startswith("_")})
-        settings = [{**file.params, **setting} for setting in file.settings or [{}]]
-        composer = _Composer(compose, config)
+        params = mapping("hydra.sweeper.params", keys.get("params") or {}, "key: values")
+        settings = [{**params, **setting} for setting in keys.get("settings") or [{}]]
+        composer = _Composer(compose, config.hydra.runtime.choices)
         jobs, rows = dict[str, Job](), dict[str, ListedJob]()
         combinations = _list_combinations(settings, _parse(words))
         for texts, values in itertools.product(combinations, itertools.product(*given.values())):
@@ -119,8 +117,8 @@ class Plan:
             failed = {path.parent.name for path in folder.path.glob(f"jobs/*/{FAILURE}")}
             todo = {key: job for key, job in todo.items() if key in failed}
         check([job.config for job in todo.values()])
-        about = {"name": name, "command": command(config), "pool": file.pool}
-        about["report"] = file.report
+        about = {"name": name, "command": command(config)}
+        about |= {key: keys.get(key) for key in ("pool", "report")}
         return cls(folder, label_jobs([*rows.values()]), todo, finished, config, about)
 
     def batches(self) -> list[list[Job]]:
@@ -138,21 +136,6 @@ class Plan:
         size = 1 + len(self.todo) // enough
         cut = [[own[i : i + size] for i in range(0, len(own), size)] for own in by_data.values()]
         return [batch for turn in itertools.zip_longest(*cut) for batch in turn if batch]
-
-
-@checks("hydra.sweeper")
-class _File:
-    """The keys of hydra.sweeper (:class:`hydra_plugins.xplain_sweeper.XplainSweeper`)."""
-
-    def __init__(
-        self,
-        params: Any = None,
-        settings: list[dict[str, Any]] | None = None,
-        pool: list[str] | None = None,
-        report: str | None = None,
-    ) -> None:
-        self.params = mapping("hydra.sweeper.params", params or {}, "key: values")
-        self.settings, self.pool, self.report = settings, list(pool or ()), report
 
 
 def label_jobs(jobs: Sequence[ListedJob]) -> tuple[ListedJob, ...]:
@@ -273,12 +256,11 @@ class _Composer:
 
     Args:
         load: composes a configuration from overrides by Hydra.
-        config: configuration of the planning process, with the components that it has chosen.
+        choices: the groups of the configuration, with the chosen components.
     """
 
-    def __init__(self, load: Compose, config: DictConfig) -> None:
-        self._load, self._config = load, config
-        self._choices = config.hydra.runtime.choices
+    def __init__(self, load: Compose, choices: Mapping[str, Any]) -> None:
+        self._load, self._choices = load, choices
         self._like: dict[tuple[str, ...], DictConfig] = {}
         self._lacking: dict[str, tuple[Exception, dict[str, None]]] = {}
 
@@ -313,16 +295,11 @@ class _Composer:
         others = [override for override in parsed if override not in values]
         kind = tuple(override.input_line or "" for override in others)
         kind += ("", *(override.key_or_group for override in values))
-        if kind not in self._like and all(map(self._is_chosen, others)):
-            self._like[kind] = deepcopy(self._config)
-        try:
-            config = self._like[kind]
-            for override in values:
-                OmegaConf.update(config, override.key_or_group, override.value())
-        except (KeyError, OmegaConfBaseException):
-            config = self._load(overrides)
-        self._like[kind] = config
-        return config
+        if kind not in self._like:
+            self._like[kind] = self._load(overrides)
+        for override in values:
+            OmegaConf.update(self._like[kind], override.key_or_group, override.value())
+        return self._like[kind]
 
     def _sets_a_value(self, override: Override) -> bool:
         key = override.key_or_group
@@ -331,11 +308,6 @@ class _Composer:
         )
         scalar = isinstance(override.value(), (str, int, float, bool, type(None)))
         return plain and scalar and key not in self._choices and key.partition(".")[0] != "hydra"
-
-    def _is_chosen(self, override: Override) -> bool:
-        """True if the planning process has chosen the same component as the override."""
-        key = override.key_or_group
-        return override.input_line == f"{key}={self._choices.get(key)}"
 
 
 def command(config: DictConfig) -> str:

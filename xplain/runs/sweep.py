@@ -60,11 +60,10 @@ def run_missing(plan: Plan, launch: Callable[[list[Path]], Any]) -> Any:
         words = [f"{len(plan.todo)} jobs to run" if plan.todo else "no job to run"]
         words += [f"{done} finished before"] if done else []
         log.info("%s: %s", folder.path.name, ", ".join(words))
-        batches, files = plan.batches(), list[Path]()
-        for number, batch in enumerate(batches):
-            files.append(folder.path / BATCHES / f"{number}.json")
-            files[-1].parent.mkdir(parents=True, exist_ok=True)
-            save_batch(files[-1], batch)
+        batches = plan.batches()
+        files = [folder.path / BATCHES / f"{number}.json" for number in range(len(batches))]
+        for path, batch in zip(files, batches, strict=True):
+            save_batch(path, batch)
         returned: Any = []
         try:
             with _report_progress(plan):
