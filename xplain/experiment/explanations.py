@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, number, one_of
+from xplain.errors import InputError, Range, number, one_of
 from xplain.experiment.pipeline import Case, PreparedData
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.actions import VisibleState
@@ -65,7 +65,7 @@ class Costs:
         """
         costs = self.message_cost
         if not isinstance(costs, Mapping):
-            return np.full(len(names), _check_cost("message_cost", costs))
+            return np.full(len(names), number("message_cost", costs, Range(0)))
         unknown = [name for name in costs if name not in names]
         if unknown:
             raise InputError("message_cost", unknown[0], f"messages: {', '.join(names)}")
@@ -73,7 +73,8 @@ class Costs:
         if missing:
             wanted = f"a cost of each message; {', '.join(missing)} missing"
             raise InputError("message_cost", dict(costs), wanted)
-        return np.array([_check_cost(f"message_cost.{name}", costs[name]) for name in names])
+        keys = [f"message_cost.{name}" for name in names]
+        return np.array([number(k, costs[n], Range(0)) for k, n in zip(keys, names, strict=True)])
 
     def problem(
         self,
@@ -102,13 +103,6 @@ class Costs:
             message_names=message_names,
             type_names=type_names,
         )
-
-
-def _check_cost(key: str, value: object) -> float:
-    cost = number(key, value)
-    if cost < 0:
-        raise InputError(key, value, "a number ≥ 0")
-    return cost
 
 
 def problem_of_types(

@@ -18,7 +18,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from importlib import metadata
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
@@ -97,18 +97,13 @@ def git_state() -> dict[str, str]:
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return {}
+    words = (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
+    run = partial(subprocess.run, capture_output=True, text=True, check=True, timeout=10)
     try:
-        commit = _run_git(root, "rev-parse", "HEAD")
-        dirty = bool(_run_git(root, "status", "--porcelain", "--untracked-files=no"))
+        commit, changes = (run(["git", "-C", str(root), *own]).stdout.strip() for own in words)
     except (OSError, subprocess.SubprocessError):
         return {}
-    return {"commit": commit, "dirty": str(dirty).lower()}
-
-
-def _run_git(root: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(root), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10)
-    return done.stdout.strip()
+    return {"commit": commit, "dirty": str(bool(changes)).lower()}
 
 
 @cache

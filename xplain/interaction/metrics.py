@@ -7,22 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.interaction.episode import Episode
-from xplain.interaction.statistics import (
-    ANY,
-    Estimate,
-    Range,
-    clustered_mean,
-    clustered_ratio,
-)
+from xplain.interaction.statistics import ANY, Estimate, Range, clustered_mean
 
 SURE = 0.9
 """A type counts as recognised if the belief in it exceeds this value."""
-RATIOS = (
-    ("oracle_over_clairvoyant", "oracle", "clairvoyant"),
-    ("cost_over_true_labels", "solver", "true_labels"),
-)
-"""Ratios of the costs of two solvers of the records: name, numerator, denominator."""
-
 
 RANGES: dict[str, Range] = {
     "regret": ANY,
@@ -79,11 +67,6 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
 
     Regret is paired: each episode's cost minus the oracle's (or the clairvoyant's) on the same
     trace and user. A regret is left out if the oracle (or the clairvoyant) did not run.
-
-    Two ratios of mean costs measure the effect of learned labels: ``oracle_over_clairvoyant`` with
-    a known type, ``cost_over_true_labels`` with an unknown type (the denominator is the same solver
-    with true types and labels). A ratio is left out if one of its two solvers did not run, or if
-    its denominator is 0.
     """
     by_solver: dict[str, dict[tuple[int, int], Record]] = {}
     for record in records:
@@ -113,18 +96,10 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
             other = [by_solver[reference][key].episode.cost for key in own]
             columns[f"{reference}_cost"] = other
             columns[name] = [c - o for c, o in zip(columns["cost"], other, strict=True)]
-    found = {
+    return {
         name: clustered_mean(column, traces, possible=possible(name))
         for name, column in columns.items()
     }
-    for name, above, below in RATIOS:
-        if above in by_solver and below in by_solver:
-            dear, cheap = (
-                [by_solver[who][key].episode.cost for key in own] for who in (above, below)
-            )
-            if sum(cheap) > 0:
-                found[name] = clustered_ratio(dear, cheap, traces)
-    return found
 
 
 def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
@@ -133,35 +108,9 @@ def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
 
     Returns:
         ``belief_in_true_type``: [steps + 1] belief before the first step and after each step.
-        ``messages_given``, ``inexplicable_labels_shown``, ``questions_asked``: [steps] counts at
-        each step. ``questions_asked`` is left out if no question was asked.
         ``episodes``: [steps + 1] number of episodes with at least 0, 1, … steps.
     """
-    own = [record for record in records if record.solver == "solver"]
-    series = {
-        "belief_in_true_type": [record.right_belief for record in own],
-        "messages_given": [
-            np.array([int(mask).bit_count() for mask in record.episode.messages]) for record in own
-        ],
-        "inexplicable_labels_shown": [(record.episode.thoughts == 0).sum(axis=1) for record in own],
-    }
-    if any(record.episode.n_questions for record in own):
-        series["questions_asked"] = [_count_questions(record.episode) for record in own]
-    lengths = np.array([len(record.episode.messages) for record in own])
-    steps = np.arange(lengths.max() + 1)
-    return {
-        **{name: _average_by_step(rows) for name, rows in series.items()},
-        "episodes": (lengths[:, None] >= steps).sum(axis=0).astype(float),
-    }
-
-
-def _count_questions(episode: Episode) -> NDArray[np.float64]:
-    """Returns [m] the number of questions at each step."""
-    counts = np.bincount(episode.questions[:, 0], minlength=len(episode.messages))
-    return counts.astype(np.float64)
-
-
-def _average_by_step(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    padded = np.array(list(zip_longest(*rows, fillvalue=np.nan)), np.float64)
-    mean: NDArray[np.float64] = np.nanmean(padded, axis=1)
-    return mean
+    own = [record.right_belief for record in records if record.solver == "solver"]
+    beliefs = np.array([*zip_longest(*own, fillvalue=np.nan)], np.float64)
+    counts = np.isfinite(beliefs).sum(axis=1).astype(float)
+    return {"belief_in_true_type": np.nanmean(beliefs, axis=1), "episodes": counts}

@@ -104,11 +104,11 @@ class Claim:
 
 @lru_cache(maxsize=1)
 def claims(summary: Summary) -> list[Claim]:
-    """Tests every claim about the sweep's solvers, in each group of the table's columns and each
-    domain."""
+    """Tests every claim about the solvers of Table 1, in each group of the table's columns and each
+    domain. Returns no claim for other sweeps."""
     _, grouping, _ = compare.layout(summary)
     found = []
-    for group, frame in compare.group_episodes(summary, grouping):
+    for group, frame in compare.group_episodes(summary, grouping) if summary.is_table1 else []:
         name = group_title(group, compare.label(group))
         own = compare.select_rows(
             summary.data_sets, {k: v for k, v in group.items() if k in summary.settings}
@@ -269,12 +269,15 @@ def decomposition(summary: Summary) -> Table:
 
 
 def compute_ratios(summary: Summary) -> Table:
-    """Makes a table of ratios, with a row for each problem and a column for each way to explain.
+    """Makes a table of ratios, with a row for each problem and a column for each way to explain;
+    an empty table if the sweep has one kind of people.
 
     A ratio is the cost of a way divided by the cost of the best other way in the sweep, for the
     same people. Above 1, the other way costs less. The last rows are geometric means over the kinds
     of people.
     """
+    if "explainee" not in summary.posed:
+        return table_of([], 1)
     found = []
     for values, frame in compare.group_episodes(summary, summary.posed):
         ways = compare.group_episodes(summary, summary.ways or ["solver"], frame)
@@ -340,7 +343,7 @@ def list_undecided(summary: Summary) -> Table:
 
 def _find_undecided(summary: Summary) -> Iterator[tuple[dict[str, str], Estimate, str]]:
     """Yields the headings of a row, a difference whose interval contains 0, and its text."""
-    for claim in claims(summary) if summary.is_table1 else []:
+    for claim in claims(summary):
         if claim.verdict == "not decided":
             heads = {"Types and labels": claim.group} if claim.group else {}
             heads |= {"Domain": title(claim.domain), "Claim": claim.text}

@@ -63,20 +63,14 @@ def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Pat
     is_there = all((report / name).exists() for name in FILES)
     is_there = is_there and made_of in last.read_text(encoding="utf-8")
     if summary.results and not is_there:
-        tables = {"table": table(summary), "undecided": claims.list_undecided(summary)}
-        if summary.is_table1:
-            tables["claims"] = claims.claims_table(summary)
-        if "explainee" in summary.posed:
-            tables["ratios"] = claims.compute_ratios(summary)
-        tables["learning"] = learning_table(summary)
-        tables["decomposition"] = claims.decomposition(summary)
+        tables = {name: make(summary) for name, make in TABLES.items()}
         tables = {name: own for name, own in tables.items() if len(own.frame)}
-        for name, own in tables.items():
-            write_text(report / f"{name}.md", own.markdown())
-        write_text(report / "table.tex", tables["table"].latex())
-        write_text(report / "regret.csv", regret_csv(summary))
-        write_text(report / "differences.csv", differences_csv(summary))
-        write_text(last, page(summary, tables, report, made_of))
+        texts = {f"{name}.md": own.markdown() for name, own in tables.items()}
+        texts |= {"table.tex": tables["table"].latex(), "regret.csv": regret_csv(summary)}
+        texts["differences.csv"] = differences_csv(summary)
+        texts["index.html"] = page(summary, tables, report, made_of)  # last: the report is complete
+        for name, text in texts.items():
+            write_text(report / name, text)
     return summary, report
 
 
@@ -185,6 +179,17 @@ def learning_table(summary: Summary) -> Table:
 
     caption = "Means over seeds. Labelers are scored on labels that were held out."
     return tabulate(summary, summary.settings, found, cells, caption)
+
+
+TABLES = {
+    "table": table,
+    "undecided": claims.list_undecided,
+    "claims": claims.claims_table,
+    "ratios": claims.compute_ratios,
+    "learning": learning_table,
+    "decomposition": claims.decomposition,
+}
+"""The tables of a report, by the names of their files. An empty table has no file."""
 
 
 def _make_heading(summary: Summary) -> str:

@@ -29,8 +29,6 @@ CELL = 0.46
 LARGE = 11
 LONG = 30
 """Letters of an item's name above which the legend has one column."""
-LISTED = 14
-"""Maximum number of sentences and questions below the steps."""
 LETTERS = 92
 """Letters in a line below the steps."""
 LINE, LETTER = 0.18, 0.082
@@ -124,8 +122,7 @@ def draw_trace(
 
 
 def list_said(story: Story, sentences: Mapping[str, str]) -> str:
-    """Returns a text with a line for each of the robot's first messages and questions, and their
-    steps."""
+    """Returns a text with a line for each of the robot's messages and questions, with its step."""
     found = []
     for k, step in enumerate(story["steps"], 1):
         for one in step.get("questions", ()):
@@ -133,9 +130,7 @@ def list_said(story: Story, sentences: Mapping[str, str]) -> str:
             found.append(f"before step {k} it asks: “{what}” – {one['reply']}")
         new = step["messages"]
         found += [f"before step {k}: “{sentences.get(name, name)}” ({name})" for name in new]
-    more = len(found) - LISTED
-    found = ["The robot says:", *found[:LISTED]] if found else ["The robot says nothing."]
-    found += [f"… and {more} more"] if more > 0 else []
+    found = ["The robot says:", *found] if found else ["The robot says nothing."]
     return "\n".join(textwrap.fill(one, LETTERS, subsequent_indent="    ") for one in found)
 
 
