@@ -125,7 +125,7 @@ class EpisodeCache:
         digest = hashlib.sha256(content)
         for array in arrays.values():
             digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
-        apart = {*SOURCE, "certify", *parts} - {"seed"}
+        apart = {*SOURCE, "points", "certify", *parts} - {"seed"}
         others = {key: value for key, value in self.config.items() if key not in apart}
         path = self.folder / f"{fingerprint(others | {'prepared': digest.hexdigest()})}.json"
         try:

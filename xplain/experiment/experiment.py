@@ -79,17 +79,7 @@ class Experiment:
 
         truth = with_true_labels(prepared)
         habits = self.belief.habits(prepared.habits)
-
-        def with_truth(name: str) -> list[Record]:
-            seen, what = without_tables(truth), "explaining, true labels known"
-            made = cache.load_or_make(
-                replace(seen, habits=habits),
-                (),
-                lambda: explain(seen, {"true_labels": self.solver}, what),
-            )
-            return [replace(record, solver=name) for record in made]
-
-        seen = without_tables(truth, prepared)
+        seen = without_tables(truth, self.belief, prepared)
         records = cache.load_or_make(
             replace(seen, habits=habits),
             ("solver",),
@@ -97,17 +87,22 @@ class Experiment:
         )
         # Some solvers do not plan with the learned types, and the true types of
         # strangers are unknown.
-        compared = self.solver.knows == "types" and not stranger
-        if compared and same_problems(prepared, truth):
-            own = with_truth("solver")  # nothing was learned
+        true_labels: list[Record] = []
+        if self.solver.knows == "types" and not stranger:
+            known, what = without_tables(truth, self.belief), "explaining, true labels known"
+            true_labels = cache.load_or_make(
+                replace(known, habits=habits),
+                (),
+                lambda: explain(known, {"true_labels": self.solver}, what),
+            )
+        if true_labels and same_problems(prepared, truth):  # nothing was learned
+            own = [replace(record, solver="solver") for record in true_labels]
         else:
             own = explain(prepared, {"solver": self.solver}, "explaining")
         if self.belief.open:
             safe: dict[str, Solver] = {"say_all": SayAll(), "conformant": Conformant()}
             own += explain(prepared, safe, "references for people of no type")
-        if compared:
-            records = [*records, *with_truth("true_labels")]
-        return prepared, [*own, *records]
+        return prepared, [*own, *records, *true_labels]
 
     def certificates(self, prepared: PreparedData, progress: Progress) -> dict[str, float]:
         """Computes the certificates of the solver's problems (:meth:`Certify.certificates`)."""

@@ -255,12 +255,16 @@ def _use_true_labels(case: Case) -> Case:
     return replace(case, learned=case.labels, questions=asked)
 
 
-def without_tables(prepared: PreparedData, oracle: PreparedData | None = None) -> PreparedData:
+def without_tables(
+    prepared: PreparedData, belief_update: BeliefUpdate, oracle: PreparedData | None = None
+) -> PreparedData:
     """Removes the results of learning, which solvers with true labels do not use. What remains is
-    the same for all learners.
+    the same for all learners, except for an open belief.
 
     Args:
         prepared: result of :func:`with_true_labels`.
+        belief_update: an open belief uses the learned labels of people without a found type, so
+            these labels are kept for it.
         oracle: has the oracle's labels, which are kept; None if no explainer needs these labels.
     """
     perfect = [None if oracle is None else case.perfect for case in (oracle or prepared).cases]
@@ -270,7 +274,15 @@ def without_tables(prepared: PreparedData, oracle: PreparedData | None = None) -
         learning={},
         curve=np.zeros(0),
         rule="",
-        cases=tuple(replace(case, everyone=None, perfect=table) for case, table in pairs),
+        cases=tuple(
+            replace(
+                case,
+                everyone=None,
+                perfect=table,
+                everything=case.everything if belief_update.open else None,
+            )
+            for case, table in pairs
+        ),
     )
 
 

@@ -159,22 +159,31 @@ class Search:
     seed: int
 
     def decide(self, visible: VisibleState, belief: NDArray[np.float64]) -> Action:
-        """Searches until *explain* or a question is best, and once more after each message."""
+        """Searches until *explain* or a question is best, and once more after each message. If
+        *explain* is the only action, there is no search."""
         chosen = 0
-        while True:
+        while self._has_choice(visible, chosen, belief):
             action = best_action(self._compute_values(visible, chosen, belief))
             if isinstance(action, AskQuestion):
                 return action
             new = messages_of(action)
             if not new:
-                return give(chosen)
+                break
             chosen |= new
             belief = give_all(self.process, belief, new)
+        return give(chosen)
 
     def values(self, visible: VisibleState, belief: NDArray[np.float64]) -> Mapping[Action, float]:
         """Returns the estimated returns of *explain*, and of each message and question that was
         tried."""
         return self._compute_values(visible, 0, belief)
+
+    def _has_choice(self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]) -> bool:
+        """True if there may be questions, or a message that was not given has an effect on a
+        possible state."""
+        useful = np.bitwise_or.reduce(self.model.relevant[round_belief(belief) > 0])
+        said = before_step(self.process, visible.given) | chosen
+        return len(self.process.questions.answered) > 0 or bool(useful & ~said)
 
     def _compute_values(
         self, visible: VisibleState, chosen: int, belief: NDArray[np.float64]
