@@ -51,6 +51,7 @@ NODE = np.dtype(
 EDGE = np.dtype(
     [
         ("value", np.float64),  # estimated return; −inf until tried
+        ("inverse_root", np.float64),  # 1 / sqrt(visits); 0 until tried
         ("visits", np.int32),
         ("child", np.int32),  # node after the message or the last answer; 0 until known
     ]
@@ -189,6 +190,9 @@ def simulate(simulations, model, memory, options, missed, log_root, inverse_root
 
     ``log_root[v]`` is sqrt(log v) and ``inverse_root[v]`` is 1 / sqrt(v), and 0 for v = 0. Both
     tables are longer than the largest number of visits.
+
+    Indices of records are unsigned numbers here: numba checks signed indices, which may count from
+    the end, and the checks would take a tenth of the time.
     """
     model, memory, log_root, inverse_root = borrow((model, memory, log_root, inverse_root))
     tree, codes, scratch = memory
@@ -200,12 +204,10 @@ def simulate(simulations, model, memory, options, missed, log_root, inverse_root
         state = _draw_state(tree.beliefs, scratch.counter, last)
         node, depth, length, is_new = ROOT, 0, 0, False
         while depth < options.depth and not is_new and node != END:
-            if tree.nodes[node].edges == UNOPENED:
+            if tree.nodes[uint64(node)].edges == UNOPENED:
                 _open_node(model, tree, scratch, missed, node)
-            edge, action = _select_action(
-                model, tree, scratch, options, missed, node, log_root, inverse_root
-            )
-            move = tree.path[length]
+            edge, action = _select_action(model, tree, scratch, options, missed, node, log_root)
+            move = tree.path[uint64(length)]
             move.node = node
             move.edge = edge
             move.action = action
@@ -222,26 +224,25 @@ def simulate(simulations, model, memory, options, missed, log_root, inverse_root
                 model, tree, codes, scratch, missed, node, edge, action, state
             )
         value = _evaluate(model, tree, codes, scratch, options, missed, node, is_new, state)
-        _back_up(tree, n, options.backup == MAX, node, length, value)
+        _back_up(tree, n, options.backup == MAX, node, length, value, inverse_root)
 
 
 @small
 def _draw_state(beliefs, counter, last):  # type: ignore[no-untyped-def]
     """Draws a state from the root's belief. The last possible state gets the remainder due to
-    rounding."""
-    u = next_uniform(counter)
-    s = 0
-    while s < last and u >= beliefs[ROOT, s]:
+    rounding. The loop always visits all states: a processor cannot predict a random end."""
+    u, state = next_uniform(counter), 0
+    for s in range(last):
         u -= beliefs[ROOT, s]
-        s += 1
-    return s
+        state += u >= 0.0
+    return state
 
 
 @part
-def _select_action(model, tree, scratch, options, missed, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
+def _select_action(model, tree, scratch, options, missed, node, log_root):  # type: ignore[no-untyped-def]
     """Chooses the action to try at an open node; returns its edge and the action. QMDP's action is
     tried first and the others follow in random order. Then UCB1 decides (Auer et al. 2002)."""
-    record = tree.nodes[node]
+    record = tree.nodes[uint64(node)]
     first, actions, untried = np.int64(record.edges), record.actions, record.untried
     if untried != 0:
         if untried == actions:
@@ -255,10 +256,10 @@ def _select_action(model, tree, scratch, options, missed, node, log_root, invers
             action = nth_bit(untried, next_below(scratch.counter, count_bits(untried)))
         record.untried = untried & ~(1 << action)
         return first + count_bits(actions & ((1 << action) - 1)), action
-    bonus, best, chosen = options.exploration * log_root[record.visits], -np.inf, uint64(first)
-    # The indices are unsigned: numba checks signed indices, which may count from the end.
+    bonus = options.exploration * log_root[uint64(record.visits)]
+    best, chosen = -np.inf, uint64(first)
     for e in range(uint64(first), uint64(first + count_bits(actions))):
-        score = tree.edges[e].value + bonus * inverse_root[uint64(tree.edges[e].visits)]
+        score = tree.edges[e].value + bonus * tree.edges[e].inverse_root
         if score > best:
             best, chosen = score, e
     edge = np.int64(chosen)
@@ -270,7 +271,7 @@ def _take_action(model, tree, codes, scratch, missed, node, edge, action, state)
     """Takes an action and draws its outcome for a user in this state. Returns the next node (END
     after the last *explain*), True if the node is new, and the next state. Sets the belief of a new
     node."""
-    record, n = tree.nodes[node], len(model.price)
+    record, n = tree.nodes[uint64(node)], len(model.price)
     step, said, base = np.int64(record.step), record.given, np.int64(record.base)
     question, answer, before, at = np.int64(-1), False, state, np.int64(0)
     if action < n:
@@ -290,8 +291,8 @@ def _take_action(model, tree, codes, scratch, missed, node, edge, action, state)
         yes = model.asked_answered[question, find_cell(model.question_stride, said, state)]
         answer = next_uniform(scratch.counter) < yes
         parent, code = node, splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
-    child = np.int64(tree.edges[edge].child)
-    if child != UNVISITED and tree.nodes[child].code == code:  # often the last answer
+    child = np.int64(tree.edges[uint64(edge)].child)
+    if child != UNVISITED and tree.nodes[uint64(child)].code == code:  # often the last answer
         return child, False, state
     slot, tag = _find_entry(tree, parent, code)
     child = np.int64(tree.table[slot].node)
@@ -319,7 +320,7 @@ def _take_action(model, tree, codes, scratch, missed, node, edge, action, state)
             tree.tried[child, tree.tried.shape[1] - 1] = question
             if action > n:
                 _update_by_answer(model, question, said, answer, belief)
-    tree.edges[edge].child = child
+    tree.edges[uint64(edge)].child = child
     return child, is_new, state
 
 
@@ -331,7 +332,7 @@ def _evaluate(model, tree, codes, scratch, options, missed, node, is_new, state)
     too."""
     if node == END:
         return 0.0
-    record = tree.nodes[node]
+    record = tree.nodes[uint64(node)]
     step, said = np.int64(record.step), record.given
     belief = tree.beliefs[record.base if missed is None else node]
     if missed is None and (is_new or options.backup == MAX):
@@ -348,7 +349,7 @@ def _evaluate(model, tree, codes, scratch, options, missed, node, is_new, state)
 
 
 @part
-def _back_up(tree, n, to_max, node, length, value):  # type: ignore[no-untyped-def]
+def _back_up(tree, n, to_max, node, length, value, inverse_root):  # type: ignore[no-untyped-def]
     """Adds a return to the statistics of all nodes on the path up to the root.
 
     With MAX, a node's value is the value of its best action. The value of *explain* is its reward
@@ -358,18 +359,19 @@ def _back_up(tree, n, to_max, node, length, value):  # type: ignore[no-untyped-d
     """
     moved = 0.0
     if node != END:
-        record = tree.nodes[node]
+        record = tree.nodes[uint64(node)]
         moved = record.visits * (value - record.value)
         record.value = value
         record.visits += 1
     for i in range(length - 1, -1, -1):
-        move = tree.path[i]
-        record, edge = tree.nodes[move.node], tree.edges[move.edge]
+        move = tree.path[uint64(i)]
+        record, edge = tree.nodes[uint64(move.node)], tree.edges[uint64(move.edge)]
         if move.action == n:
             value = record.reward + move.later * value
         else:
             value = move.later * value - move.paid
         edge.visits += 1
+        edge.inverse_root = inverse_root[uint64(edge.visits)]
         before = edge.value
         if edge.visits == 1 or (to_max and move.action < n):
             edge.value = value
@@ -467,6 +469,7 @@ def _open_node(model, tree, scratch, missed, node):  # type: ignore[no-untyped-d
     for e in range(np.int64(record.edges), tree.used[EDGES]):
         edge = tree.edges[e]
         edge.value = -np.inf
+        edge.inverse_root = 0.0
         edge.visits = 0
         edge.child = UNVISITED
     reward = 0.0
