@@ -68,12 +68,13 @@ def test_episodes_that_results_share_are_those_that_each_would_have_made(tmp_pat
     other = a_prepared()
     wrong = [replace(case.learned, p=1 - case.learned.p) for case in other.cases]
     cases = zip(other.cases, wrong, strict=True)
-    other = replace(other, cases=tuple(replace(case, learned=table) for case, table in cases))
+    learned = (replace(case, learned=table, everything=table) for case, table in cases)
+    other = replace(other, cases=tuple(learned))
     for number, (solver, prepared) in enumerate(
         [(QMDP(), a_prepared()), (QHR(), a_prepared()), (QMDP(), other)]
     ):
         own = replace(EXPERIMENT, solver=solver)
-        cache = replace(kept, config={**kept.config, "solver": repr(solver)})
+        cache = replace(kept, config={**kept.config, "solver": repr(solver), "points": number})
         _, alone = own.explain_cases(prepared, EpisodeCache(None, {}), SILENT)
         for _ in range(2):
             _, shared = own.explain_cases(prepared, cache, SILENT)
