@@ -31,7 +31,7 @@ test: style
 	$(MAKE) --jobs 2 types tests
 
 tests: $(READY)
-	$(BIN)/python -m pytest -q -m "not browser and not slow" $(SPREAD) $(shell expr $(CORES) + 1)
+	$(BIN)/python -m pytest -q $(SPREAD) $(shell expr $(CORES) + 1)
 
 test-docs: $(READY)
 	$(BIN)/python -m pytest -q -m slow tests/test_docs.py tests/test_examples.py
@@ -52,7 +52,7 @@ newest: WHICH = highest
 oldest newest:
 	uv venv --clear --python $(PYTHON) build/$@
 	uv pip install --python build/$@ --resolution $(WHICH) --editable ".[test,gym,docs]"
-	NUMBA_CACHE_DIR=$(CURDIR)/build/$@/numba build/$@/bin/python -m pytest -q -m "not browser and not slow" $(SPREAD) $(CORES)
+	NUMBA_CACHE_DIR=$(CURDIR)/build/$@/numba build/$@/bin/python -m pytest -q $(SPREAD) $(CORES)
 
 # Interrupted, it goes on where it was; another SEED is another sample.
 EACH ?= 8

@@ -59,6 +59,12 @@ def pytest_sessionfinish() -> None:
     processes.kill_all()
 
 
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    if config.getoption("markexpr") == "not slow and not browser":
+        words = "left out: what is slow (make test-slow) or needs a browser (make browser-test)"
+        terminalreporter.write_line(words)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes(config: pytest.Config, specs: list[object]) -> None:
     """Prints a line, because the terminal would otherwise show nothing for a while."""

@@ -118,7 +118,7 @@ def noticed(mutant: Mutant, copy: Path, scratch: Path) -> str:
     if "njit" in source:  # numba does not see edits of what a compiled function calls
         kernels = Path(tempfile.mkdtemp(dir=scratch))
     environment = os.environ | {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(kernels)}
-    command = [sys.executable, "-B", "-m", "pytest", "-qx", "-m", "not slow and not browser"]
+    command = [sys.executable, "-B", "-m", "pytest", "-qx"]
     path.write_text(mutated, "utf-8")
     try:
         for tests in stages(mutant):
