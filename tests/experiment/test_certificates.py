@@ -171,11 +171,9 @@ def test_a_trace_that_comes_again_counts_again():
 
 
 def test_the_error_is_the_spread_of_the_value_over_seeds_also_where_traces_come_again():
-    """Six copies of a trace are simulated once and have the same error: they give no additional
-    information."""
     first, second = PREPARED.cases[::-1]
-    prepared = with_cases(PREPARED, *[first] * 6, second)
-    effort = {"traces": 7, "beliefs": 0, "episodes": 30, "nodes": 1}
+    prepared = with_cases(PREPARED, first, first, second)
+    effort = {"traces": 3, "beliefs": 0, "episodes": 30, "nodes": 1}
     found = [found_for(QMDP(), prepared, seed, **effort) for seed in range(60)]
     spread = np.std([each["policy_value"] for each in found], ddof=1)
     said = np.sqrt(np.mean([each["policy_value_se"] ** 2 for each in found]))

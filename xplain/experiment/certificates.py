@@ -2,7 +2,6 @@
 policy, and the value of knowing the type (all under the learned model)."""
 
 import logging
-from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated
@@ -78,46 +77,32 @@ class Certify:
         (docs/method.md, section 7), or the belief update does not assume independent labels. The
         bounds always assume them, and such a policy decides by another belief.
 
-        Traces with the same problem are simulated once, so their sampling errors are equal. A trace
-        whose certificate would need more memory than allowed has no certificate.
+        A trace whose certificate would need more memory than allowed has no certificate.
         """
-        times: Counter[tuple[bytes, bytes]] = Counter()
-        found: dict[tuple[bytes, bytes], dict[str, float] | None] = {}
-        cases = prepared.cases[: self.traces]
-        tracked = progress.track(enumerate(cases), "certificates", len(cases))
-        for index, case in tracked:
+        rows, cases = [], prepared.cases[: self.traces]
+        for index, case in progress.track(enumerate(cases), "certificates", len(cases)):
             problem = problem_of_types(prepared, case, costs, belief_update)
             own = problem_for(prepared, case, costs, solver, belief_update, 0)
-            key = _make_key(problem), _make_key(own)
-            if key not in found:
-                found[key] = None
-                try:
-                    enclosing, row = self._compute_bounds(problem, progress)
-                    if belief_update.fresh_labels and solver.knows not in ("type", "labels"):
-                        own_seed = trace_seed(seed, index)
-                        row |= self._evaluate_policy(
-                            enclosing, problem, own, solver, own_seed, progress
-                        )
-                    found[key] = row
-                except TooLargeError as error:
-                    log.warning("no certificate of trace %d: %s", index, error)
-            times[key] += 1
-        rows = [row for row in found.values() if row is not None]
+            try:
+                found, row = self._compute_bounds(problem, progress)
+                if belief_update.fresh_labels and solver.knows not in ("type", "labels"):
+                    own_seed = trace_seed(seed, index)
+                    row |= self._evaluate_policy(found, problem, own, solver, own_seed, progress)
+                rows.append(row)
+            except TooLargeError as error:
+                log.warning("no certificate of trace %d: %s", index, error)
         if not rows:
             return {}
-        certified = [times[key] for key, row in found.items() if row is not None]
-        traces = sum(certified)
-        shares = np.array(certified) / traces
-        means = {name: float(shares @ [row[name] for row in rows]) for name in rows[0]}
+        means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
         if "policy_value_se" in means:
-            errors = shares * [row["policy_value_se"] for row in rows]
-            means["policy_value_se"] = float(np.linalg.norm(errors))
+            errors = [row["policy_value_se"] for row in rows]
+            means["policy_value_se"] = float(np.linalg.norm(errors)) / len(rows)
             margin = half_width(means["policy_value_se"], self.episodes - 1)
             means["policy_value_low"] = means["policy_value"] - margin
             means["policy_value_high"] = means["policy_value"] + margin
         if not belief_update.fresh_labels:
             means["fresh_labels"] = 0.0
-        return means | {"traces": float(traces)}
+        return means | {"traces": float(len(rows))}
 
     def _compute_bounds(
         self, problem: Problem, progress: Progress
@@ -162,7 +147,3 @@ class Certify:
             "price_of_approximation_low": low,
             "price_of_approximation_high": high,
         }
-
-
-def _make_key(problem: Problem) -> bytes:
-    return problem.table.relevant.tobytes() + problem.table.p.tobytes()
