@@ -171,10 +171,10 @@ class TestFirstAndRest(TypeFinderConformance):
 
 def test_its_types_are_what_agents_know(tmp_path: Any) -> None:
     dataset, _ = made(np.random.default_rng(0), [[0], [1]])
-    known = find_types(Observations(dataset), LabelerTrainer(), FirstAndRest(), 0)
-    assert known.names == ("a", "b")
-    assert known.shares == pytest.approx([1 / 6, 5 / 6])
-    tables = known.tables(dataset.features, np.zeros((10, 3), np.int64))
+    known, tables_of = find_types(Observations(dataset), LabelerTrainer(), FirstAndRest(), 0)
+    assert known.learned_types == ("a", "b")
+    assert known.type_shares == pytest.approx([1 / 6, 5 / 6])
+    tables = tables_of(dataset.features, np.zeros((10, 3), np.int64))
     assert tables.learned.array(4)[:, 0, 0b111] == pytest.approx([0.4, 0.55])
     assert tables.perfect is None  # nobody knows the setting
     assert predict_held_out(dataset, FirstAndRest(), LabelerTrainer(), 0).types < 0

@@ -21,14 +21,12 @@ from xplain.errors import Count, DomainError, InputError, Range, checks
 from xplain.experiment.asking import CaseQuestions, Clips, belief_questions, merge_questions
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Pool
-from xplain.explanation.belief import OPEN
-from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.explainees import Explainee
 from xplain.learning.data.observers import Observations, Observers
 from xplain.learning.data.queries import Queries, sample_trace
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.types import TablesOf
+from xplain.learning.types import KnownTypes, TablesOf, TraceTables
 from xplain.learning.user_types import TypeFinder, find_types
 from xplain.randomness import MOST, stream
 
@@ -58,22 +56,15 @@ class Components:
     ask: Pool | None = None
 
 
-@dataclass(frozen=True)
-class Case:
+@dataclass(frozen=True, kw_only=True)
+class Case(TraceTables):
     """One trace, with its labels by every labeler and by every true type.
 
     Attributes:
         transitions: [m, 3].
         phrases: m short descriptions.
         positions: m + 1 cells (row, column) of the robot; empty without a map.
-        learned: P(label is 1) for each of the N learned types, by their labelers.
-        everyone: P(label is 1) by the baseline's labeler, which is learned from all observers'
-            labels together; None if this labeler tests too many messages on this trace.
-        perfect: P(label is 1) for each of the M true types, by labelers that are learned from the
-            labels of the observers of this type; None if the observers' true types are unknown, or
-            a type has no observer.
         labels: true labels of each of the M true types.
-        everything: P(label is 1) for a type that believes every fact incorrectly; None if unknown.
         changes: effects of each transition, as short phrases; empty if the domain describes none.
         questions: the questions that may be asked; None for no questions.
     """
@@ -81,18 +72,14 @@ class Case:
     transitions: NDArray[np.int64]
     phrases: tuple[str, ...]
     positions: tuple[tuple[int, int], ...]
-    learned: LabelTable
-    everyone: LabelTable | None
-    perfect: LabelTable | None
     labels: LabelTable
-    everything: LabelTable | None = None
     changes: tuple[tuple[str, ...], ...] = ()
     questions: CaseQuestions | None = None
 
 
-@dataclass(frozen=True)
-class PreparedData:
-    """All data before a solver and λ are chosen.
+@dataclass(frozen=True, kw_only=True)
+class PreparedData(KnownTypes):
+    """All data before a solver and λ are chosen: the types that agents know, and the traces.
 
     Attributes:
         domain: name of the domain.
@@ -100,18 +87,8 @@ class PreparedData:
         sentences: n sentences, the text of each message.
         types: M names of the true types.
         distinct: [M] a number for each true type; types with the same number behave alike.
-        learned_types: N names.
-        matched_true_type: [N] for each learned type, the number in ``distinct`` that most of its
-            observers have; −1 if unknown.
-        type_shares: [N] each learned type's share of the observers.
-        learning: figures of the learning stage, by name.
-        curve: disagreements with k = 1, 2, … types; empty if the method computes none.
-        rule: the rule that chose the number of types.
         scene: the map, if there is one.
         cases: one for each trace.
-        habits: people's error model, learned from the observers' answers; None if unknown.
-        wrong: [N, n] P(a user of a learned type believes a fact incorrectly); None if unknown.
-        new: P(a user has none of the learned types).
     """
 
     domain: str
@@ -119,17 +96,8 @@ class PreparedData:
     sentences: tuple[str, ...]
     types: tuple[str, ...]
     distinct: NDArray[np.int64]
-    learned_types: tuple[str, ...]
-    matched_true_type: NDArray[np.int64]
-    type_shares: NDArray[np.float64]
-    learning: dict[str, float]
-    curve: NDArray[np.float64]
-    rule: str
     scene: Scene | None
     cases: tuple[Case, ...]
-    habits: Habits | None = None
-    wrong: NDArray[np.float64] | None = None
-    new: float = OPEN
 
 
 def prepare(components: Components, progress: Progress = SILENT) -> PreparedData:
@@ -143,34 +111,26 @@ def prepare(components: Components, progress: Progress = SILENT) -> PreparedData
     observed = observe(domain, components.users, components.observers, components.queries, seed)
     setting = observed.setting
     assert setting is not None
-    known = find_types(observed, components.labeler, components.clusterer, seed)
+    known, tables = find_types(observed, components.labeler, components.clusterer, seed)
     traces = progress.track(range(components.traces), "labelling traces", components.traces)
     pool = components.ask
-    clips = Clips.of(setting, known.tables, pool) if pool and "clips" in pool.kinds else None
+    clips = Clips.of(setting, tables, pool) if pool and "clips" in pool.kinds else None
     beliefs = None
     if pool and "beliefs" in pool.kinds:
         beliefs = belief_questions(setting, known.wrong, seed)
     return PreparedData(
+        **vars(known),
         domain=domain.name,
         messages=setting.message_names,
         sentences=tuple(parameter.message for parameter in domain.parameters),
         types=tuple(user_type.name for user_type in setting.types),
         distinct=setting.distinct,
-        learned_types=known.names,
-        matched_true_type=known.matched_true_type,
-        type_shares=known.shares,
-        learning=known.figures,
-        curve=known.curve,
-        rule=known.rule,
         scene=domain.scene,
-        habits=known.habits,
-        wrong=known.wrong,
-        new=known.new,
         cases=tuple(
             build_case(
                 setting,
                 draw_trace(setting, components.max_steps, seed, index),
-                known.tables,
+                tables,
                 clips,
                 beliefs,
                 pool.clips if pool else 0,
@@ -237,7 +197,7 @@ def build_case(
         questions=merge_questions(asked, most),
         changes=changes,
         labels=labels,
-        **tables(features, transitions)._asdict(),
+        **vars(tables(features, transitions)),
     )
 
 

@@ -18,7 +18,7 @@ from xplain.learning.answers import AnswerModel
 from xplain.learning.data.dataset import Dataset, inputs, make_labelled_inputs, query_index
 from xplain.learning.data.observers import Observations
 from xplain.learning.evidence import Evidence
-from xplain.learning.types import Clustering, KnownTypes
+from xplain.learning.types import Clustering, KnownTypes, TablesOf
 from xplain.randomness import derive_seed, stream
 
 MOST_LOOKED_AT = 16
@@ -221,8 +221,9 @@ class LabelerTrainer:
         default, the trainer itself."""
         return self
 
-    def types_of(self, observed: Observations) -> KnownTypes | None:
-        """Returns the types that are known without labels; None if labels are needed.
+    def types_of(self, observed: Observations) -> tuple[KnownTypes, TablesOf] | None:
+        """Returns the types that are known without labels, and the function that labels a trace;
+        None if labels are needed.
 
         Raises:
             InputError: the types of these observers are unknown.

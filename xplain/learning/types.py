@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -75,7 +75,8 @@ class Clustering:
         return np.flatnonzero(self.assignment == cluster)
 
 
-class TraceTables(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class TraceTables:
     """The label tables of a trace's m transitions.
 
     Attributes:
@@ -104,33 +105,32 @@ def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:
 
 
 TablesOf = Callable[[NDArray[np.float64], NDArray[np.int64]], TraceTables]
+"""Makes the tables of a trace from the features [m, F] of its transitions [m, 3]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class KnownTypes:
-    """The user types that agents know.
+    """The N user types that agents know.
 
     Attributes:
-        names: N names.
-        matched_true_type: [N] the true type that each type represents, as the number of the true
-            type in ``Setting.distinct``; −1 if unknown.
-        shares: [N] shares of the observers.
-        figures: measures of the learning stage, by name.
-        curve: disagreements for k = 1 …; empty if there are none.
+        learned_types: N names.
+        matched_true_type: [N] the true type that each type represents, as the number in
+            ``Setting.distinct`` that most of its observers have; −1 if unknown.
+        type_shares: [N] each type's share of the observers.
+        learning: figures of the learning stage, by name.
+        curve: disagreements with k = 1, 2, … types; empty if the method computes none.
         rule: the rule that chose the number of types.
-        tables: makes the tables of a trace from the features [m, F] of its transitions [m, 3].
-        habits: people's error model, learned from their answers.
+        habits: people's error model, learned from the observers' answers; None if unknown.
         wrong: [N, n] P(a user of the type believes a fact incorrectly); None if unknown.
         new: P(a user has none of the types).
     """
 
-    names: tuple[str, ...]
+    learned_types: tuple[str, ...]
     matched_true_type: NDArray[np.int64]
-    shares: NDArray[np.float64]
-    figures: dict[str, float]
+    type_shares: NDArray[np.float64]
+    learning: dict[str, float]
     curve: NDArray[np.float64]
     rule: str
-    tables: TablesOf
     habits: Habits | None = None
     wrong: NDArray[np.float64] | None = None
     new: float = OPEN

@@ -1,7 +1,7 @@
 """Finds user types: the type of each observer, one labeler for each type, and what agents know
 about users (docs/method.md, section 4).
 
-    Observed ── find_types ── KnownTypes (label tables of any trace)
+    Observed ── find_types ── KnownTypes, label tables of any trace
 
 A component ``clusterer`` is a *type finder*, with one method::
 
@@ -34,7 +34,13 @@ from xplain.learning.data.observers import Observations
 from xplain.learning.evidence import Evidence
 from xplain.learning.labelers import Labeler, LabelerTrainer, fresh_accuracy
 from xplain.learning.landing import AcceptanceModel, learn_landing
-from xplain.learning.types import Clustering, KnownTypes, TraceTables, unless_too_large
+from xplain.learning.types import (
+    Clustering,
+    KnownTypes,
+    TablesOf,
+    TraceTables,
+    unless_too_large,
+)
 
 log = logging.getLogger(__name__)
 
@@ -263,9 +269,10 @@ def learn_types(
 
 def find_types(
     observed: Observations, trainer: LabelerTrainer, finder: TypeFinder, seed: int
-) -> KnownTypes:
+) -> tuple[KnownTypes, TablesOf]:
     """Finds the user types that agents know, with a labeler for each: the types that the trainer
-    knows, or otherwise the types that the finder finds in the labels.
+    knows, or otherwise the types that the finder finds in the labels. Returns the types, and the
+    function that labels a trace.
 
     Args:
         observed: labels with their setting.
@@ -299,18 +306,18 @@ def find_types(
     clustering, wrong = types.clustering, [labeler.wrong for labeler in types.labelers]
     known = [own for own in wrong if own is not None]
     curve = np.zeros(0) if clustering.curve is None else clustering.curve
-    return KnownTypes(
-        names=types.names,
+    found = KnownTypes(
+        learned_types=types.names,
         matched_true_type=_match_true_types(observed, types),
-        shares=clustering.shares,
-        figures=_measure_types(observed, types, everyone, perfect, trainer, seed),
+        type_shares=clustering.shares,
+        learning=_measure_types(observed, types, everyone, perfect, trainer, seed),
         curve=np.asarray(curve, dtype=float),
         rule=clustering.rule,
-        tables=tables,
         habits=types.habits,
         wrong=np.stack(known) if len(known) == len(wrong) else None,
         new=clustering.new,
     )
+    return found, tables
 
 
 def learn_perfect(
@@ -437,9 +444,9 @@ class TrueLabels(LabelerTrainer):
         """Takes no options."""
         super().__init__()
 
-    def types_of(self, observed: Observations) -> KnownTypes:
-        """Returns the true types with their true labels. The labeler for all observers predicts the
-        share of observers whose type gives label 1.
+    def types_of(self, observed: Observations) -> tuple[KnownTypes, TablesOf]:
+        """Returns the true types, and the function that labels a trace with their true labels. The
+        labeler for all observers predicts the share of observers whose type gives label 1.
 
         Raises:
             InputError: the observers' types are unknown, as with real people.
@@ -454,19 +461,19 @@ class TrueLabels(LabelerTrainer):
             labels = setting.true_labels(transitions)
             everybody = unless_too_large(lambda: labels.mix_types(shares))
             wrong = None if everything is None else everything.true_labels(transitions)
-            return TraceTables(labels, everybody, labels, wrong)
+            return TraceTables(learned=labels, everyone=everybody, perfect=labels, everything=wrong)
 
         count = float(len(np.unique(setting.distinct)))
-        return KnownTypes(
-            names=tuple(user_type.name for user_type in setting.types),
+        known = KnownTypes(
+            learned_types=tuple(user_type.name for user_type in setting.types),
             matched_true_type=setting.distinct,
-            shares=shares,
-            figures={"types_found": count, "true_types": count},
+            type_shares=shares,
+            learning={"types_found": count, "true_types": count},
             curve=np.zeros(0),
             rule="truth",
-            tables=tables,
             wrong=setting.wrong,
         )
+        return known, tables
 
     def fit(self, *_: Any, **__: Any) -> NoReturn:
         """Raises InputError: labelers are fitted to data alone, without a setting."""
