@@ -14,7 +14,7 @@ from tests.report import handmade
 from xplain.domains.base import transition_features
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
-from xplain.experiment.asking import CaseQuestions, belief_questions, merge_questions
+from xplain.experiment.asking import CaseQuestions, belief_questions
 from xplain.experiment.explanations import (
     evaluate,
     problem_of_types,
@@ -265,7 +265,6 @@ def test_clips_and_beliefs_are_one_list_with_one_cap() -> None:
     assert len(both.texts) == len(clips.texts) + (both.facts >= 0).sum()
     assert (both.transitions[both.facts < 0] == clips.transitions).all()
     assert len(questions(*TWO, "ask=both", "ask.clips=7").texts) == 7
-    assert merge_questions([], 5) is None
 
 
 @pytest.mark.parametrize("kind", ["clips", "beliefs", "both"])

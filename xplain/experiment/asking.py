@@ -1,12 +1,12 @@
 """The questions that may be asked while a trace is explained: clips of the task, and beliefs about
 its facts.
 
-Setting ── Clips, beliefs ── CaseQuestions (one for each trace)
+Setting ── clips, beliefs ── CaseQuestions (one for each trace)
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,50 +98,60 @@ class CaseQuestions:
         return Questions(table, limits, self.shows, self.texts, self.right)
 
 
-@dataclass(frozen=True)
-class Clips:
-    """Every transition that the robot can make, as a possible question.
+QuestionsOf = Callable[[NDArray[np.float64], NDArray[np.int64]], CaseQuestions]
+"""Selects the questions of a trace from the features [m, F] of its transitions [m, 3]."""
 
-    Attributes:
-        most: maximum number of clips for a trace.
-        every: a question about each transition, independent of traces.
-        features: [T, F] features of the transitions.
+
+def prepare_questions(
+    setting: Setting,
+    tables: TablesOf,
+    pool: Pool,
+    wrong: NDArray[np.float64] | None,
+    seed: int,
+) -> QuestionsOf:
+    """Returns the function that selects the questions of a trace: questions about beliefs, and then
+    the clips nearest to the trace (:func:`~xplain.explanation.asking.alike_first`).
+
+    Args:
+        setting, wrong, seed: as in :func:`belief_questions`.
+        tables: computes the labels of clips by all labelers; called once for all transitions.
+        pool: the kinds of questions, and the maximum number for a trace.
     """
+    clips = clip_questions(setting, tables) if "clips" in pool.kinds else None
+    beliefs = belief_questions(setting, wrong, seed) if "beliefs" in pool.kinds else None
+    every = transition_features(setting.domain, setting.reachable)
 
-    most: int
-    every: CaseQuestions
-    features: NDArray[np.float64]
+    def select(features: NDArray[np.float64], transitions: NDArray[np.int64]) -> CaseQuestions:
+        parts = []
+        if beliefs is not None:  # these questions show no step
+            shows = np.zeros((len(beliefs.facts), len(transitions)), np.bool_)
+            parts.append(replace(beliefs, shows=shows))
+        if clips is not None:
+            order = nearest_first(every, features)
+            alike = alike_first(clips.learned.of_steps(order.tolist()), pool.clips)
+            near = clips.take(order[alike])
+            shows = (near.transitions[:, None] == transitions).all(axis=-1)
+            parts.append(replace(near, shows=shows))
+        return merge_questions(parts, pool.clips)
 
-    @classmethod
-    def of(cls, setting: Setting, tables: TablesOf, pool: Pool) -> Clips:
-        """Makes the clips, and calls the labelers once for each transition."""
-        transitions, none = setting.reachable, np.full(len(setting.reachable), -1)
-        features = transition_features(setting.domain, transitions)
-        asked = tables(features, transitions)
-        every = CaseQuestions(
-            transitions=transitions,
-            facts=none,
-            learned=asked.learned,
-            labels=setting.true_labels(transitions),
-            shows=np.zeros((len(transitions), 0), np.bool_),
-            texts=tuple(setting.domain.describe(one) for one in transitions),
-            right=none,
-            everything=asked.everything,
-        )
-        return cls(pool.clips, every, features)
+    return select
 
-    def near(self, features: NDArray[np.float64], transitions: NDArray[np.int64]) -> CaseQuestions:
-        """Selects the clips for one trace: at most ``most``, the nearest first
-        (:func:`~xplain.explanation.asking.alike_first`).
 
-        Args:
-            features: [m, F] features of the trace's transitions.
-            transitions: [m, 3] the trace.
-        """
-        order = nearest_first(self.features, features)
-        alike = alike_first(self.every.learned.of_steps(order.tolist()), self.most)
-        chosen = self.every.take(order[alike])
-        return replace(chosen, shows=(chosen.transitions[:, None] == transitions).all(axis=-1))
+def clip_questions(setting: Setting, tables: TablesOf) -> CaseQuestions:
+    """Makes a question about each transition that the robot can make. The questions are independent
+    of traces: ``shows`` is [Q, 0]."""
+    transitions, none = setting.reachable, np.full(len(setting.reachable), -1)
+    asked = tables(transition_features(setting.domain, transitions), transitions)
+    return CaseQuestions(
+        transitions=transitions,
+        facts=none,
+        learned=asked.learned,
+        labels=setting.true_labels(transitions),
+        shows=np.zeros((len(transitions), 0), np.bool_),
+        texts=tuple(setting.domain.describe(one) for one in transitions),
+        right=none,
+        everything=asked.everything,
+    )
 
 
 def belief_questions(
@@ -208,19 +218,14 @@ def _make_belief_table(wrong: NDArray[np.float64], facts: Sequence[int]) -> Labe
     return LabelTable.join_types(rows, tables)
 
 
-def merge_questions(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:
+def merge_questions(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions:
     """Merges lists of questions, and selects at most ``most`` of them
     (:func:`~xplain.explanation.asking.alike_first`).
 
     Args:
         parts: lists of questions; in each list, the questions nearest to the trace come first.
         most: maximum number of questions.
-
-    Returns:
-        The selected questions; None if ``parts`` is empty.
     """
-    if not parts:
-        return None
     whole = parts[0]
     for part in parts[1:]:
         whole = CaseQuestions(

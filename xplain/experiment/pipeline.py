@@ -18,7 +18,7 @@ from xplain.domains.base import Domain, Scene, changes_of, transition_features
 from xplain.domains.users.setting import Setting, UserType
 from xplain.domains.users.types import TypeSource
 from xplain.errors import Count, DomainError, InputError, Range, checks
-from xplain.experiment.asking import CaseQuestions, Clips, belief_questions, merge_questions
+from xplain.experiment.asking import CaseQuestions, QuestionsOf, prepare_questions
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Pool
 from xplain.explanation.label_table import LabelTable
@@ -114,10 +114,9 @@ def prepare(components: Components, progress: Progress = SILENT) -> PreparedData
     known, tables = find_types(observed, components.labeler, components.clusterer, seed)
     traces = progress.track(range(components.traces), "labelling traces", components.traces)
     pool = components.ask
-    clips = Clips.of(setting, tables, pool) if pool and "clips" in pool.kinds else None
-    beliefs = None
-    if pool and "beliefs" in pool.kinds:
-        beliefs = belief_questions(setting, known.wrong, seed)
+    ask = None
+    if pool is not None:
+        ask = prepare_questions(setting, tables, pool, known.wrong, seed)
     return PreparedData(
         **vars(known),
         domain=domain.name,
@@ -131,9 +130,7 @@ def prepare(components: Components, progress: Progress = SILENT) -> PreparedData
                 setting,
                 draw_trace(setting, components.max_steps, seed, index),
                 tables,
-                clips,
-                beliefs,
-                pool.clips if pool else 0,
+                ask,
             )
             for index in traces
         ),
@@ -165,9 +162,7 @@ def build_case(
     setting: Setting,
     transitions: NDArray[np.int64],
     tables: TablesOf,
-    clips: Clips | None = None,
-    beliefs: CaseQuestions | None = None,
-    most: int = 0,
+    ask: QuestionsOf | None = None,
 ) -> Case:
     """Collects all data about one trace.
 
@@ -175,28 +170,19 @@ def build_case(
         setting: has the true types.
         transitions: [m, 3] the trace.
         tables: computes labels by all labelers.
-        clips: possible clips; None for no clips.
-        beliefs: possible questions about beliefs; None for no such questions.
-        most: maximum number of questions.
+        ask: selects the questions that may be asked; None for no questions.
     """
     domain = setting.domain
     features = transition_features(domain, transitions)
-    changes, labels = changes_of(domain, transitions), setting.true_labels(transitions)
-    asked = []
-    if beliefs is not None:  # these questions show no step
-        shows = np.zeros((len(beliefs.facts), len(transitions)), np.bool_)
-        asked.append(replace(beliefs, shows=shows))
-    if clips is not None:
-        asked.append(clips.near(features, transitions))
     states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
     cells = [domain.position(state) for state in states]
     return Case(
         transitions=transitions,
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
-        questions=merge_questions(asked, most),
-        changes=changes,
-        labels=labels,
+        questions=ask and ask(features, transitions),
+        changes=changes_of(domain, transitions),
+        labels=setting.true_labels(transitions),
         **vars(tables(features, transitions)),
     )
 
