@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib import request
 
 import numpy as np
 
@@ -29,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.people.server_process import ServerProcess
 from xplain.experiment.config import compose_config
-from xplain.people.bots import Browser, Page, Researcher, Visitor
+from xplain.people.bots import Bot, Browser, Page, Researcher
 from xplain.people.collect.bot import Habits as Answers
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
@@ -43,6 +44,24 @@ from xplain.people.study.prepare import study_plan
 Times = list[float]
 
 
+class TimedHandler(request.HTTPHandler):
+    """Sends requests, and records the seconds until the reply and the status of each."""
+
+    handler_order = 400
+    """Less than that of the default handler, so this handler is used."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.timings: list[tuple[float, int]] = []
+
+    def http_open(self, req: request.Request) -> http.client.HTTPResponse:
+        """Sends one request."""
+        start = time.perf_counter()
+        reply = super().http_open(req)
+        self.timings.append((time.perf_counter() - start, reply.status))
+        return reply
+
+
 class Participant(threading.Thread):
     """A participant who enters, thinks and answers, loads the page's files, and sends the reports
     of a page with scripts."""
@@ -50,14 +69,15 @@ class Participant(threading.Thread):
     def __init__(
         self,
         url: str,
-        person: Visitor,
+        person: Bot[Any, Any],
         invitation: str,
         number: int,
         wait: float,
         think: tuple[float, float],
     ) -> None:
         super().__init__(daemon=True)
-        self.browser = Browser(url, patience=0)
+        self.browser, self.timed = Browser(url, patience=0), TimedHandler()
+        self.browser.client.add_handler(self.timed)
         self.person = person
         self.rng = np.random.default_rng([number, 1])
         self.invitation, self.wait, self.think = invitation, wait, think
@@ -71,8 +91,6 @@ class Participant(threading.Thread):
             self._take_part()
         except (OSError, http.client.HTTPException, AssertionError, KeyError) as error:
             self.error = f"{type(error).__name__}: {error}"
-        finally:
-            self.browser.session.close()
 
     def _take_part(self) -> None:
         _, html = self._request_page("GET", f"/?invitation={self.invitation}", [])
@@ -101,8 +119,7 @@ class Participant(threading.Thread):
     def _send_report(self, page: Page, number: int) -> None:
         items = [{"n": number, "kind": "visible", "ms": 5.0, "at": 5.0, "what": page.stage}]
         body = {"token": page.hidden["token"], "tab": "0123456789abcdef", "items": items}
-        reply = self.browser.session.post(f"{self.browser.url}/events", json.dumps(body))
-        assert reply.ok, f"{reply.status_code} for a report"
+        self.browser.client.open(f"{self.browser.url}/events", json.dumps(body).encode()).close()
 
 
 def percentiles(times: Times) -> str:
@@ -137,7 +154,7 @@ class Slow(threading.Thread):
             one.close()
 
 
-def study() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
+def study() -> tuple[Flow[Any, Any], Callable[[int], Bot[Any, Any]]]:
     """Makes the shipped study and its people."""
     small = ["seed=0", "observers.points=150", "trace.candidates=40"]
     plan = study_plan(compose_config("study", small))
@@ -146,7 +163,7 @@ def study() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
     return Study.of(plan), lambda number: StudyBot(plan, habits, rng(number))
 
 
-def collect() -> tuple[Flow[Any, Any], Callable[[int], Visitor]]:
+def collect() -> tuple[Flow[Any, Any], Callable[[int], Bot[Any, Any]]]:
     """Makes a collection about rescue with adaptive questions, and its people."""
     plan = collect_plan(compose_config("collect", ["rules.people=6"]))
     habits = Answers(error=0.05, mistake=0)
@@ -188,9 +205,9 @@ def measure(command: str, people: int, think: tuple[float, float], ramp: float, 
             took, after = time.perf_counter() - start, stolen()
             beside.ended.set()
     pages = [t for one in crowd for t in one.pages]
-    requests = [t for one in crowd for t, _ in one.browser.timings]
+    requests = [t for one in crowd for t, _ in one.timed.timings]
     errors = [one.error for one in crowd if one.error]
-    errors += [str(s) for one in crowd for _, s in one.browser.timings if s >= 400]
+    errors += [str(s) for one in crowd for _, s in one.timed.timings if s >= 400]
     print(
         f"{command}: {people} participants at once, thinking {think[0]:g} to {think[1]:g} s, "
         f"{took:.0f} s{f', beside {slow} slow connections' if slow else ''}"

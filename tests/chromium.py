@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from xplain.errors import InputError
-from xplain.people.bots import Page, Visitor, walk
+from xplain.people.bots import Bot, Page, walk
 from xplain.people.flow import Fields
 
 FLAGS = (
@@ -133,8 +133,7 @@ def log_in_and_invite(driver: Driver, key: str, shown: str) -> None:
 
 def take_part(
     driver: Driver,
-    person: Visitor,
-    think: Callable[[float], None] = lambda seconds: None,
+    person: Bot[Any, Any],
     look: Callable[[Page], None] = lambda page: None,
 ) -> str:
     """Takes part from the page after :func:`go_in` to the end, by
@@ -142,6 +141,11 @@ def take_part(
 
     def answered(page: Page, fields: Fields) -> Page:
         answer(driver, page, fields)
-        return Page.of_html(driver.page_source)
+        return opened()
 
-    return walk(Page.of_html(driver.page_source), answered, person, think, look)
+    def opened() -> Page:
+        page = Page.of_html(driver.page_source)
+        look(page)
+        return page
+
+    return walk(opened(), answered, person)

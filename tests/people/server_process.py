@@ -104,15 +104,16 @@ def serving(database: Path, flow: Flow[Any, Any], *overrides: str) -> ServerProc
 
 
 @contextmanager
-def running(app: Any) -> Iterator[str]:
+def running(app: Any, **settings: Any) -> Iterator[str]:
     """Serves an application in a thread of this process; yields its address."""
-    server = uvicorn.Server(uvicorn.Config(app, port=(port := free_port()), log_level="error"))
+    port = free_port()
+    server = uvicorn.Server(uvicorn.Config(app, port=port, log_level="error", **settings))
     thread = Thread(target=server.run)
     thread.start()
     while not server.started:
         time.sleep(0.01)
     try:
-        yield f"http://127.0.0.1:{port}"
+        yield f"http{'s' if settings else ''}://127.0.0.1:{port}"
     finally:
         server.should_exit = True
         thread.join()

@@ -35,7 +35,7 @@ from tests.people.server_process import ROOT, running, serving
 from tests.people.street import ASKING, SCREENS, bot_of, flow_of
 from tests.people.visitors import GENEROUS, Opened, differences, query
 from xplain.experiment.config import compose_config
-from xplain.people.bots import Page, Researcher, Visitor
+from xplain.people.bots import Bot, Page, Researcher
 from xplain.people.server import Keys
 from xplain.people.store import Store
 from xplain.people.study.flow import Study
@@ -158,7 +158,9 @@ for (const selector of arguments[0]) {
 SIZES = (1920, 1080), (1280, 800), (390, 844)
 
 
-def scrolled(driver: Driver, person: Visitor, look: Callable[[Page], None]) -> dict[int, float]:
+def scrolled(
+    driver: Driver, person: Bot[Any, Any], look: Callable[[Page], None]
+) -> dict[int, float]:
     """Pixels that a participant scrolls in the evaluation, by the window's width: to every answer
     that they click, and to the button, no further than they have to. Every page is looked at."""
     total = {width: 0.0 for width, _ in SIZES}

@@ -2,6 +2,7 @@
 with simulated people, from labels to a study whose policies know only the types found in them."""
 
 import re
+import subprocess
 import threading
 import time
 import zipfile
@@ -71,6 +72,24 @@ def test_bots_take_part_and_the_data_goes_all_the_way(
     assert (people["stage"] == "done").sum() >= 6
 
 
+def test_bots_trust_the_labs_own_authority(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They use https with a certificate that SSL_CERT_FILE names, and no proxy."""
+    files = {"ssl_keyfile": f"{tmp_path}/key.pem", "ssl_certfile": f"{tmp_path}/lab.pem"}
+    made = ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=lab", "-addext"]
+    made += ["subjectAltName=IP:127.0.0.1", "-keyout", files["ssl_keyfile"]]
+    subprocess.run(["openssl", *made, "-out", files["ssl_certfile"]], check=True)
+    monkeypatch.setenv("https_proxy", "http://127.0.0.1:1")
+    key = Keys(store.secret).researcher
+    with running(create_app(store, GENEROUS), **files) as url:
+        with pytest.raises(InputError, match="certificate verify failed"):
+            Researcher(url, key)
+        monkeypatch.setenv("SSL_CERT_FILE", files["ssl_certfile"])
+        (invitation,) = Researcher(url, key).invite(1)
+        assert visit(Browser(url), bot_of(store.flow, 0), invitation) == "done"
+
+
 @dataclass
 class Careful(Browser):
     """The browser of a participant, which records every answer that the server acknowledged."""
@@ -78,8 +97,8 @@ class Careful(Browser):
     patience: float = 90.0
     acknowledged: list[int] = field(default_factory=list)
 
-    def send(self, method: str, path: str, fields: Fields | None = None) -> tuple[int, str]:
-        status, html = super().send(method, path, fields)
+    def post(self, path: str, fields: Fields | None) -> tuple[int, str]:
+        status, html = super().post(path, fields)
         if path == "/study":
             self.acknowledged.append(int(dict(fields or ())["sequence"]))
         return status, html

@@ -58,7 +58,7 @@ def test_a_flow_knows_no_web_no_store_no_configuration() -> None:
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
-    outer = {"fastapi", "starlette", "sqlite3", "hydra", "omegaconf", "uvicorn", "requests", "lxml"}
+    outer = {"fastapi", "starlette", "sqlite3", "hydra", "omegaconf", "uvicorn", "http.client"}
     assert not outer & set(done.stdout.split())
 
 

@@ -140,9 +140,8 @@ class Visitor(Browser):
         """A new browser of the same application."""
         return Visitor(Client(self.client.app))
 
-    def send(
-        self, method: str, path: str, fields: list[tuple[str, str]] | None = None
-    ) -> tuple[int, str]:
+    def post(self, path: str, fields: list[tuple[str, str]] | None) -> tuple[int, str]:
+        method = "GET" if fields is None else "POST"
         reply = self.client.open(path, method=method, data=fields, follow_redirects=True)
         return reply.status_code, reply.text
 

@@ -229,8 +229,6 @@ def bots(
     as ``--error 0.05`` (share of wrong answers) and ``--lapse 0`` (share of pages that are answered
     without reading).
     """
-    from requests import RequestException
-
     from xplain.people.bots import Refusal, Researcher, crowd
 
     own = import_module(f"xplain.people.{name}.bot")
@@ -245,7 +243,7 @@ def bots(
         person = partial(own.bot, researcher.plan(flow(name).PLAN), habits, seed)
         stages = crowd(researcher, count, at_once, pace, person)
         archive = researcher.archive() if save else b""
-    except (RequestException, ConnectionError, TimeoutError) as error:
+    except OSError as error:
         raise XplainError(f"--url={url}: the server does not answer ({error})") from None
     except Refusal as error:
         status, stage = error.args

@@ -49,7 +49,7 @@ group."""
 RESUME = ("missing", "failed", "none")
 """The jobs of a sweep that run: unfinished jobs, failed jobs, or all jobs again."""
 
-OF_PEOPLE = ("fastapi", "itsdangerous", "jwt", "lxml", "pydantic", "requests", "uvicorn")
+OF_PEOPLE = ("fastapi", "itsdangerous", "jwt", "pydantic", "uvicorn")
 """Modules of the extra ``people``."""
 
 NO_PACKAGE = (

@@ -6,8 +6,10 @@ server's export, so the server may run anywhere.
 
 from __future__ import annotations
 
+import html
 import io
 import re
+import ssl
 import time
 import zipfile
 from collections import Counter
@@ -15,12 +17,15 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import Any, Generic, Protocol, TypeVar
+from http.client import HTTPException
+from http.cookiejar import CookieJar, DefaultCookiePolicy
+from typing import Any, Generic, TypeVar
+from urllib import request
+from urllib.error import HTTPError
+from urllib.parse import urlencode
 
-import lxml.html
 import numpy as np
-import requests
-from requests.cookies import RequestsCookieJar
+from markupsafe import Markup
 
 from xplain.errors import InputError, Probability
 from xplain.people.flow import Fields
@@ -30,13 +35,14 @@ from xplain.randomness import below
 
 WIDTH = {"width": "1280"}
 """Window width that a client without scripts reports."""
+_INPUT = re.compile(r"<input ([^>]*)>([^<]*)")
+_ATTRIBUTE = re.compile(r'([\w-]+)="([^"]*)"')
+_UNREAD = re.compile(r'<svg.*?</svg>|<span class="tag">.*?</span>', re.DOTALL)
+"""Letters in pictures, and the tags of new messages."""
 
 
-def _select_class(tag: str, name: str) -> str:
-    return f"//{tag}[contains(concat(' ', normalize-space(@class), ' '), ' {name} ')]"
-
-
-_LEAVING = f"[not(ancestor::{_select_class('details', 'leave')[2:]})]"
+def _read_text(content: str) -> str:
+    return Markup(_UNREAD.sub("", content)).striptags()
 
 
 @dataclass(frozen=True)
@@ -50,7 +56,6 @@ class Page:
         fields: radio buttons and checkboxes by name; each has (value, text) pairs.
         steps: the transitions that a clip shows.
         hidden: the hidden fields of the form.
-        headings: texts of h1.
     """
 
     stage: str
@@ -60,142 +65,115 @@ class Page:
     fields: Mapping[str, Sequence[tuple[Any, str]]] = field(default_factory=dict)
     steps: Sequence[int] = ()
     hidden: Mapping[str, str] = field(default_factory=dict)
-    headings: Sequence[str] = ()
 
     @classmethod
-    def of_html(cls, html: str) -> Page:
-        """Reads a page from its HTML."""
-        tree = lxml.html.document_fromstring(html)
-        fields: dict[str, list[tuple[str, str]]] = {}
-        for one in tree.xpath(f"//input[@type='radio' or @type='checkbox']{_LEAVING}"):
-            said = _read_text(one.getparent())
-            fields.setdefault(one.get("name"), []).append((one.get("value"), said))
-        hidden = {
-            one.get("name"): one.get("value") or WIDTH.get(one.get("name"), "")
-            for one in tree.xpath(f"//input[@type='hidden']{_LEAVING}")
-        }
-        message = _select_class("div", "message")
+    def of_html(cls, text: str) -> Page:
+        """Reads the main part of a page from its HTML. The templates of this package wrote the
+        page, so patterns suffice."""
+        main = text.partition("<main ")[2].partition("</main>")[0]
+        fields, hidden = dict[str, list[tuple[str, str]]](), dict[str, str]()
+        for tag, after in _INPUT.findall(main):
+            about = {name: html.unescape(value) for name, value in _ATTRIBUTE.findall(tag)}
+            name, value = about["name"], about.get("value", "")
+            if about.get("type") in ("radio", "checkbox"):
+                fields.setdefault(name, []).append((value, _read_text(after)))
+            elif about.get("type") == "hidden":
+                hidden[name] = value or WIDTH.get(name, "")
+        facts = re.findall(r'<ul class="[^"]*\bfacts">(.*?)</ul>', main, re.DOTALL)
+        messages = re.findall(r'<div class="message( new)?">(.*?)</div>', main, re.DOTALL)
         return cls(
-            stage=tree.find("body").get("data-stage", ""),
-            facts=[_read_text(one) for one in tree.xpath(_select_class("ul", "facts") + "/li")],
-            messages=[_read_text(one) for one in tree.xpath(message)],
-            new=[
-                _read_text(one) for one in tree.xpath(message) if "new" in one.get("class").split()
-            ],
+            stage="".join(re.findall(r'<body [^>]*data-stage="(\w+)"', text)),
+            facts=[*map(_read_text, re.findall("<li.*?</li>", "".join(facts), re.DOTALL))],
+            messages=[_read_text(said) for _, said in messages],
+            new=[_read_text(said) for new, said in messages if new],
             fields=fields,
-            steps=[int(step) for step in tree.xpath("//*[not(self::body)]/@data-step") if step],
+            steps=[int(step) for step in re.findall(r'data-step="(\d+)"', main)],
             hidden=hidden,
-            headings=[_read_text(one) for one in tree.iter("h1")],
         )
 
 
-def _read_text(element: Any) -> str:
-    """Reads the text of an element, without "new" tags and without letters in a picture."""
-    said = element.xpath(".//text()[not(parent::span[@class='tag'] or ancestor::svg)]")
-    return " ".join("".join(said).split())
-
-
-class Visitor(Protocol):
-    """A simulated person."""
-
-    def leaves(self, page: Page) -> bool:
-        """True if the person drops out at this page."""
-        ...
-
-    def fill(self, page: Page) -> tuple[Fields, float]:
-        """Fills in a page. Returns the fields and the time that it took, in seconds."""
-        ...
-
-
-class Cookies(RequestsCookieJar):
-    """A cookie jar that keeps https cookies also over http, for servers behind an https proxy."""
-
-    def set_cookie(self, cookie: Any, *args: Any, **kwargs: Any) -> Any:
-        """Stores the cookie for any protocol."""
-        cookie.secure = False
-        return super().set_cookie(cookie, *args, **kwargs)
-
-
-def new_session() -> requests.Session:
-    """Makes a session that ignores the proxies of the environment."""
-    session = requests.Session()
-    session.trust_env, session.cookies = False, Cookies()
-    return session
+def make_client() -> request.OpenerDirector:
+    """Makes an HTTP client with cookies. It ignores the proxies of the environment, and trusts the
+    certificate authorities of the system, or those in the file SSL_CERT_FILE. It sends cookies of
+    https also over http, to servers behind an https proxy."""
+    cookies = CookieJar(DefaultCookiePolicy(secure_protocols=("http", "https")))
+    secure = request.HTTPSHandler(context=ssl.create_default_context())
+    return request.build_opener(
+        request.ProxyHandler({}), secure, request.HTTPCookieProcessor(cookies)
+    )
 
 
 @dataclass
 class Browser:
-    """An HTTP client that tries again while the server is unavailable.
+    """A browser without scripts that tries again while the server is unavailable.
 
     Attributes:
         url: address of the server.
         patience: seconds to try.
-        timings: (seconds, status) of every request.
-        session: holds the cookies.
+        client: sends the requests and keeps the cookies.
     """
 
     url: str
     patience: float = 30.0
-    timings: list[tuple[float, int]] = field(default_factory=list)
-    session: requests.Session = field(default_factory=new_session)
+    client: request.OpenerDirector = field(default_factory=make_client)
 
     def get(self, path: str) -> tuple[int, str]:
-        """Requests a page and follows redirects."""
-        return self.send("GET", path)
+        """Requests a page and follows redirects. Returns its status and text, as :meth:`post`."""
+        return self.post(path, None)
 
-    def post(self, path: str, fields: Fields) -> tuple[int, str]:
-        """Sends a form and follows redirects."""
-        return self.send("POST", path, fields)
-
-    def send(self, method: str, path: str, fields: Fields | None = None) -> tuple[int, str]:
-        """Returns status and text of the last response.
+    def post(self, path: str, fields: Fields | None) -> tuple[int, str]:
+        """Sends a form, or requests a page if ``fields`` is None, and follows redirects.
 
         Raises:
-            OSError: the server was unavailable for longer than ``patience``.
+            ConnectionError: the server was unavailable for longer than ``patience``.
         """
         until = time.monotonic() + self.patience
         while True:
             late = time.monotonic() > until
             try:
-                reply = self.session.request(method, self.url + path, data=fields, timeout=20)
-            except requests.RequestException:
+                status, content = self.send(path, fields)
+            except (OSError, HTTPException) as error:
                 if late:
-                    raise
+                    raise ConnectionError(str(error)) from None
             else:
-                for one in (*reply.history, reply):
-                    self.timings.append((one.elapsed.total_seconds(), one.status_code))
-                if late or reply.status_code not in (429, 500, 502):
-                    return reply.status_code, reply.text
+                if late or status not in (429, 500, 502):
+                    return status, content.decode()
             time.sleep(0.2)
+
+    def send(self, path: str, fields: Fields | None = None) -> tuple[int, bytes]:
+        """Sends one request, and returns the status and content of the last reply."""
+        data = None if fields is None else urlencode(fields).encode()
+        try:
+            reply = self.client.open(self.url + path, data, timeout=60)
+        except HTTPError as error:
+            reply = error
+        with reply:
+            return reply.status, reply.read()
 
 
 def walk(
     page: Page,
     answer: Callable[[Page, Fields], Page],
-    person: Visitor,
+    person: Bot[Any, Any],
     think: Callable[[float], None] = lambda seconds: None,
-    look: Callable[[Page], None] = lambda page: None,
 ) -> str:
     """Answers all pages from an open page to the end of the flow.
 
     Args:
         page: the open page.
         answer: sends the fields of a page and returns the next page.
-        person: the visitor who answers.
+        person: the simulated person who answers.
         think: is called before each answer, with the seconds that a person would take.
-        look: is called with every page.
 
     Returns:
         The last stage, or "left" after a drop-out.
     """
-    look(page)
     while page.hidden:
         if person.leaves(page):
             return "left"
         fields, seconds = person.fill(page)
         think(seconds)
         page = answer(page, fields)
-        look(page)
     return page.stage
 
 
@@ -206,7 +184,7 @@ class Refusal(Exception):
 
 def visit(
     browser: Browser,
-    person: Visitor,
+    person: Bot[Any, Any],
     invitation: str,
     think: Callable[[float], None] = lambda seconds: None,
 ) -> str:
@@ -214,7 +192,7 @@ def visit(
 
     Raises:
         Refusal: an answer was not accepted.
-        OSError: the server was unavailable for longer than the browser's ``patience``.
+        ConnectionError: the server was unavailable for longer than the browser's ``patience``.
     """
 
     def send(path: str, page: Page, stage: str, fields: Fields) -> Page:
@@ -226,10 +204,9 @@ def visit(
     def answer(page: Page, fields: Fields) -> Page:
         return send("/study", page, page.stage, fields)
 
-    with browser.session:
-        page = Page.of_html(browser.get(f"/?invitation={invitation}")[1])
-        page = send("/enter", page, "entrance", [("invitation", invitation)])
-        return walk(page, answer, person, think)
+    page = Page.of_html(browser.get(f"/?invitation={invitation}")[1])
+    page = send("/enter", page, "entrance", [("invitation", invitation)])
+    return walk(page, answer, person, think)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,7 +302,7 @@ class Researcher:
         self.browser = Browser(url, patience=2)
         try:
             status, html = self.browser.post("/researcher/login", [("key", key)])
-        except OSError as error:
+        except ConnectionError as error:
             raise InputError("--url", url, f"a running study server ({error})") from None
         if status != 200:
             raise InputError("--key", key, "the researcher's key, which the server prints")
@@ -344,8 +321,7 @@ class Researcher:
 
     def archive(self) -> bytes:
         """Downloads the export, as a ZIP archive."""
-        url = f"{self.browser.url}/researcher/export"
-        return self.browser.session.post(url, data={"token": self.token}, timeout=60).content
+        return self.browser.send("/researcher/export", [("token", self.token)])[1]
 
     def plan(self, kind: type[Plan]) -> Plan:
         """Reads the plan in the server's export."""
@@ -358,7 +334,7 @@ def crowd(
     count: int,
     at_once: int,
     pace: float,
-    person_of: Callable[[int], Visitor],
+    person_of: Callable[[int], Bot[Any, Any]],
 ) -> Counter[str]:
     """Runs simulated people. Returns the number that ended at each stage.
 

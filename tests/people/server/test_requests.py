@@ -1,10 +1,10 @@
 """Checks of every request: signatures, limits, headers, errors that are pages; forms with valid,
 nearly valid and invalid fields."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
-import lxml.html
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -198,11 +198,10 @@ def test_a_refused_form_keeps_what_was_filled_in(opened: Opened) -> None:
     own = {"age": "12.0", "story": "A long <story>.", "often": "often"}
     fields = [(f"answer_{name}", value) for name, value in own.items()]
     status, html, _ = visitor.answer(page, *fields)
-    tree = lxml.html.document_fromstring(html)
     assert status == 400
-    assert tree.xpath("//input[@name='answer_age']/@value") == ["12.0"]
-    assert tree.xpath("string(//textarea)") == "A long <story>."
-    assert tree.xpath("//input[@checked]/@value") == ["often"]
+    assert 'name="answer_age" value="12.0"' in html
+    assert re.findall(">(.*)</textarea>", html) == ["A long &lt;story&gt;."]
+    assert re.findall('value="([^"]*)"[^>]* checked', html) == ["often"]
 
 
 def test_questions_that_cannot_be_asked_are_refused() -> None:
