@@ -183,9 +183,10 @@ window.scrollTo(0, 0);
 const bottom = one => one.getBoundingClientRect().bottom;
 const seen = [...document.querySelectorAll('.newest, .steps li, main form button')];
 const news = [...document.querySelectorAll('.message.new')];
-const end = document.querySelector('.slots');
+const end = document.querySelector('.said');
 const hidden = end ? news.map(one => bottom(one) - bottom(end)) : [];
-return [Math.max(...seen.map(bottom)), Math.max(0, ...hidden)];
+const spare = end ? bottom(end) - Math.max(...[...end.children].map(bottom)) : 0;
+return [Math.max(...seen.map(bottom)), Math.max(0, ...hidden), spare];
 """
 
 
@@ -194,9 +195,10 @@ def out_of_sight(driver: Driver) -> tuple[float, float]:
     laptop, and there at 200 % zoom; and the part of the new messages that one sees only after
     scrolling, on the phone and with zoom."""
     below, cut_off = -np.inf, 0.0
-    for width, height in ((390, 844), (1280, 800), (640, 400)):
+    for width, height in ((390, 844), (1280, 720), (640, 360)):
         resize(driver, width, height)
-        bottom, hidden = driver.execute_script(BELOW)
+        bottom, hidden, spare = driver.execute_script(BELOW)
+        assert spare <= 1  # there is no room for messages that were not given
         below = max(below, bottom - height)
         cut_off = max(cut_off, hidden if width < 1280 else 0)
     driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

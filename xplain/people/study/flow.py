@@ -96,8 +96,7 @@ class TrainingStage(Practice["Study", StudyState]):
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """Shows the example's action: in the first part of the practice without its message, in
         the second part with the message."""
-        slots = len(flow.plan.facts)
-        return {"training": flow.plan.training, "part": state.part, "slots": slots}
+        return {"training": flow.plan.training, "part": state.part}
 
 
 class Eligibility(Stage["Study", StudyState]):
