@@ -254,6 +254,7 @@ def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> F
     labels["panel"] = clustering.assignment[dataset.observer]
     one = labels.melt(["panel", "label"], var_name="x", value_name="given")
     shares = one.pivot_table("label", ["panel", "x"], "given", sort=False)
+    shares = shares.reindex(columns=[False, True])  # a message may be in all answers, or in none
     gain = 100 * (shares[True] - shares[False])
     points = gain.rename("mean").reset_index().assign(line="").sort_values("panel", kind="stable")
     points["panel"] = points["panel"].map(dict(enumerate(names)))
