@@ -133,7 +133,7 @@ CONFIG: dict[str, Any] = {
         "conformant": {"_target_": "xplain.solvers.greedy.Conformant"},
     },
     "belief": {"_target_": "xplain.explanation.belief.Independent"},
-    "rules": {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True},
+    "rules": {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30},
     "briefing": "assigned",
     "before": [],
     "questions": [

@@ -42,7 +42,6 @@ OF_FILES = ("hydra.searchpath", "types", "key")
         ("study", ["server.entry=[anybody]"], "server.entry.0='anybody'"),
         ("study", ["database=broken.sqlite"], "not a study's database"),
         ("study", ["rules.per_cell=0"], "rules.per_cell=0"),
-        ("study", ["trace.start=[99,99]"], "trace.start=[99, 99]"),
         ("study", ["trace.candidates=0"], "trace.candidates=0"),
         ("study export", ["nothing.sqlite", "out"], "nothing.sqlite"),
         ("study replay", ["nothing.sqlite"], "nothing.sqlite"),

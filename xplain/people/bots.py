@@ -33,8 +33,6 @@ from xplain.people.log import Plan
 from xplain.people.plan import LabQuestion
 from xplain.randomness import below
 
-WIDTH = {"width": "1280"}
-"""Window width that a client without scripts reports."""
 _INPUT = re.compile(r"<input ([^>]*)>([^<]*)")
 _ATTRIBUTE = re.compile(r'([\w-]+)="([^"]*)"')
 _UNREAD = re.compile(r'<svg.*?</svg>|<span class="tag">.*?</span>', re.DOTALL)
@@ -78,7 +76,7 @@ class Page:
             if about.get("type") in ("radio", "checkbox"):
                 fields.setdefault(name, []).append((value, _read_text(after)))
             elif about.get("type") == "hidden":
-                hidden[name] = value or WIDTH.get(name, "")
+                hidden[name] = value
         facts = re.findall(r'<ul class="[^"]*\bfacts">(.*?)</ul>', main, re.DOTALL)
         messages = re.findall(r'<div class="message( new)?">(.*?)</div>', main, re.DOTALL)
         return cls(

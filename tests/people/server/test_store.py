@@ -157,7 +157,7 @@ def test_who_sets_the_clock_times_nobody_out(opened: Opened, study: Study) -> No
 
 
 def test_cells_are_balanced_in_spite_of_drop_outs(opened: Opened, time: SimpleNamespace) -> None:
-    rules = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
+    rules = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30}
     store, stages = opened(street_study(rules=rules), clock_of(time)), Counter[str]()
     for number in range(400):
         if stages["done"] == 12:

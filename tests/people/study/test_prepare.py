@@ -86,7 +86,7 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(opened: Opened) ->
 
 def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
     setting = setting_of("domain=four_rooms", "users.count=3")
-    rules = {"start": None, "rows": [], "candidates": 80, "min_steps": 1}
+    rules = {"rows": [], "candidates": 80, "min_steps": 1}
     ranked = traces_of(Material.of(setting), rules, 40, 0)
     facts = [
         sum(

@@ -207,7 +207,6 @@ class ExplanationFlow(Flow[StudyPlan, StudyState]):
         again = [messages[j] for j in last if state.new >> j & 1 and state.heard.count(j) > 1]
         return {
             "briefing": self.role(state).briefing,
-            "recall": self.plan.rules.recall,
             "old": old,
             "new": new,
             "again": again,

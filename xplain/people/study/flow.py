@@ -298,9 +298,6 @@ class Study(ExplanationFlow):
         Raises:
             Refused: the browser window is too narrow.
         """
-        width, least = payload.get("width"), self.plan.rules.min_width
-        if least and (not isinstance(width, int) or width < least):
-            raise Refused(self.words["too_narrow"].format(width=least))
         orders = {name: tuple(order) for name, order in payload["orders"].items()}
         place = {key: payload[key] for key in ("position", "user_type", "condition")}
         return place | {"orders": orders}

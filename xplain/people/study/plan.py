@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import Count, Positive, Whole, checks
+from xplain.errors import Count, Positive, checks
 from xplain.explanation.asking import Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -90,15 +90,11 @@ class StudyRules:
         timeout_minutes: minutes without activity after which another participant can have the
             place.
         max_attempts: maximum number of eligibility tests.
-        recall: True if the briefing can be opened again during the evaluation.
-        min_width: minimum width of the browser window, in CSS pixels; 0 admits phones.
     """
 
     per_cell: Count
     timeout_minutes: Positive
     max_attempts: Count
-    recall: bool
-    min_width: Whole = 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -343,9 +343,8 @@ def traces_of(
     Args:
         material: the task: a domain, or a lab's table of transitions.
         rules: how traces are found (``trace`` in conf/study.yaml). In a domain, ``candidates``
-            random traces begin at the map's cell ``start`` (None: at any start). In a table,
-            ``rows`` lists the traces, each as a list of rows, counted from 1. ``min_steps`` is the
-            minimum length.
+            random traces are drawn. In a table, ``rows`` lists the traces, each as a list of rows,
+            counted from 1. ``min_steps`` is the minimum length.
         max_steps: maximum length; a longer trace is cut after this step.
         seed: seed of the random traces.
 
@@ -386,18 +385,12 @@ def _draw_traces(
 ) -> list[Transitions]:
     setting = material.setting
     assert setting is not None, "drawn from a domain"
-    starts = setting.domain.starts
     if rules["rows"]:
         raise InputError("trace.rows", rules["rows"], "only with transitions=TABLE")
-    if rules["start"] is not None:
-        cell = tuple(rules["start"])
-        starts = np.array([s for s in starts if setting.domain.position(int(s)) == cell], np.int64)
-        if not len(starts):
-            raise InputError("trace.start", list(cell), "a cell where traces start")
     found = []
     for index in range(whole_number("trace.candidates", rules["candidates"], 1)):
         rng = stream(seed, "trace", index)
-        steps = sample_trace(setting.models[0], starts, rng, max_steps)
+        steps = sample_trace(setting.models[0], setting.domain.starts, rng, max_steps)
         found.append(material.rows_of(steps))
     return found
 

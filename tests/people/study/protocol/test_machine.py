@@ -237,7 +237,6 @@ def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) 
 
 CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["red", "blue"]}
 RATING = {"name": "robots", "label": "I know robots", "kind": "scale", "low": 1, "high": 7}
-RULES = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
 
 
 def agreed(study: Study, **more: object) -> StudyState:
@@ -258,15 +257,6 @@ def test_a_missed_attention_check_ends_the_part_before_it_begins() -> None:
     for blue, stage in (("blue", "briefing"), ("red", "screened_out")):
         answers = {"blue": blue, "robots": "7"}
         assert study.advance(state, "screening", answers).stage == stage
-
-
-def test_a_plan_may_refuse_narrow_windows() -> None:
-    study = street_study(rules=RULES | {"min_width": 900})
-    for width in (None, 390, 899, "1280"):
-        with pytest.raises(Refused, match="900 pixels"):
-            agreed(study, width=width)
-    assert agreed(study, width=900).stage == "briefing"
-    assert agreed(street_study(), width=390).stage == "briefing"
 
 
 def test_who_cannot_tell_is_told_as_if_nothing_was_answered() -> None:
