@@ -82,7 +82,7 @@ S = TypeVar("S", bound=State)
 
 
 class Conflict(Refused):
-    """The answer is to a page that is not open, or is a second, different answer to a page."""
+    """The answer is to a page or question that is not open, or is a second, different answer."""
 
 
 class Full(Refused):

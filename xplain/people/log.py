@@ -86,6 +86,10 @@ class Clock:
     boot: str = field(default_factory=boot_id)
 
 
+class Unknown(Exception):
+    """The participant, the talk, the invitation or the key does not exist."""
+
+
 class Log(Generic[S]):
     """The events of one file and the state that they describe. Safe to call from several threads.
 

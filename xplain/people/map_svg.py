@@ -102,12 +102,16 @@ def _make_badges(ended: Sequence[Cell]) -> list[tuple[Cell, str]]:
     Returns:
         Pairs (cell, text).
     """
-    found = []
-    for cell in dict.fromkeys(ended):
-        shown = [str(number) for number, one in enumerate(ended, 1) if one == cell]
-        text = "·".join(shown)
-        while len(text) > BADGE_LETTERS:
-            shown = shown[1:]
-            text = "··" + "·".join(shown)
-        found.append((cell, text))
-    return found
+    texts = {
+        cell: "·".join(str(number) for number, one in enumerate(ended, 1) if one == cell)
+        for cell in dict.fromkeys(ended)
+    }
+    return [
+        (
+            cell,
+            text
+            if len(text) <= BADGE_LETTERS
+            else f"··{text[1 - BADGE_LETTERS :].partition('·')[2]}",
+        )
+        for cell, text in texts.items()
+    ]

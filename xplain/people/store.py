@@ -13,16 +13,12 @@ from typing import Any
 from xplain.errors import InputError, Refused, XplainError, one_of
 from xplain.people.export import find_differences
 from xplain.people.flow import STREAMS, Conflict, Flow, Participant, People, State
-from xplain.people.log import OVERWRITTEN, Clock, Log, letters
+from xplain.people.log import OVERWRITTEN, Clock, Log, Unknown, letters
 
 MAX_TAB_EVENTS = 5000
 """Maximum number of stored page events of a participant; a study page makes a few dozen."""
 LATEST = 8
 """Number of participants whose events are replayed at a start: enough to detect changed code."""
-
-
-class Unknown(Exception):
-    """The participant, the invitation or the key does not exist."""
 
 
 class DataErased(Exception):

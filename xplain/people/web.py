@@ -20,9 +20,10 @@ from starlette.exceptions import HTTPException
 from xplain.errors import Refused
 from xplain.people.desk import desk
 from xplain.people.flow import Conflict, Full, Participant, State
+from xplain.people.log import Unknown
 from xplain.people.server import LOOPBACK, Server
 from xplain.people.site import VISITOR, Site, Visit, Visiting
-from xplain.people.store import DataErased, Store, Unknown
+from xplain.people.store import DataErased, Store
 
 MAX_ITEMS = 50
 """Maximum number of events in a page's report."""

@@ -20,9 +20,9 @@ from tests.people.visitors import (
 )
 from xplain.errors import Refused
 from xplain.people.bots import Page
-from xplain.people.log import Clock
+from xplain.people.log import Clock, Unknown
 from xplain.people.server import Keys
-from xplain.people.store import Store, Unknown
+from xplain.people.store import Store
 from xplain.people.study.flow import Study
 from xplain.runs.labels import sentences_of
 

@@ -21,8 +21,8 @@ from tests.people.street import bot_of, street_study
 from tests.people.visitors import Opened, agreed, consent, differences, query
 from xplain.errors import InputError, Refused, XplainError
 from xplain.people.flow import Conflict, Full
-from xplain.people.log import read_plan
-from xplain.people.store import MAX_TAB_EVENTS, Clock, DataErased, Store, Unknown
+from xplain.people.log import Unknown, read_plan
+from xplain.people.store import MAX_TAB_EVENTS, Clock, DataErased, Store
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan

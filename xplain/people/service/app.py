@@ -22,7 +22,9 @@ from starlette.exceptions import HTTPException
 
 from xplain import __version__
 from xplain.errors import XplainError
-from xplain.people.service.talks import Conflict, Talks, Unknown
+from xplain.people.flow import Conflict
+from xplain.people.log import Unknown
+from xplain.people.service.talks import Talks
 
 LARGEST = 1 << 20
 """Maximum bytes of a request."""

@@ -16,8 +16,8 @@ from typing import Any
 from xplain.explanation.asking import Question
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.label_file import columns_of
-from xplain.people.flow import Event, State
-from xplain.people.log import Log
+from xplain.people.flow import Conflict, Event, State
+from xplain.people.log import Log, Unknown
 from xplain.people.service.served import ServedTask
 from xplain.randomness import derive_seed
 
@@ -25,14 +25,6 @@ Json = dict[str, Any]
 MOST_OPEN = 2000
 """Maximum number of talks in memory; others are restored from their events."""
 OWN = "participant = ? AND source = 'protocol'"
-
-
-class Unknown(Exception):
-    """The talk does not exist."""
-
-
-class Conflict(Exception):
-    """The request contradicts an earlier request, or another request must come next."""
 
 
 class ExplanationTalk:
