@@ -33,6 +33,8 @@ from xplain.people.log import Plan
 from xplain.people.plan import LabQuestion
 from xplain.randomness import below
 
+WIDTH = {"width": "1280"}
+"""Width of a bot's window, in CSS pixels, for the consent's field that a browser's script fills."""
 _INPUT = re.compile(r"<input ([^>]*)>([^<]*)")
 _ATTRIBUTE = re.compile(r'([\w-]+)="([^"]*)"')
 _UNREAD = re.compile(r'<svg.*?</svg>|<span class="tag">.*?</span>', re.DOTALL)
@@ -76,7 +78,7 @@ class Page:
             if about.get("type") in ("radio", "checkbox"):
                 fields.setdefault(name, []).append((value, _read_text(after)))
             elif about.get("type") == "hidden":
-                hidden[name] = value
+                hidden[name] = value or WIDTH.get(name, "")
         facts = re.findall(r'<ul class="[^"]*\bfacts">(.*?)</ul>', main, re.DOTALL)
         messages = re.findall(r'<div class="message( new)?">(.*?)</div>', main, re.DOTALL)
         return cls(
