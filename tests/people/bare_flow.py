@@ -24,8 +24,8 @@ def page_of(view: Mapping[str, Any]) -> Page:
     """Makes the content that simulated people read from the view of a page."""
     stage, new, fields = view["stage"], view.get("new", ()), dict[str, Any]()
     told = view.get("told", [*view.get("old", ()), *new])
-    if stage == "training" and view["part"]:
-        told = [view["training"].message]
+    if stage == "practice" and view["part"]:
+        told = [view["example"].message]
     elif stage == "evaluation":
         fields = {f"label_{i}": [] for i in range(view["step"] + 1)}
     elif stage == "quiz":
@@ -53,8 +53,7 @@ def take_part(study: Study, person: StudyBot, user_type: int, condition: str) ->
     role = study.plan.roles[user_type]
     orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}
     place = {"position": None, "user_type": user_type, "condition": condition}
-    consent = place | {"orders": orders, "width": 9999}
-    state = study.after(StudyState(), **study.read_consent(consent))
+    state = study.after(StudyState(), **place, orders=orders)
     return walk(study, person, replace(state, stage="briefing"))
 
 

@@ -154,7 +154,7 @@ CONFIG: dict[str, Any] = {
         "facts": {},
         "phrases": {},
         "words": english_words(),
-        "training": {"belief": "b", "action": "a", "message": "m"},
+        "example": {"belief": "b", "action": "a", "message": "m"},
         "rewards": {"bridge": "Crossing the bridge"},
         "ahead": None,
         "icons": {"market": "M3 12L12 4L21 12"},

@@ -224,9 +224,9 @@ def test_every_page_is_accessible_in_sight_and_photographed(
         name = page.stage
         if name == "evaluation":
             name += f"-{shown:02d}"
-        elif name == "training":
+        elif name == "practice":
             name += f"-{shown + 1}"
-        if page.stage in ("training", "ahead", "evaluation"):
+        if page.stage in ("practice", "ahead", "evaluation"):
             below, cut_off = out_of_sight(driver)
             assert below <= 0, page
             assert cut_off <= 12 or page.stage != "evaluation", page  # the last one's padding
@@ -260,7 +260,7 @@ def test_every_page_is_accessible_in_sight_and_photographed(
             if not (page := Page.of_html(driver.page_source)).hidden:
                 break
             fields = forgetful.fill(page)[0]
-            if page.stage == "training":
+            if page.stage == "practice":
                 fields = [("label", str(len(page.messages)))]
             if "Some of your answers were different" in driver.page_source:
                 look_at(driver, axe, "briefing-again")

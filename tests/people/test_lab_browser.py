@@ -85,7 +85,7 @@ class Looking:
         for image in images:
             wait(lambda one=image: self.driver.execute_script(loaded, one) == 320)  # type: ignore[misc]
             self.alts.add(str(image.get_attribute("alt")))
-        if page.stage in ("clips", "practice", "training", "ahead", "evaluation"):
+        if page.stage in ("clips", "practice", "ahead", "evaluation"):
             below, _ = out_of_sight(self.driver)
             self.below[page.stage] = max(below, self.below.get(page.stage, 0))
         if count <= 2:

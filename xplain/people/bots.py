@@ -195,18 +195,15 @@ def visit(
         ConnectionError: the server was unavailable for longer than the browser's ``patience``.
     """
 
-    def send(path: str, page: Page, stage: str, fields: Fields) -> Page:
+    def answer(page: Page, fields: Fields) -> Page:
+        path = "/study" if page.stage else "/enter"
         status, html = browser.post(path, [*page.hidden.items(), *fields])
         if status >= 400:
-            raise Refusal(status, stage)
+            raise Refusal(status, page.stage or "entrance")
         return Page.of_html(html)
 
-    def answer(page: Page, fields: Fields) -> Page:
-        return send("/study", page, page.stage, fields)
-
-    page = Page.of_html(browser.get(f"/?invitation={invitation}")[1])
-    page = send("/enter", page, "entrance", [("invitation", invitation)])
-    return walk(page, answer, person, think)
+    entrance = Page.of_html(browser.get(f"/?invitation={invitation}")[1])
+    return walk(answer(entrance, [("invitation", invitation)]), answer, person, think)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,10 +220,9 @@ class BotHabits:
 
 
 H = TypeVar("H", bound=BotHabits)
-P = TypeVar("P")
 
 
-class Bot(Generic[P, H]):
+class Bot(Generic[Plan, H]):
     """One simulated participant, who knows only what the pages say.
 
     The method ``at_<stage>`` answers a stage's page: it returns the fields, or the fields and the
@@ -237,12 +233,18 @@ class Bot(Generic[P, H]):
         plan: has the sentences and the true labels.
         habits: the assumed behaviour.
         rng: random stream.
+
+    Attributes:
+        told: sentences of the briefing so far.
+        known: bitmask of the facts that the participant learned from messages.
     """
 
-    def __init__(self, plan: P, habits: H, rng: np.random.Generator) -> None:
+    def __init__(self, plan: Plan, habits: H, rng: np.random.Generator) -> None:
         self.plan, self.habits, self.rng = plan, habits, rng
         self.streams = cache(partial(below, rng))
         self.corrected: set[tuple[str, int]] = set()
+        self.told: set[str] = set()
+        self.known = 0
 
     def chance(self, probability: float) -> bool:
         """True with this probability."""
@@ -281,13 +283,17 @@ class Bot(Generic[P, H]):
         """Agrees to take part."""
         return [("agree", "1")]
 
+    def at_practice(self, page: Page) -> Fields:
+        """Answers that the step makes sense only if the page gives the message."""
+        return self.practises(page, int(self.plan.example.message in page.messages))
+
     def at_ahead(self, page: Page) -> Fields:
         """Answers that the step makes sense."""
         return self.practises(page, 1)
 
     def at_questions(self, page: Page) -> Fields:
         """Answers only the required questions."""
-        return self.answer_questions(self.plan.asked)  # type: ignore[attr-defined]
+        return self.answer_questions(self.plan.asked)
 
 
 class Researcher:

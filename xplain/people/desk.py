@@ -7,7 +7,6 @@ import secrets
 import shutil
 import tempfile
 from collections import Counter
-from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -44,11 +43,6 @@ def require_login(visit: Visiting) -> Visit:
 Signed = Annotated[Visit, Depends(require_login)]
 
 
-def moment(at: float) -> str:
-    """Formats a time (seconds since 1970)."""
-    return f"{datetime.fromtimestamp(at, UTC):%d %b %H:%M}"
-
-
 @desk.get("")
 def overview(visit: Visiting) -> Response:
     """Shows the overview, or the login form."""
@@ -59,8 +53,6 @@ def overview(visit: Visiting) -> Response:
     people = store.present()
     counted = Counter((one.stream, flow.part(one.state.stage)) for one in people)
     latest = sorted(people, key=lambda one: -one.latest.number)[:MOST_SHOWN]
-    persons = {one.id for one in people if one.stream == "person"}
-    labels = store.events("kind = 'labels' AND source = 'protocol'")
     host = f"{request.scope['scheme']}://{request.headers.get('host', '')}{site.server.path}"
     return visit.page(
         "glance.html",
@@ -68,12 +60,11 @@ def overview(visit: Visiting) -> Response:
         token=site.keys.form(here),
         cells=flow.cells,
         data=flow.DATA,
-        columns=flow.about(flow.STATE(), blinded),
-        people=[(one, flow.about(one.state, blinded)) for one in latest],
+        columns={} if blinded else flow.about(flow.STATE()),
+        people=[(one, {} if blinded else flow.about(one.state)) for one in latest],
         now=store.clock.wall(),
         stages=(*flow.stages, *flow.STATE.ENDS),
         flow=counted,
-        times=[event.wall for event in labels if event.participant in persons],
         streams=[name for name in STREAMS if any(one == name for one, _ in counted)],
         entrance=f"{site.server.address.rstrip('/') or host}/",
         local=(urlsplit(site.server.address).hostname or visit.host) in LOOPBACK,
@@ -81,7 +72,6 @@ def overview(visit: Visiting) -> Response:
         plan_hash=flow.plan.hash,
         paused=store.paused,
         blinded=blinded,
-        moment=moment,
     )
 
 

@@ -12,9 +12,10 @@ flow. After timed_out the participant may return to the earlier stage.
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
+from operator import attrgetter
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 from xplain.errors import Refused
@@ -68,7 +69,6 @@ class State:
         return json.dumps(asdict(self), sort_keys=True)
 
     @classmethod
-    @lru_cache(maxsize=1024)  # a page asks for its state several times
     def from_text(cls, text: str) -> Self:
         """Reads a state from its :attr:`text`, exactly."""
         return decode(cls, json.loads(text))
@@ -165,7 +165,7 @@ class Participant(Generic[S]):
             changes["reported"] = self.reported + 1
         return replace(self, **changes)
 
-    @property
+    @cached_property
     def state(self) -> S:
         """The participant's current state."""
         return self.kind.from_text(self.text)
@@ -196,19 +196,17 @@ class Stage(Generic[F, S]):
     """A page, and the change of state that its answer makes.
 
     Attributes:
-        WITHIN: the stage that contains this stage; "" for a stage of the main order.
         name: name of the stage, its template and its title.
         kind: kind of the event that the stage waits for.
+        needs: returns what a plan has for this stage, such as questions; a plan without it has no
+            such stage.
+        within: the stage that contains this stage; "" for a stage of the main order.
     """
-
-    WITHIN: ClassVar[str] = ""
 
     name: str
     kind: str
-
-    def is_in(self, plan: Any) -> bool:
-        """True if a plan has this stage in its order."""
-        return not self.WITHIN
+    needs: Callable[[Any], Any] = bool
+    within: str = ""
 
     def enter(self, flow: F, state: S) -> S:
         """Returns the state after the stage is entered."""
@@ -255,16 +253,16 @@ class Flow(ABC, Generic[P, S]):
     plan: P
 
     @classmethod
-    @abstractmethod
     def of(cls, plan: P) -> Self:
         """Makes the flow of a plan."""
+        return cls(plan)
 
     # Places --------------------------------------------------------------------------------------
 
     @abstractmethod
     def admit(self, person: Participant[S], people: People) -> dict[str, Any]:
         """Returns values for the consent event that do not follow from the state, such as a type
-        and a condition.
+        and a condition. Values with the name of a field of the state become part of the state.
 
         Args:
             person: the participant who consents.
@@ -276,7 +274,7 @@ class Flow(ABC, Generic[P, S]):
 
     def readmit(self, person: Participant[S], people: People) -> dict[str, Any]:
         """Returns the payload of the event "return", which is stored when a timed-out participant
-        comes back; empty if the flow assigns nothing again.
+        comes back: the fields of the state that change, such as a place.
 
         Args:
             person: the participant who comes back.
@@ -284,17 +282,8 @@ class Flow(ABC, Generic[P, S]):
         """
         return {}
 
-    @abstractmethod
-    def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the changes of the state when a participant agrees to take part.
-
-        Raises:
-            Refused: this participant cannot take part.
-        """
-
     def forget(self) -> None:
         """Clears the caches after an erasure."""
-        State.from_text.cache_clear()
 
     # What a server shows -------------------------------------------------------------------------
 
@@ -313,24 +302,10 @@ class Flow(ABC, Generic[P, S]):
             on the map.
         """
 
-    @property
-    def titles(self) -> dict[str, str]:
-        """Titles of the stages' pages."""
-        return {stage: self.words[stage] for stage in self.stages[:-1]}
-
-    def about(self, state: S, blinded: bool) -> dict[str, str]:
-        """Returns the columns of the researcher's page about a participant.
-
-        Args:
-            state: the participant's state.
-            blinded: True if types and conditions must stay hidden.
-        """
-        step = self.step_of(state)
-        return {"Stage": state.stage.replace("_", " ") + (f", {step}" if step else "")}
-
-    @abstractmethod
-    def step_of(self, state: S) -> str:
-        """Describes the progress within a stage of several pages; "" in other stages."""
+    def about(self, state: S) -> dict[str, str]:
+        """Returns the columns of the researcher's page about a participant that blinded researchers
+        must not see, such as a type."""
+        return {}
 
     def announcement(self) -> str:
         """Describes the plan at the start of the server."""
@@ -346,7 +321,10 @@ class Flow(ABC, Generic[P, S]):
     @property
     def stages(self) -> tuple[str, ...]:
         """Names of the plan's stages, in order; "done" is the last."""
-        return (*(one.name for one in self.STAGES if one.is_in(self.plan)), "done")
+        return (
+            *(one.name for one in self.STAGES if not one.within and one.needs(self.plan)),
+            "done",
+        )
 
     def stage(self, name: str) -> Stage[Any, S] | None:
         """Finds the stage with a name; None for ends."""
@@ -355,7 +333,7 @@ class Flow(ABC, Generic[P, S]):
     def part(self, name: str) -> str:
         """Names the main stage that contains a stage; an end contains itself."""
         here = self.stage(name)
-        return here.WITHIN or name if here else name
+        return here.within or name if here else name
 
     def asking(self, state: S) -> S:
         """Returns the state that an answer refers to: the earlier state if the participant was
@@ -369,9 +347,8 @@ class Flow(ABC, Generic[P, S]):
 
     def after(self, state: S, **changes: Any) -> S:
         """Moves to the plan's next stage."""
-        names, state = [one.name for one in self.STAGES], replace(state, **changes)
-        later = self.STAGES[names.index(state.stage) + 1 :]
-        found = next((one for one in later if one.is_in(self.plan)), None)
+        names, state = self.stages, replace(state, **changes)
+        found = self.stage(names[names.index(state.stage) + 1])
         return found.enter(self, state) if found else state.to(stage="done")
 
     def advance(self, state: S, kind: str, payload: Mapping[str, Any]) -> S:
@@ -382,7 +359,7 @@ class Flow(ABC, Generic[P, S]):
         """
         here = self.stage(state.stage)
         if state.paused and kind == "return":
-            return self.asking(state)
+            return replace(self.asking(state), **payload)
         if kind == "withdraw" and (here or state.paused):
             return state.to(stage="withdrawn", left=None)
         if here is None:
@@ -427,7 +404,8 @@ class Consent(Stage[F, S]):
             raise Refused(flow.words["consent_changed"])
         if not agreed:
             return state.to(stage="declined")
-        return flow.after(state, **flow.read_consent(payload))
+        assigned = payload.keys() & {one.name for one in fields(state)}
+        return flow.after(state, **{key: payload[key] for key in assigned})
 
 
 class Briefing(Stage[F, S]):
@@ -482,6 +460,10 @@ class Practice(OneLabel[F, S]):
     """The same step twice: without the message that explains it (label 0), and with it (label
     1)."""
 
+    def view(self, flow: F, state: S) -> dict[str, Any]:
+        """Shows the example; ``part`` is 1 if the message is given."""
+        return {"part": state.part, "example": flow.plan.example}
+
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """Moves to the other half or the next stage after a right label; stays after a wrong
         label."""
@@ -494,10 +476,6 @@ class Practice(OneLabel[F, S]):
 class LookingAhead(OneLabel[F, S]):
     """A step that looks wrong, but is right because of later steps. The later steps are shown after
     any answer except 1."""
-
-    def is_in(self, plan: Any) -> bool:
-        """True if the task has such a step."""
-        return plan.ahead is not None
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
         """Shows the step, and after a wrong answer the later steps too."""
@@ -516,29 +494,25 @@ class QuestionStage(Stage[F, S]):
     """The lab's own questions.
 
     Attributes:
-        of: name of the plan's field with the questions.
+        needs: returns the plan's questions.
         missed: the end that follows a wrong answer; "" lets the participant continue.
     """
 
-    of: str = "asked"
+    needs: Callable[[Any], Sequence[LabQuestion]] = attrgetter("asked")
     missed: str = ""
-
-    def is_in(self, plan: Any) -> bool:
-        """True if the plan has such questions."""
-        return bool(getattr(plan, self.of))
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
         """Shows the questions."""
-        return {"asked": getattr(flow.plan, self.of)}
+        return {"asked": self.needs(flow.plan)}
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """Reads the answers by name."""
-        asked = getattr(flow.plan, self.of)
+        asked = self.needs(flow.plan)
         return {one.name: one.read(form.get(one.field, "")) for one in asked}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """Checks each answer, and moves on."""
-        asked: Sequence[LabQuestion] = getattr(flow.plan, self.of)
+        asked = self.needs(flow.plan)
         for one in asked:
             if problem := one.problem(payload.get(one.name, ""), flow.words):
                 raise Refused(problem)

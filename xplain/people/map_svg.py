@@ -53,17 +53,15 @@ def picture(plan: Any, path: Path | None, steps: int, gone: Sequence[str] = ()) 
     return Markup(_DRAWN.map(plan.scene, items, made, been, aside, _make_badges(been[1:]), words))
 
 
-def legend(plan: Any, way: bool = False) -> list[tuple[str, Markup]]:
-    """Lists (name, small SVG) pairs for everything on the map and, if ``way`` is True, for the
-    robot's way."""
+def legend(plan: Any) -> list[tuple[str, Markup]]:
+    """Lists (name, small SVG) pairs for everything on the map, and for the robot's way."""
     if plan.scene is None:
         return []
     words = plan.texts.words
     drawn = [(look[0].name, _DRAWN.tile(*look)) for look in _list_looks(plan)]
     if plan.scene.walls:
         drawn.append((words["wall"], _DRAWN.wall_tile()))
-    if way:
-        drawn.append((words["way"], _DRAWN.way_key()))
+    drawn.append((words["way"], _DRAWN.way_key()))
     return [(name, _DRAWN.key(svg)) for name, svg in drawn]
 
 

@@ -35,7 +35,7 @@ from xplain.experiment.from_config import component
 from xplain.experiment.pipeline import observe
 from xplain.explanation.message_sets import indices, mask_of, names_of
 from xplain.learning.saved import LearnedTypes
-from xplain.people.plan import Ahead, Clip, Picture, Texts, Told, Way
+from xplain.people.plan import Ahead, Clip, Example, Picture, Texts, Told, Way
 from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import stream
 
@@ -407,6 +407,7 @@ def make_plan_fields(
         "domain": task.name,
         "facts": reword_parameters(task.facts, wording["facts"], in_words),
         "texts": texts_of(kind, wording, in_words),
+        "example": Example(**wording["example"]),
         "ahead": wording["ahead"]
         and ahead_of(wording["ahead"], scene, lambda phrase: does.format(phrase=in_words(phrase))),
         "scene": scene and name_items(scene, in_words),

@@ -79,6 +79,21 @@ class Ahead:
     way: Way
 
 
+@dataclass(frozen=True)
+class Example:
+    """The practice: an action that is not part of the task.
+
+    Attributes:
+        belief: a sentence under which the action makes no sense.
+        action: the robot's action, as a sentence.
+        message: a sentence under which the action makes sense.
+    """
+
+    belief: str
+    action: str
+    message: str
+
+
 EDIT = "[EDIT"
 """Start of a text that a lab has to fill in."""
 _NUMBER = re.compile(r"([+-]?\d{1,9})([.]0*)?")
@@ -257,6 +272,8 @@ class StoredPlan:
         seed: seed of every draw.
         domain: name of the task.
         texts: texts of the pages.
+        example: the practice.
+        before: the lab's own questions before a briefing.
         asked: the lab's own questions at the end.
         facts: [n] facts, as people read them.
         scene: the map, or None.
@@ -273,6 +290,8 @@ class StoredPlan:
     seed: int
     domain: str
     texts: Texts
+    example: Example
+    before: tuple[LabQuestion, ...] = ()
     asked: tuple[LabQuestion, ...]
     facts: tuple[Parameter, ...]
     scene: Scene | None
@@ -282,25 +301,9 @@ class StoredPlan:
     config: Mapping[str, Any]
 
     @property
-    def changes(self) -> Told:
-        """The effects of each of the shown transitions; empty if there is a map."""
-        changes = tuple(clip.changes for clip in self.shown)
-        return changes if any(changes) else ()
-
-    @property
-    def shows_way(self) -> bool:
-        """True if pages show the robot's way on the map."""
-        return False
-
-    @property
     def unedited(self) -> bool:
         """True if the consent or the introduction still has parts that a lab has to fill in."""
         return any(EDIT in text for text in (*self.texts.consent, *self.texts.introduction))
-
-    @property
-    def lab_questions(self) -> tuple[LabQuestion, ...]:
-        """The lab's own questions on all pages."""
-        return self.asked
 
     @cached_property
     def text(self) -> str:

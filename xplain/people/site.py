@@ -67,7 +67,7 @@ class Site:
         self.sessions: set[str] = set()
         self.invitations: dict[str, list[str]] = {}
         # A character takes at most nine bytes, so the page's limit holds in any language.
-        questions = self.flow.plan.lab_questions
+        questions = (*self.flow.plan.before, *self.flow.plan.asked)
         self.most = MAX_BODY + 9 * sum(question.max_length for question in questions)
         self.templates = environment(self.flow)
         self.templates.globals |= {"root": server.path, "mark": self.keys.mark}
@@ -113,11 +113,9 @@ def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
         "checked": checked,
         "map": lru_cache(4096)(lambda what: map_svg.picture(plan, *flow.find_drawing(what))),
         "ahead": lambda steps: map_svg.picture(plan, plan.ahead.way, steps),
-        "legend": map_svg.legend(plan, plan.shows_way),
+        "legend": map_svg.legend(plan),
         "about": partial(map_svg.about, plan),
-        "changes": plan.changes,
-        "pictures": [clip.picture for clip in plan.shown],
-        "titles": flow.titles,
+        "clips": plan.shown,
     }
     return found
 

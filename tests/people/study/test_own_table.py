@@ -114,7 +114,7 @@ def test_the_plan_is_what_the_table_says(lab: Path) -> None:
     problem = plan.problem
     rows = [row - 1 for row in TRACE]
     assert plan.trace == tuple(f"Step {row} & <more>" for row in rows)
-    assert (plan.scene, plan.path, plan.ahead, plan.changes) == (None, None, None, ())
+    assert (plan.scene, plan.path, plan.ahead) == (None, None, None)
     assert problem.type_names == ("cable?", "lift?", "queue?", "none of these")
     assert [clip.picture and clip.picture.alt for clip in plan.shown] == [
         "A red cable" if row == 0 else None for row in rows
@@ -129,7 +129,7 @@ def test_the_plan_is_what_the_table_says(lab: Path) -> None:
         for p in problem.p_explicable[problem.as_found & (problem.whose == number)]:
             assert [int(one) for one in p[:, 0] > 0.5] == [sense(row, {fact}) for row in rows]
     # Whole sentences, the practice's too.
-    assert plan.training.action.startswith("The robot ")
+    assert plan.example.action.startswith("The robot ")
     assert plan.texts.words["robot_does"] == "{phrase}"
 
 
@@ -139,7 +139,7 @@ def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, opened: 
     visitor = newcomer(store)
     seen = list(pages(visitor, bot_of(flow, 0), *store.invite(1, "person")))
     assert [page.stage for _, page in seen] == [
-        *("consent", "briefing", "briefing", "training", "training", *["evaluation"] * 5),
+        *("consent", "briefing", "briefing", "practice", "practice", *["evaluation"] * 5),
         *("quiz", "done"),
     ]
     steps = [html for html, page in seen if page.stage == "evaluation"]

@@ -204,7 +204,7 @@ def test_no_two_kinds_of_things_look_alike() -> None:
 def test_each_fact_of_rescue_has_a_picture_of_its_own(rescue: StudyPlan) -> None:
     """There are nine sentences, true or false; their pictures have the names of icons."""
     pairs = [(fact.message, fact.belief) for fact in rescue.facts]
-    pairs += [(one.right, one.right) for one in rescue.known]
+    pairs += [(one.message, one.message) for one in rescue.known]
     pictures = [[about(rescue, sentence) for sentence in pair] for pair in pairs]
     assert all(right == wrong != "" for right, wrong in pictures)
     assert len({right for right, _ in pictures}) == len(rescue.facts) + 3 == 9

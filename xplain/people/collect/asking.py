@@ -77,7 +77,7 @@ class CollectState(core.State):
     """The state of a participant. The default values are the start.
 
     Attributes:
-        number: the participant's number, which seeds the questions; None before consent.
+        number: the participant's number, which seeds the questions; 0 before the consent.
         role: index of the role whose briefing the participant gets; None without a briefing.
         others: {fact set: share among earlier participants}.
         answered: clips with their labels.
@@ -86,19 +86,13 @@ class CollectState(core.State):
         stated: the participant's statement about each fact, as an index into STATED.
     """
 
-    number: int | None = None
+    number: int = 0
     role: int | None = None
     others: Mapping[str, float] = field(default_factory=dict)
     answered: tuple[AskedClip, ...] = ()
     clip: AskedClip | None = None
     belief: Mapping[str, float] = field(default_factory=dict)
     stated: tuple[int, ...] = ()
-
-    @property
-    def person(self) -> int:
-        """The participant's number, in the stages after consent."""
-        assert self.number is not None, f"no number at {self.stage}"
-        return self.number
 
     def questions(self) -> list[AskedClip]:
         """Returns the answered clips that are questions; types are learned from them."""
@@ -219,7 +213,7 @@ def clip(
     near = {t for one in beside for t in one.transitions}
     left = plan.rules.points - sum(one.size for one in questions)
     if plan.questions:
-        order = stream(plan.seed, "order", state.person).permutation(len(plan.questions))
+        order = stream(plan.seed, "order", state.number).permutation(len(plan.questions))
         listed = [plan.questions[which] for which in order.tolist()]
         for one in questions:
             listed.remove((one.transitions[0], one.told))
@@ -272,7 +266,7 @@ def _choose_lasting(plan: CollectPlan, state: CollectState, task: ClipTask) -> A
     known, said = plan.hypotheses, sum(clip.told for clip in before)
     shares = {int(facts): share for facts, share in state.belief.items() if facts != "none"}
     held, share = np.array([*shares]) & ~said, np.array([*shares.values()])
-    order = stream(plan.seed, "listening", state.person).permutation(known.n_messages)
+    order = stream(plan.seed, "listening", state.number).permutation(known.n_messages)
     left = [j for j in order.tolist() if not said >> j & 1]
     now = known.labels[known.row(held)]
     turns = np.array([share @ (known.labels[known.row(held & ~(1 << j))] > now) for j in left])

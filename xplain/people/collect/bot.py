@@ -54,18 +54,12 @@ class Observer(bots.Bot[CollectPlan, Habits]):
     ) -> None:
         super().__init__(plan, habits, rng)
         self.held = held
-        self.known = 0
-        self._told: set[str] = set()
 
     def at_task(self, page: Page) -> None:
         """Learns the facts of a briefing, if there is one."""
-        self._told |= {*page.facts}
+        self.told |= {*page.facts}
         if page.facts:
-            self.held = next(r.held for r in self.plan.roles if self._told <= {*r.briefing})
-
-    def at_practice(self, page: Page) -> Fields:
-        """Answers that the step makes sense only under one of the two sentences."""
-        return self.practises(page, int(list(page.messages) == [self.plan.example.speaks_for]))
+            self.held = next(r.held for r in self.plan.roles if self.told <= {*r.briefing})
 
     def at_clips(self, page: Page) -> tuple[Fields, float]:
         """Gives a label for each step."""

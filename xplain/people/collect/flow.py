@@ -5,10 +5,10 @@ consent → task → practice → ahead → clips → listening → beliefs → 
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
+from operator import attrgetter
 from typing import Any, ClassVar
 
 from xplain.explanation.message_sets import indices
@@ -41,9 +41,6 @@ from xplain.people.plan import Way
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derive_seed, stream
 
-QUESTIONNAIRES = 512
-"""Maximum number of questionnaires in memory: more than the number of people who answer at once."""
-
 
 class TaskStage(Briefing["Collection", CollectState]):
     """Screens with the robot's task, which omit the facts that people are asked about, and with the
@@ -54,24 +51,15 @@ class TaskStage(Briefing["Collection", CollectState]):
         return {"told_to_you": flow.briefing(state).get("briefing", ())}
 
 
-class CollectPractice(Practice["Collection", CollectState]):
-    """The practice: an action makes no sense under one sentence, and makes sense under another."""
-
-    def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
-        """Shows the action with one of the two sentences."""
-        example = flow.plan.example
-        told = example.speaks_for if state.part else example.against
-        return {"part": state.part, "told": [told], "action": example.action}
-
-
+@dataclass(frozen=True)
 class ClipStage(Stage["Collection", CollectState]):
     """Pages with clips. A clip has a few consecutive steps, under some messages.
 
     Attributes:
-        LASTING: True if messages stay valid on later pages.
+        lasting: True if messages stay valid on later pages.
     """
 
-    LASTING: ClassVar = False
+    lasting: bool = False
 
     def enter(self, flow: Collection, state: CollectState) -> CollectState:
         """Chooses the first clip."""
@@ -82,9 +70,9 @@ class ClipStage(Stage["Collection", CollectState]):
         assert state.clip is not None, "a clip is on the page"
         return flow.briefing(state) | {
             **_describe_clip(flow.plan, state.clip),
-            "lasting": self.LASTING,
+            "lasting": self.lasting,
             "clip_number": len(state.answered) + 1,
-            "clip_count": len(asking.schedule(flow.plan, state.person)),
+            "clip_count": len(asking.schedule(flow.plan, state.number)),
         }
 
     def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
@@ -107,8 +95,8 @@ class ClipStage(Stage["Collection", CollectState]):
         """Moves to the next clip, or to the end of the clips."""
         step, known = len(state.answered), flow.questionnaire(state)
         state = replace(state, belief=asking.belief(known))
-        tasks = asking.schedule(flow.plan, state.person)
-        if step == len(tasks) or (tasks[step].purpose in HEEDED) != self.LASTING:
+        tasks = asking.schedule(flow.plan, state.number)
+        if step == len(tasks) or (tasks[step].purpose in HEEDED) != self.lasting:
             return flow.after(state)
         clip = asking.clip(flow.plan, state, tasks, known)
         question = clip.purpose == QUESTION
@@ -116,22 +104,12 @@ class ClipStage(Stage["Collection", CollectState]):
         return state.to(stage=self.name, clip=replace(clip, bits=float(bits)))
 
 
-class ListeningStage(ClipStage):
-    """Clips with messages that stay valid on later pages, and later clips without messages."""
-
-    LASTING: ClassVar = True
-
-    def is_in(self, plan: CollectPlan) -> bool:
-        """True if the plan has messages that stay valid on later pages."""
-        return plan.rules.listening > 0
-
-
 class BeliefStage(Stage["Collection", CollectState]):
     """A page on which people state their belief about each fact."""
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """Shows the facts in the participant's order."""
-        return flow.briefing(state) | {"statements": statements(flow.plan, state.person)}
+        return flow.briefing(state) | {"statements": statements(flow.plan, state.number)}
 
     def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
         """Reads the participant's statement about each fact: the statement's index in STATED, or
@@ -151,11 +129,7 @@ class BeliefStage(Stage["Collection", CollectState]):
 
 @dataclass(frozen=True)
 class Collection(Flow[CollectPlan, CollectState]):
-    """A running plan with its questionnaires.
-
-    The questionnaires of recent participants are cached, so a new answer is added without
-    processing the earlier answers again. The results do not depend on the cache.
-    """
+    """A running plan with its questionnaires."""
 
     PLAN = CollectPlan
     PACKAGE = "xplain.people.collect"
@@ -164,18 +138,13 @@ class Collection(Flow[CollectPlan, CollectState]):
     STAGES: ClassVar = (
         Consent("consent", "consent"),
         TaskStage("task", "read"),
-        CollectPractice("practice", "example"),
-        LookingAhead("ahead", "ahead"),
+        Practice("practice", "example"),
+        LookingAhead("ahead", "ahead", attrgetter("ahead")),
         ClipStage("clips", "labels"),
-        ListeningStage("listening", "labels"),
+        ClipStage("listening", "labels", attrgetter("rules.listening"), lasting=True),
         BeliefStage("beliefs", "beliefs"),
         QuestionStage("questions", "answers"),
     )
-
-    @classmethod
-    def of(cls, plan: CollectPlan) -> Collection:
-        """Creates the collection from its plan."""
-        return cls(plan)
 
     def admit(self, person: Participant[CollectState], people: People) -> dict[str, Any]:
         """Returns the values that the consent event needs:
@@ -206,33 +175,18 @@ class Collection(Flow[CollectPlan, CollectState]):
         rng = stream(self.plan.seed, "roles", number)
         return consent | {"role": int(rng.choice(fewest))}
 
-    def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the changes of the state: the participant's number, the index of the briefing's
-        role, and the mean posterior of earlier participants."""
-        return {key: payload[key] for key in ("number", "role", "others")}
-
     def forget(self) -> None:
-        """Clears all caches after an erasure, also the questionnaires and the found types. They are
-        computed again when they are needed."""
-        super().forget()
-        self.kept.cache_clear()
+        """Forgets the found types after an erasure. They are computed again when they are
+        needed."""
         self.found.clear()
 
     def find_drawing(self, what: tuple[int, ...]) -> tuple[Way | None, int, Sequence[str]]:
-        """Finds the drawing of a clip's transitions. Without transitions, the drawing shows the
-        robot in a cell where it covers no item of the map."""
-        shown, scene = self.plan.shown, self.plan.scene
-        if scene is None:
+        """Finds the drawing of a clip's transitions; without transitions, of the map alone."""
+        shown = self.plan.shown
+        if self.plan.scene is None:
             return None, 0, ()
-        if what:
-            return tuple(shown[t].way[0] for t in what), len(what), shown[what[0]].gone
-        taken = {cell for item in scene.items for cell in item.cells}
-        ways = [clip.way for clip in shown]
-        return next((way for way in ways if way[0][0] not in taken), ways[0]), 0, ()
-
-    def step_of(self, state: CollectState) -> str:
-        """Describes the number of the open clip."""
-        return f"page {len(state.answered) + 1}" if state.clip else ""
+        way = tuple(shown[t].way[0] for t in what or (0,))
+        return way, len(what), shown[what[0]].gone if what else ()
 
     def briefing(self, state: CollectState) -> dict[str, Any]:
         """Returns the sentences of the participant's briefing, if they have one."""
@@ -249,29 +203,14 @@ class Collection(Flow[CollectPlan, CollectState]):
         known, own = self.plan.hypotheses, self.plan.design
         return Questionnaire(known, own.error, None, own.clip, none=own.none, misread=own.misread)
 
-    @cached_property
-    def kept(self) -> Any:
-        """A cached function that returns a questionnaire for a participant number, a prior and
-        answers."""
-
-        @lru_cache(QUESTIONNAIRES)
-        def kept(number: int, others: frozenset[Any], answers: tuple[Any, ...]) -> Questionnaire:
-            if not answers:
-                prior = asking.prior(self.plan, dict(others))
-                return self.blank.restart(prior, derive_seed(self.plan.seed, "queries", number))
-            after = copy.copy(kept(number, others, answers[:-1]))
-            labels, transitions, told = answers[-1]
-            after.answer(list(labels), (list(transitions), told))
-            return after
-
-        return kept
-
     def questionnaire(self, state: CollectState) -> Questionnaire:
         """Returns the questionnaire of a participant, with all their answers."""
-        judged = [one.judged for one in state.questions()]
-        answers = tuple((one.labels, one.transitions, one.told) for one in judged if one.labels)
-        known: Questionnaire = self.kept(state.person, frozenset(state.others.items()), answers)
-        return copy.copy(known)
+        seed = derive_seed(self.plan.seed, "queries", state.number)
+        known = self.blank.restart(asking.prior(self.plan, state.others), seed)
+        for one in (clip.judged for clip in state.questions()):
+            if one.labels:
+                known.answer(list(one.labels), (list(one.transitions), one.told))
+        return known
 
 
 def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int, str]]]]:

@@ -10,21 +10,6 @@ from xplain.people.plan import StoredPlan
 from xplain.questions.designs import Adaptive
 
 
-@dataclass(frozen=True)
-class Example:
-    """The practice: an action that does not occur later, shown once under each of two messages.
-
-    Attributes:
-        action: the robot's action.
-        against: a sentence under which the action makes no sense.
-        speaks_for: a sentence under which the action makes sense.
-    """
-
-    action: str
-    against: str
-    speaks_for: str
-
-
 @checks("rules")
 @dataclass(frozen=True, kw_only=True)
 class CollectRules:
@@ -77,7 +62,6 @@ class CollectPlan(StoredPlan):
     """A collection about T transitions and n facts.
 
     Attributes:
-        example: the practice.
         rules: settings of the protocol.
         roles: roles of simulated people.
         assigned: True if each participant gets the briefing of a role.
@@ -97,7 +81,6 @@ class CollectPlan(StoredPlan):
 
     OF = "a collection of labels"
 
-    example: Example
     rules: CollectRules
     roles: tuple[CollectRole, ...]
     assigned: bool

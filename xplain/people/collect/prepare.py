@@ -15,7 +15,6 @@ from xplain.people.collect.plan import (
     CollectPlan,
     CollectRole,
     CollectRules,
-    Example,
 )
 from xplain.people.material import Material, make_plan_fields, read_own_table, select_plan_keys
 from xplain.people.plan import lab_questions
@@ -82,7 +81,6 @@ def assemble(
         listed = tuple(pairs)[: rules.points]
     return CollectPlan(
         **own,
-        example=Example(**wording["example"]),
         rules=rules,
         asked=lab_questions(wording["questions"])[0],
         roles=tuple(

@@ -57,11 +57,9 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
     def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
         super().__init__(plan, habits, rng)
         self.user_type = int(rng.integers(len(plan.kinds))) if plan.kinds else 0
-        self.known = 0
         self.seconds = 0.0
         self._judged: int | None = None
         self._labels: list[int] = []
-        self._told: set[str] = set()
         self._pace = self._draw_factor()
 
     def _draw_factor(self) -> float:
@@ -74,14 +72,10 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
 
     def at_briefing(self, page: Page) -> None:
         """Learns the facts of the briefing, if there are any."""
-        self._told |= {*page.facts}
+        self.told |= {*page.facts}
         briefings = [{*role.briefing} for role in self.plan.roles]
         if page.facts:
-            self.user_type = next(t for t, told in enumerate(briefings) if self._told <= told)
-
-    def at_training(self, page: Page) -> Fields:
-        """Labels the practice step: 1 only if the page gives the message (apart from mistakes)."""
-        return self.practises(page, len(page.messages))
+            self.user_type = next(t for t, told in enumerate(briefings) if self.told <= told)
 
     def at_eligibility(self, page: Page) -> Fields:
         """Answers each question as the briefing says, apart from mistakes."""
@@ -115,7 +109,7 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         true = {
             fact.belief if j in wrong and not self.known >> j & 1 else fact.message
             for j, fact in enumerate(self.plan.facts)
-        } | {known.right for known in self.plan.known}
+        } | {known.message for known in self.plan.known}
         return [
             ("true", str(value))
             for value, sentence in page.fields["true"]

@@ -7,7 +7,7 @@ restored for each page.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -263,8 +263,6 @@ class Evaluation(Stage["ExplanationFlow", StudyState]):
 
 class ClipQuestion(OneLabel["ExplanationFlow", StudyState]):
     """A question: does one step of the task, on the trace or not, make sense?"""
-
-    WITHIN: ClassVar = "evaluation"
 
     def view(self, flow: ExplanationFlow, state: StudyState) -> dict[str, Any]:
         """Shows the transition that is asked about, and the messages given so far."""

@@ -1,6 +1,6 @@
 """The flow of the study:
 
-    consent → before → briefing → training → ahead → eligibility → evaluation → quiz → questions
+    consent → before → briefing → practice → ahead → eligibility → evaluation → quiz → questions
                            ↑__________________________|  (a failed attempt, while attempts are left)
 
 Participants without a briefing have no eligibility test. Within the evaluation, a policy that asks
@@ -13,6 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, count
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
@@ -39,7 +40,6 @@ from xplain.people.flow import (
 from xplain.people.plan import Way
 from xplain.people.study.evaluation import (
     ENDS,
-    EVALUATING,
     ClipQuestion,
     Evaluation,
     ExplanationFlow,
@@ -69,7 +69,7 @@ class StudyBriefing(Briefing["Study", StudyState]):
 
     def facts(self, flow: Study, state: StudyState) -> Mapping[str, Sequence[str]]:
         """Returns the facts for all participants, and the facts in the briefing of the role."""
-        known = [known.right for known in flow.plan.known]
+        known = [known.message for known in flow.plan.known]
         return {"told_to_all": known, "told_to_you": flow.role(state).briefing}
 
     def screens(self, flow: Study, state: StudyState) -> list[tuple[str, tuple[str, ...]]]:
@@ -90,21 +90,8 @@ class StudyBriefing(Briefing["Study", StudyState]):
         return replace(after, stage="eligibility") if again else after
 
 
-class TrainingStage(Practice["Study", StudyState]):
-    """The example: an additional action that makes no sense without its message."""
-
-    def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
-        """Shows the example's action: in the first part of the practice without its message, in
-        the second part with the message."""
-        return {"training": flow.plan.training, "part": state.part}
-
-
 class Eligibility(Stage["Study", StudyState]):
     """A test of the facts in the briefing."""
-
-    def is_in(self, plan: StudyPlan) -> bool:
-        """True if participants get a briefing, whose facts the test asks about."""
-        return not plan.kinds
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """Shows the questions in the participant's order."""
@@ -180,13 +167,13 @@ class Study(ExplanationFlow):
     STATE: ClassVar = StudyState
     STAGES: ClassVar = (
         StudyConsent("consent", "consent"),
-        QuestionStage("before", "screening", "before", "screened_out"),
+        QuestionStage("before", "screening", attrgetter("before"), missed="screened_out"),
         StudyBriefing("briefing", "read"),
-        TrainingStage("training", "example"),
-        LookingAhead("ahead", "ahead"),
-        Eligibility("eligibility", "eligibility"),
+        Practice("practice", "example"),
+        LookingAhead("ahead", "ahead", attrgetter("ahead")),
+        Eligibility("eligibility", "eligibility", lambda plan: not plan.kinds),
         Evaluation("evaluation", "labels"),
-        ClipQuestion("asking", "clip"),
+        ClipQuestion("asking", "clip", within="evaluation"),
         Quiz("quiz", "quiz"),
         LastQuestions("questions", "answers"),
     )
@@ -212,12 +199,6 @@ class Study(ExplanationFlow):
         role, facts = self.role(state), self.plan.facts
         untrue = role.wrong if role.briefing else ()
         return view | {"untrue": [(role.briefing[j], facts[j].message) for j in untrue]}
-
-    def advance(self, state: StudyState, kind: str, payload: Mapping[str, Any]) -> StudyState:
-        """Advances a participant; a participant who returns after a time-out gets the place that
-        :meth:`readmit` chose."""
-        after = super().advance(state, kind, payload)
-        return replace(after, **payload) if kind == "return" else after
 
     # Places --------------------------------------------------------------------------------------
 
@@ -257,7 +238,7 @@ class Study(ExplanationFlow):
         user_type, condition = cell or self.plan.cells[person.state.cell or 0]
         role, rng = self.plan.roles[user_type], stream(self.plan.seed, "orders", own, number)
         tests = {"eligibility": role.eligibility, "quiz": role.quiz}
-        orders = {name: rng.permutation(len(test)).tolist() for name, test in tests.items()}
+        orders = {name: tuple(rng.permutation(len(test)).tolist()) for name, test in tests.items()}
         place = {"position": position, "user_type": user_type, "condition": condition}
         return place | {"orders": orders}
 
@@ -291,17 +272,6 @@ class Study(ExplanationFlow):
                 return position
         raise Full("full")
 
-    def read_consent(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the fields of the state that change when a participant consents: the assigned
-        place with its type and condition, and the orders of the questions.
-
-        Raises:
-            Refused: the browser window is too narrow.
-        """
-        orders = {name: tuple(order) for name, order in payload["orders"].items()}
-        place = {key: payload[key] for key in ("position", "user_type", "condition")}
-        return place | {"orders": orders}
-
     # What a server shows -------------------------------------------------------------------------
 
     @property
@@ -326,23 +296,10 @@ class Study(ExplanationFlow):
             return clip.way or None, 1, clip.gone
         return plan.path, what, plan.taken[what] if plan.taken else ()
 
-    @property
-    def titles(self) -> dict[str, str]:
-        """{stage: title of its pages}, including the questions between steps."""
-        return super().titles | {"asking": self.words["asking"]}
-
-    def about(self, state: StudyState, blinded: bool) -> dict[str, str]:
-        """Returns the participant's columns on the researcher's page, with type and condition
-        unless these must stay hidden."""
+    def about(self, state: StudyState) -> dict[str, str]:
+        """Returns the type and the condition of a participant, for the researcher's page."""
         role = "" if state.user_type is None else self.plan.roles[state.user_type].name
-        hidden = {} if blinded else {"Type": role, "Condition": state.condition or ""}
-        return super().about(state, blinded) | hidden
-
-    def step_of(self, state: StudyState) -> str:
-        """Returns the participant's step of the evaluation, such as "step 3" or "before step 3";
-        "" in other stages."""
-        before = "before " if state.stage == "asking" else ""
-        return f"{before}step {state.step + 1}" if state.stage in EVALUATING else ""
+        return {"Type": role, "Condition": state.condition or ""}
 
     # What to expect ------------------------------------------------------------------------------
 

@@ -12,23 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.domains.base import Parameter
 from xplain.errors import Count, Positive, checks
 from xplain.explanation.asking import Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.people.plan import Clip, LabQuestion, StoredPlan, Told, Way
+from xplain.people.plan import Clip, StoredPlan, Told, Way
 
 PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
 """Conditions that the code knows by name. The policy of ASKING may ask questions."""
-
-
-@dataclass(frozen=True)
-class Known:
-    """A fact that everybody is told and believes: its true sentence ``right``, and a false
-    sentence ``wrong`` for the quiz."""
-
-    right: str
-    wrong: str
 
 
 @dataclass(frozen=True)
@@ -70,16 +62,6 @@ class StudyRole:
     quiz: tuple[Statement, ...]
 
 
-@dataclass(frozen=True)
-class Training:
-    """The practice's example, which shows the effect of a message. Its action is not part of the
-    task."""
-
-    belief: str
-    action: str
-    message: str
-
-
 @checks("rules")
 @dataclass(frozen=True, kw_only=True)
 class StudyRules:
@@ -106,10 +88,9 @@ class StudyPlan(StoredPlan):
     in the facts that they believe incorrectly. With a briefing the M kinds are the N types.
 
     Attributes:
-        training: the practice.
         rules: numbers of the protocol.
-        known: facts that everybody is told.
-        before: questions before the briefing.
+        known: facts that everybody is told and believes; each also has a false sentence, for the
+            quiz.
         roles: [N] the roles.
         kinds: [M] positions of the facts that each kind believes incorrectly; empty in a study with
             a briefing.
@@ -128,10 +109,8 @@ class StudyPlan(StoredPlan):
 
     OF = "a study"
 
-    training: Training
     rules: StudyRules
-    known: tuple[Known, ...] = ()
-    before: tuple[LabQuestion, ...] = ()
+    known: tuple[Parameter, ...] = ()
     roles: tuple[StudyRole, ...]
     kinds: tuple[tuple[int, ...], ...] = ()
     taken: Told = ()
@@ -156,16 +135,6 @@ class StudyPlan(StoredPlan):
         """[m] the cells before and after each transition of the trace; None without a map."""
         way = tuple(move for clip in self.shown[: self.n_steps] for move in clip.way)
         return way if len(way) == self.n_steps else None
-
-    @property
-    def shows_way(self) -> bool:
-        """True if the trace is shown on a map."""
-        return self.path is not None
-
-    @property
-    def lab_questions(self) -> tuple[LabQuestion, ...]:
-        """The lab's own questions, before the briefing and at the end."""
-        return (*self.before, *self.asked)
 
     def problem_of(self, condition: str) -> Problem:
         """Returns the problem that a condition's policy solves. Only the problem of the

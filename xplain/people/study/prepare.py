@@ -36,13 +36,11 @@ from xplain.people.study.flow import Study
 from xplain.people.study.plan import (
     ASKING,
     PERSONALIZED,
-    Known,
     QuizQuestion,
     Statement,
     StudyPlan,
     StudyRole,
     StudyRules,
-    Training,
 )
 from xplain.randomness import stream
 
@@ -73,8 +71,7 @@ def roles_of(
         * ``known``: the facts that everybody is told.
         * ``words``: texts of the questions.
     """
-    known = tuple(Known(**one) for one in wording["known"])
-    roles = []
+    roles, known = [], read_known(wording)
     for t, user_type in enumerate(types):
         wrong = tuple(j for j, fact in enumerate(facts) if fact.name in user_type.inaccurate)
         roles.append(
@@ -89,8 +86,17 @@ def roles_of(
     return tuple(roles)
 
 
+def read_known(wording: Mapping[str, Any]) -> tuple[Parameter, ...]:
+    """Reads the facts that everybody is told (``known``), each with its true sentence ``right`` and
+    a false sentence ``wrong``."""
+    return tuple(
+        Parameter(f"known_{i}", True, False, one["right"], one["wrong"])
+        for i, one in enumerate(wording["known"])
+    )
+
+
 def natural_role(
-    facts: Sequence[Parameter], known: Sequence[Known], labels: NDArray[np.uint8]
+    facts: Sequence[Parameter], known: Sequence[Parameter], labels: NDArray[np.uint8]
 ) -> StudyRole:
     """Makes the only role of a study without a briefing. Its quiz is about the facts that some kind
     of simulated people must be told to understand the trace.
@@ -129,7 +135,7 @@ def _make_eligibility(
 
 def _make_quiz(
     facts: Sequence[Parameter],
-    known: Sequence[Known],
+    known: Sequence[Parameter],
     wrong: tuple[int, ...],
     need: int,
     number: int,
@@ -152,17 +158,15 @@ def _make_quiz(
         number: index of the type; decides which of two statements is true.
     """
     order = list(dict.fromkeys([*indices(need), *wrong, *range(len(facts))]))
-    about = [(facts[j].name, facts[j].message, facts[j].belief) for j in order]
-    chosen, rest = about[:STATEMENTS], [about[i] for i, j in enumerate(order) if j not in wrong]
-    common = [(f"known_{i}", one.right, one.wrong) for i, one in enumerate(known)]
-    turned = common[number % len(common) :] + common[: number % len(common)] if common else []
-    every = dict.fromkeys([*turned, *rest, *about[::-1]])
-    others = [one for one in every if one not in chosen][:STATEMENTS]
-    statements = []
-    for group in (chosen, others):
-        for i, (name, right, false) in enumerate(group):
-            true = (i + number) % 2 == 0
-            statements.append(Statement(name, right if true else false, true))
+    about, first = [facts[j] for j in order], number % max(len(known), 1)
+    chosen, rest = about[:STATEMENTS], [facts[j] for j in order if j not in wrong]
+    every = {one.name: one for one in (*known[first:], *known[:first], *rest, *about[::-1])}
+    others = [one for one in every.values() if one not in chosen][:STATEMENTS]
+    statements = [
+        Statement(one.name, one.belief if (i + number) % 2 else one.message, (i + number) % 2 == 0)
+        for group in (chosen, others)
+        for i, one in enumerate(group)
+    ]
     return tuple(sorted(statements, key=lambda statement: not statement.true))
 
 
@@ -429,7 +433,7 @@ def make_draft(
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.prior
     labels, question_rows = material.labels(trace), asks[0] if asks else trace[:0]
     shown = [material.clips[row] for row in (*trace, *question_rows)]
-    facts, known = own["facts"], tuple(Known(**one) for one in wording["known"])
+    facts, known = own["facts"], read_known(wording)
     before, asked = lab_questions(config["before"], config["questions"])
     roles = roles_of(facts, types, labels, wording)
     problem = costs.problem(table, tuple(fact.name for fact in facts), names, shares)
@@ -445,7 +449,6 @@ def make_draft(
     return StudyPlan(
         **own,
         known=known,
-        training=Training(**wording["training"]),
         rules=StudyRules(**config["rules"]),
         before=before,
         asked=asked,
@@ -474,10 +477,7 @@ def _choose_texts(
         asks: True if questions are asked; their description is then part of the texts.
     """
     if table:
-        words, example = wording["words"], wording["training"]
-        said = {**example, "action": words["robot_does"].format(phrase=example["action"])}
-        words = {**words, "robot_does": "{phrase}"}
-        wording = {**wording, "training": said, "words": words}
+        wording = {**wording, "words": {**wording["words"], "robot_does": "{phrase}"}}
     if asks:
         said = wording["asking"]
         wording = {**wording, "task": [*wording["task"], *said["task"]]}
