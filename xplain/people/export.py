@@ -96,7 +96,7 @@ def defuse(cell: Any) -> Any:
 
 def measure_seconds(first: Event, last: Event) -> tuple[float | None, str]:
     """Measures the time from an event to a later event, by the server's monotonic clock, or by its
-    wall clock if the machine restarted in between.
+    wall clock if the server restarted in between.
 
     Returns:
         The seconds and the name of the clock, "monotonic" or "wall". If the wall clock was set

@@ -68,22 +68,19 @@ def letters(count: int) -> str:
     return "".join(secrets.choice(LETTERS) for _ in range(count))
 
 
-def boot_id() -> str:
-    """Returns the id of the machine's current boot; monotonic clock times with the same id can be
-    compared."""
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-    except OSError:
-        return f"process-{os.getpid()}-{secrets.token_hex(4)}"
-
-
 @dataclass(frozen=True)
 class Clock:
-    """The server's two clocks, in seconds."""
+    """The server's two clocks, in seconds.
+
+    Attributes:
+        wall: seconds since 1970.
+        monotonic: seconds that are comparable within one start of the server.
+        boot: id of this start.
+    """
 
     wall: Callable[[], float] = time.time
     monotonic: Callable[[], float] = time.monotonic
-    boot: str = field(default_factory=boot_id)
+    boot: str = field(default_factory=lambda: secrets.token_hex(8))
 
 
 class Unknown(Exception):

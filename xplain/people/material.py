@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 import io
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -34,6 +33,7 @@ from xplain.experiment.config import CONF
 from xplain.experiment.from_config import component
 from xplain.experiment.pipeline import observe
 from xplain.explanation.message_sets import indices, mask_of, names_of
+from xplain.learning.data.label_file import read_cells
 from xplain.learning.saved import LearnedTypes
 from xplain.people.plan import Ahead, Clip, Example, Picture, Texts, Told, Way
 from xplain.questions.own_transitions import read_transitions, with_features
@@ -169,6 +169,25 @@ def clips_of(
     return tuple(map(Clip, phrases, ways, situations or none, gone or none, changes or none))
 
 
+def read_own_task(cfg: DictConfig) -> Material | None:
+    """Reads the task from a lab's own tables (``transitions`` and ``facts``); None if the task is a
+    domain.
+
+    Raises:
+        InputError: a table cannot be read, or keys exclude each other.
+    """
+    one_of("briefing", cfg.briefing, ("assigned", "none"))
+    if cfg.transitions is None:
+        if cfg.facts is not None:
+            wanted = "only with transitions=TABLE; a domain has sentences"
+            raise InputError("facts", cfg.facts, wanted)
+        return None
+    if cfg.briefing == "assigned":
+        wanted = "none for your own transitions: they name no types"
+        raise InputError("briefing", "assigned", wanted)
+    return read_own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
+
+
 def read_own_table(table: Path, facts: str | None, seed: int) -> Material:
     """Reads a lab's own transitions and the sentences of the facts.
 
@@ -203,21 +222,18 @@ def read_facts(path: str | None, names: Sequence[str]) -> tuple[Parameter, ...]:
     Raises:
         InputError: the table cannot be read, or lacks a sentence of a fact.
     """
-    wanted = (
-        "a .csv file with the columns fact, message (the true sentence) and belief (the sentence "
-        f"of people who believe the fact incorrectly), for {', '.join(names)}"
-    )
     if path is None:
-        raise InputError("facts", None, wanted)
-    try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            rows = {(row.get("fact") or "").strip(): row for row in csv.DictReader(file)}
-    except (OSError, UnicodeDecodeError, csv.Error):
-        raise InputError("facts", str(path), wanted) from None
-    found = []
+        raise InputError(
+            "facts",
+            None,
+            "a .csv file with the columns fact, message (the true sentence) and belief (the "
+            f"sentence of people who believe the fact incorrectly), for {', '.join(names)}",
+        )
+    table = read_cells(Path(path), "facts").to_dict("records")
+    rows, found = {str(row.get("fact", "")).strip(): row for row in table}, []
     for name in names:
         row = rows.get(name, {})
-        message, belief = ((row.get(key) or "").strip() for key in ("message", "belief"))
+        message, belief = (str(row.get(key, "")).strip() for key in ("message", "belief"))
         if not message or not belief:
             raise InputError("facts", name, f"a message and a belief in {path}")
         found.append(Parameter(name, True, False, message, belief))

@@ -2,21 +2,20 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from xplain.domains.base import Parameter
-from xplain.errors import InputError, one_of
+from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
 from xplain.people.collect.plan import (
     CollectPlan,
     CollectRole,
     CollectRules,
 )
-from xplain.people.material import Material, make_plan_fields, read_own_table, select_plan_keys
+from xplain.people.material import Material, make_plan_fields, read_own_task, select_plan_keys
 from xplain.people.plan import lab_questions
 from xplain.questions.designs import Adaptive, Battery, battery
 from xplain.randomness import derive_seed, run_seed
@@ -38,11 +37,6 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
         raise InputError(
             "queries.in_turn", True, "false: people take part at any time, not in turn"
         )
-    one_of("briefing", config["briefing"], ("none", "assigned"))
-    if config["briefing"] == "assigned" and cfg.transitions is not None:
-        raise InputError(
-            "briefing", "assigned", "none for your own transitions: they name no types"
-        )
     plan = assemble(material_of(cfg), design, rules, config)
     # The first participant too must get the plan as it is stored.
     return CollectPlan.from_text(plan.text)
@@ -50,11 +44,9 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
 
 def material_of(cfg: DictConfig) -> Material:
     """Makes the task: a domain of conf/domain/, or a table of a lab's own transitions."""
-    if cfg.transitions is not None:
-        return read_own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
-    if cfg.facts is not None:
-        raise InputError("facts", cfg.facts, "only with transitions=TABLE; a domain has sentences")
-    return Material.of_domain(instantiate(cfg.domain), instantiate(cfg.users), cfg.seed)
+    return read_own_task(cfg) or Material.of_domain(
+        instantiate(cfg.domain), instantiate(cfg.users), cfg.seed
+    )
 
 
 def assemble(

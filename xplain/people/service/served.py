@@ -42,7 +42,8 @@ class ServedTask:
     """The task that a service explains and asks about.
 
     Attributes:
-        explainer: explains to people of the learned types.
+        explainer: explains to people of the types.
+        types: the learned types.
         hypotheses: T transitions with features, and the sets of facts that people may believe
             incorrectly; None if the service only explains traces that callers send.
         sentences: {name of a message: its text}.
@@ -58,6 +59,7 @@ class ServedTask:
     """
 
     explainer: Explainer
+    types: LearnedTypes
     hypotheses: Hypotheses | None
     sentences: Mapping[str, str]
     beliefs: Mapping[str, str] = field(default_factory=dict)
@@ -68,13 +70,6 @@ class ServedTask:
     scene: Any = None
     cells: tuple[tuple[Any, Any], ...] = ()
     traces: tuple[tuple[int, ...], ...] = ()
-
-    @property
-    def types(self) -> LearnedTypes:
-        """The types of the explainer."""
-        types = self.explainer.types
-        assert isinstance(types, LearnedTypes), "types from a file, or just learned"
-        return types
 
     @cached_property
     def features(self) -> NDArray[np.float64]:
@@ -210,6 +205,7 @@ def make_served(cfg: DictConfig) -> ServedTask:
     shown = {} if domain is None or known is None else _make_map(domain, known, cfg)
     return ServedTask(
         explainer,
+        types,
         known,
         {name: sentences.get(name) or name for name in types.messages},
         {fact.name: fact.belief for fact in facts},

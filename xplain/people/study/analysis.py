@@ -170,9 +170,8 @@ def analyse(
     if min(counts.values()) < 2:
         wanted = f"at least 2 completed participants (stream {stream}) in each condition"
         raise InputError("data", counts, wanted)
-    shown = [m for m in SECONDARY if m in kept and kept[m].notna().all()]
-    if ASKING not in conditions:
-        shown = [m for m in shown if m != "questions_asked"]
+    left = () if ASKING in conditions else ("questions_asked",)
+    shown = [m for m in SECONDARY if m in kept and m not in left and kept[m].notna().all()]
     found = {m: _compare_measure(kept, m, conditions, seed) for m in (*MEASURES, *shown)}
     measures = pd.DataFrame.from_dict(found, orient="index").rename_axis("measure")
     adjusted = pd.Series(holm(measures.loc[[*MEASURES], "student_p"]), [*MEASURES])
@@ -437,40 +436,14 @@ def draw(analysis: Analysis, path: Path) -> None:
     figure.savefig(path, dpi=160)
 
 
-DIRECTION = {
-    "interaction_time_s": "need less time",
-    "inexplicable_transitions": "have fewer steps that make no sense",
-    "quiz_score": "have a higher score",
-}
-MEANING = {
-    "interaction_time_s": "seconds from the first rendering of the first step to the last accepted "
-    "label, by the server's clock",
-    "inexplicable_transitions": 'number of labels "makes no sense" at the last step',
-    "quiz_score": "number of statements judged correctly in the quiz",
-    "visible_time_s": "the first measure minus the time in which no page of the study was visible",
-    "messages_given": "number of different messages that the robot gave",
-    "messages_again": "number of times that the robot repeated a message",
-    "questions_asked": "number of questions about extra steps",
-    "cost": "λ · messages + inexplicable labels of all steps + κ · questions; policies minimise it",
-}
-
-
 def document(plan: StudyPlan) -> str:
     """Writes hypotheses, design, measures, exclusions, analysis and sample size, in Markdown."""
     loader = PackageLoader("xplain.people.study")
     written = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True)
-    asks, secondary = ASKING in plan.conditions, dict(SECONDARY)
-    if plan.problem.messages_land:
-        del secondary["messages_again"]
-    if not asks:
-        del secondary["questions_asked"]
     return written.get_template("preregistration.md").render(
         plan=plan,
-        asks=asks,
-        asked=plan.problem.questions,
+        asks=ASKING in plan.conditions,
         difference=Study.of(plan).difference(),
         primary=MEASURES,
-        secondary=secondary,
-        direction=DIRECTION,
-        meaning=MEANING,
+        secondary=SECONDARY,
     )

@@ -134,17 +134,15 @@ class StudyBot(bots.Bot[StudyPlan, Habits]):
         Returns:
             The labels, and the time in seconds.
         """
-        habits = self.habits
+        habits, others = self.habits, messages - 1
         for sentence in new:
-            others = messages - 1
             if not self.chance(min(1.0, habits.forgetting + habits.overload * others)):
                 j = [fact.message for fact in self.plan.facts].index(sentence)
                 self.known |= 1 << j
         fresh = range(count) if self.known != self._judged else range(len(self._labels), count)
         truth = self.plan.true_labels[self.user_type, :, self.known]
-        kept = self._labels
         self._labels = [
-            int(truth[i]) ^ self.chance(habits.label_noise) if i in fresh else kept[i]
+            int(truth[i]) ^ self.chance(habits.label_noise) if i in fresh else self._labels[i]
             for i in range(count)
         ]
         self._judged = self.known

@@ -3,7 +3,6 @@
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from omegaconf import DictConfig
 
 from xplain.domains.base import Parameter
 from xplain.domains.users.setting import Setting, UserType
-from xplain.errors import InputError, one_of, whole_number
+from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
 from xplain.experiment.from_config import component
 from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
@@ -28,7 +27,7 @@ from xplain.people.material import (
     Transitions,
     learn_domain_types,
     make_plan_fields,
-    read_own_table,
+    read_own_task,
     select_plan_keys,
 )
 from xplain.people.plan import lab_questions
@@ -194,7 +193,6 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     config = select_plan_keys(cfg)
     StudyRules(**config["rules"])  # errors come before the expensive work
     config["conditions"] = conditions_of(config)
-    one_of("briefing", config["briefing"], ("assigned", "none"))
     material, types = _make_material_and_types(cfg)
     gaps = []
     for trace in traces_of(material, config["trace"], config["max_steps"], cfg.seed)[:TRIED]:
@@ -226,21 +224,20 @@ def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
             allows questions but no solver for ASKING is known; or a study cannot ask questions of
             this kind.
     """
-    conditions, ask = config["conditions"], config.get("ask", {"kinds": []})
+    conditions, ask = dict(config["conditions"]), config.get("ask", {"kinds": []})
     if not ask["kinds"]:
         if ASKING in conditions:
             raise InputError(f"conditions.{ASKING}", "set", "only with ask=clips")
-        return dict(conditions)
+        return conditions
     if [*ask["kinds"]] != ["clips"]:
         raise InputError("ask.kinds", [*ask["kinds"]], "clips in a study: ask=clips")
     Limits(ask["cost"], ask["most"], ask["when"])
     Pool(clips=ask["clips"])
-    if ASKING in conditions:
-        return dict(conditions)
-    if PERSONALIZED not in conditions:
+    asking = conditions.get(ASKING, conditions.get(PERSONALIZED))
+    if asking is None:
         wanted = f"a condition of this name, or {PERSONALIZED}, whose explainer then asks"
         raise InputError(f"conditions.{ASKING}", None, wanted)
-    return {**conditions, ASKING: conditions[PERSONALIZED]}
+    return {**conditions, ASKING: asking}
 
 
 def _make_material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
@@ -250,23 +247,15 @@ def _make_material_and_types(cfg: DictConfig) -> tuple[Material, LearnedTypes]:
     Raises:
         InputError: keys exclude each other, or types have other features or messages.
     """
-    own, told = cfg.transitions is not None, cfg.briefing == "assigned"
-    if own and told:
-        wanted = "none, because your own transitions name no types"
-        raise InputError("briefing", cfg.briefing, wanted)
-    if own and cfg.types is None:
+    material, perfect = read_own_task(cfg), get_class(cfg.clusterer._target_) is Perfect
+    if material and cfg.types is None:
         wanted = "types.npz of xplain discover, from labels of these transitions"
         raise InputError("types", None, wanted)
-    perfect = get_class(cfg.clusterer._target_) is Perfect
-    if told and (cfg.types is not None or not perfect):
+    if cfg.briefing == "assigned" and (cfg.types is not None or not perfect):
         # It is unknown which found type belongs to which participant.
         wanted = "none with types=FILE, or with another clusterer than perfect"
         raise InputError("briefing", cfg.briefing, wanted)
-    if own:
-        material = read_own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
-    elif cfg.facts is not None:
-        raise InputError("facts", cfg.facts, "only with transitions=TABLE")
-    else:
+    if not material:
         domain = component(cfg, "domain")
         if cfg.types is None:
             setting, learned = learn_domain_types(cfg, domain)
@@ -330,7 +319,6 @@ def may_ask(material: Material, types: LearnedTypes, trace: Transitions, clips: 
     trace. They are sorted by their distance to the trace, and then selected by
     :func:`xplain.explanation.asking.alike_first`, which prefers transitions with different
     labels."""
-    Pool(clips=clips)
     order = nearest_first(material.features, material.features[trace])
     return order[alike_first(make_learned_table(material, types, order), clips)]
 

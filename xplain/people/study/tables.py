@@ -3,7 +3,7 @@ answering habits are learned (``study habits``)."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -89,16 +89,13 @@ class Step:
 
 def steps_of(one: Person) -> list[Step]:
     """Lists the steps of a participant's evaluation so far."""
-    steps: dict[int, Step] = {}
-    for event in (event for event in one.events if event.state):
-        state = StudyState.from_text(str(event.state))
-        if event.kind == "labels":
-            labels = tuple(event.payload["labels"])
-            k = len(labels) - 1
-            steps[k] = replace(steps[k], labels=labels, after=state.after)
-        if state.stage == "evaluation":
-            steps.setdefault(state.step, Step(state))
-    return [*steps.values()]
+    states = [(e, StudyState.from_text(str(e.state))) for e in one.events if e.state]
+    shown = {state.step: state for _, state in states if state.stage == "evaluation"}
+    answers: list[Any] = [
+        (tuple(e.payload["labels"]), s.after) for e, s in states if e.kind == "labels"
+    ]
+    # The last step may have no answer yet.
+    return [Step(page, *one) for page, one in zip(shown.values(), [*answers, ()], strict=False)]
 
 
 def tables(plan: StudyPlan, people: list[Person]) -> Mapping[str, Iterable[Row]]:
