@@ -351,13 +351,10 @@ def crowd(
         pace: seconds to wait for each simulated second of thinking; 0 = no waiting.
         person_of: makes the simulated person from the bot's number, 0 … count − 1.
     """
-    url = researcher.browser.url
-
-    def think(seconds: float) -> None:
-        time.sleep(pace * seconds)
 
     def one(number: int, invitation: str) -> str:
-        return visit(Browser(url), person_of(number), invitation, think)
+        browser, person = Browser(researcher.browser.url), person_of(number)
+        return visit(browser, person, invitation, lambda seconds: time.sleep(pace * seconds))
 
     invitations: list[str] = []
     while len(invitations) < count:

@@ -123,11 +123,6 @@ GUESSES = 10
 """Wrong researcher's keys per minute that each address may send."""
 
 
-def _require(right: bool, key: str, value: object, allowed: str) -> None:
-    if not right:
-        raise InputError(f"server.{key}", value, allowed)
-
-
 @pydantic.dataclasses.dataclass(frozen=True, config={"strict": True, "extra": "forbid"})
 class Server:
     """Settings of the server of the pages; not part of the study's plan.
@@ -186,31 +181,30 @@ class Server:
 
     def __post_init__(self) -> None:
         """Raises InputError if keys contradict each other, or if a file cannot be read."""
-        entry, studies = set(self.entry), list(self.studies)
-        names = "1 to 3 names: of a person's id, a study's id and a session's id"
-        _require(1 <= len(self.id_names) <= 3, "id_names", list(self.id_names), names)
-        _require(
-            not studies or len(self.id_names) > 1,
-            "studies",
-            studies,
-            "none, because id_names has no study",
-        )
-        listed = "ids of the studies whose people may take part, or server.ids=FILE of people's ids"
-        _require("platform" not in entry or bool(studies or self.ids), "studies", [], listed)
-        # Otherwise a paid person with an incomplete link would become a pilot without usable data.
-        paid = "open" in entry and bool({"platform", "signed"} & entry)
-        _require(not paid, "entry", list(self.entry), "open without platform and signed")
-        signs = "a file with the key if server.entry has signed, otherwise none"
-        _require(("signed" in entry) == bool(self.signed_by), "signed_by", self.signed_by, signs)
-        kept = self.keep_ids or "{id}" not in self.completion_url
-        without = "an address without {id}, or server.keep_ids=true"
-        _require(kept, "completion_url", self.completion_url, without)
-        long = not self.key or len(self.key) >= LEAST_KEY
-        _require(long, "key", "…", f"{LEAST_KEY} characters or more, or none")
-        whole = "an address with https:// or http://, such as https://lab.example.org/robots"
-        _require(
-            not self.address or bool(urlsplit(self.address).netloc), "address", self.address, whole
-        )
+        names, entry, studies = list(self.id_names), list(self.entry), list(self.studies)
+        back, signed = self.completion_url, "signed" in entry
+        # key: value, True if the value is not allowed, what is allowed
+        rules: list[tuple[str, object, bool, str]] = [
+            ("id_names", names, not 1 <= len(names) <= 3, "1 to 3 names: of a person's id, a "
+             "study's id and a session's id"),
+            ("studies", studies, bool(studies) and len(names) < 2, "none, because id_names has no "
+             "study"),
+            ("studies", [], "platform" in entry and not (studies or self.ids), "ids of the studies "
+             "whose people may take part, or server.ids=FILE of people's ids"),
+            # A paid person with an incomplete link would become a pilot without usable data.
+            ("entry", entry, "open" in entry and self.from_platform, "open without platform and "
+             "signed"),
+            ("signed_by", self.signed_by, signed != bool(self.signed_by), "a file with the key if "
+             "server.entry has signed, otherwise none"),
+            ("completion_url", back, "{id}" in back and not self.keep_ids, "an address without "
+             "{id}, or server.keep_ids=true"),
+            ("key", "…", 0 < len(self.key) < LEAST_KEY, f"{LEAST_KEY} characters or more, or none"),
+            ("address", self.address, bool(self.address) and not urlsplit(self.address).netloc,
+             "an address with https:// or http://, such as https://lab.example.org/robots"),
+        ]  # fmt: skip
+        for key, value, wrong, allowed in rules:
+            if wrong:
+                raise InputError(f"server.{key}", value, allowed)
         if self.ids:
             self.read_ids()
         if self.signed_by:

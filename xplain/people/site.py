@@ -69,7 +69,14 @@ class Site:
         # A character takes at most nine bytes, so the page's limit holds in any language.
         questions = (*self.flow.plan.before, *self.flow.plan.asked)
         self.most = MAX_BODY + 9 * sum(question.max_length for question in questions)
-        self.templates = environment(self.flow)
+        folders = [jinja2.PackageLoader(name) for name in (self.flow.PACKAGE, "xplain.people")]
+        self.templates = jinja2.Environment(
+            loader=jinja2.ChoiceLoader(folders),
+            autoescape=True,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        self.templates.globals |= list_globals(self.flow)
         self.templates.globals |= {"root": server.path, "mark": self.keys.mark}
         frames = " ".join(server.frames)
         self.headers = HEADERS | {"Content-Security-Policy": POLICY + (frames or "'none'")}
@@ -98,15 +105,10 @@ class Site:
         return address.replace("{id}", quote(person, safe=""))
 
 
-def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
-    """Makes the environment that loads a flow's page templates, with the texts and functions
-    that all templates may use."""
-    folders = [jinja2.PackageLoader(name) for name in (flow.PACKAGE, "xplain.people")]
-    found = jinja2.Environment(
-        loader=jinja2.ChoiceLoader(folders), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
+def list_globals(flow: Flow[Any, Any]) -> dict[str, Any]:
+    """Lists the texts and functions that all templates of a flow's pages may use."""
     plan = flow.plan
-    found.globals |= {
+    return {
         "texts": plan.texts,
         "words": flow.words,
         "direction": direction(flow.words["language"]),
@@ -117,7 +119,6 @@ def environment(flow: Flow[Any, Any]) -> jinja2.Environment:
         "about": partial(map_svg.about, plan),
         "clips": plan.shown,
     }
-    return found
 
 
 def direction(language: str) -> str:

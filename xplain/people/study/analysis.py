@@ -254,10 +254,11 @@ def compare(
     """
     groups = [pd.Series(np.asarray(values, dtype=float)) for values in (a, b)]
     x, y = groups
-    found: dict[str, float] = {}
-    for name, group in zip(names, groups, strict=True):
-        about = (len(group), group.mean(), group.std())
-        found |= dict(zip((f"n_{name}", f"mean_{name}", f"sd_{name}"), about, strict=True))
+    found: dict[str, float] = {
+        f"{figure}_{name}": group.agg(how)
+        for name, group in zip(names, groups, strict=True)
+        for figure, how in (("n", "size"), ("mean", "mean"), ("sd", "std"))
+    }
     varies = min(len(x), len(y)) > 1 and (np.ptp(x) > 0 or np.ptp(y) > 0)
     for test, equal in (("student", True), ("welch", False)):
         figures = (np.nan,) * 3
@@ -358,6 +359,13 @@ LOOKS = {
     "asking": ("#00795A", "^"),
 }
 """Colour and marker of each condition."""
+TESTS = {
+    "Student's\np": "student_p",
+    "p, Holm": "student_p_holm",
+    "Welch's\np": "welch_p",
+    "Permutation\np": "permutation_p",
+}
+"""Columns of the terminal's table with p values."""
 WHOSE = {"person": "participants", "pilot": "PILOTS", "bot": "SIMULATED PARTICIPANTS"}
 
 
@@ -365,35 +373,43 @@ def show(analysis: Analysis, console: Console) -> None:
     """Prints the tables on a terminal."""
     first, second = analysis.conditions
     published = analysis.conditions == CONDITIONS
-    means = [f"{one.capitalize()}\nmean (SD), n" for one in analysis.conditions]
-    tests = ("Student's\np", "p, Holm", "Welch's\np", "Permutation\np", "Hedges' g [95 %]")
-    paper = ("Paper: means, p",) * published
     title = "Table 2" if published else "Questions between steps"
-    measures = Table(
-        *(Column(heading, overflow="fold") for heading in ("Measure", *means, *tests, *paper)),
-        title=f"{title}: {WHOSE[analysis.stream]} ({first} − {second})",
-    )
-    for measure, row in analysis.measures.iterrows():
-        measures.add_row(TITLES[str(measure)], *_list_cells(row, analysis.conditions))
-    flow = Table(title="Flow of participants")
-    for heading in ("", *analysis.flow.columns):
-        flow.add_column(heading, justify="right" if heading else "left")
-    for stage, counts in analysis.flow.iterrows():
-        flow.add_row(str(stage), *map(str, counts))
-    console.print(measures, flow)
+    rows = {
+        TITLES[str(measure)]: _list_cells(row, analysis.conditions)
+        for measure, row in analysis.measures.iterrows()
+    }
+    for frame, caption in (
+        (
+            pd.DataFrame(rows).T.fillna("").rename_axis("Measure"),
+            f"{title}: {WHOSE[analysis.stream]} ({first} − {second})",
+        ),
+        (analysis.flow, "Flow of participants"),
+    ):
+        printed = Table(
+            str(frame.index.name),
+            *(Column(heading, justify="right", overflow="fold") for heading in frame.columns),
+            title=caption,
+        )
+        for name, cells in frame.iterrows():
+            printed.add_row(str(name), *map(str, cells))
+        console.print(printed)
 
 
-def _list_cells(row: pd.Series[float], conditions: tuple[str, str]) -> list[str]:
-    """Returns the cells of a measure's row in the terminal's table, as texts."""
-    shown = ((row[f"mean_{c}"], row[f"sd_{c}"], row[f"n_{c}"]) for c in conditions)
-    cells = [f"{mean:.2f} ({sd:.2f}), {count:.0f}" for mean, sd, count in shown]
-    every = row[["student_p", "student_p_holm", "welch_p", "permutation_p"]]
-    cells += ["–" if math.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}" for p in every]
+def _list_cells(row: pd.Series[float], conditions: tuple[str, str]) -> dict[str, str]:
+    """Returns the cells of a measure's row in the terminal's table, by their headings."""
+    cells = {
+        f"{c.capitalize()}\nmean (SD), n": f"{row[f'mean_{c}']:.2f} ({row[f'sd_{c}']:.2f}), "
+        f"{row[f'n_{c}']:.0f}"
+        for c in conditions
+    }
+    for heading, test in TESTS.items():
+        p = row[test]
+        cells[heading] = "–" if math.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
     g = f"{row['hedges_g']:.2f} [{row['g_low']:.2f}, {row['g_high']:.2f}]"
-    cells.append("–" if math.isnan(row["hedges_g"]) else g)
+    cells["Hedges' g [95 %]"] = "–" if math.isnan(row["hedges_g"]) else g
     if row.name in MEASURES and conditions == CONDITIONS:
         means = ", ".join(f"{row[f'paper_{c}']:g}" for c in CONDITIONS)
-        cells.append(f"{means}, p = {row['paper_p_value']:g}")
+        cells["Paper: means, p"] = f"{means}, p = {row['paper_p_value']:g}"
     return cells
 
 

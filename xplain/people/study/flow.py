@@ -231,11 +231,11 @@ class Study(ExplanationFlow):
         Returns:
             {"position", "user_type", "condition", "orders"}, as in :class:`StudyState`.
         """
-        own, number, cell, position = person.stream, person.number, None, None
-        if person.state.cell is None:
-            position = self._find_free(own, people)
-            cell = self.cell(own, position)
-        user_type, condition = cell or self.plan.cells[person.state.cell or 0]
+        own, number, preview = person.stream, person.number, person.state.cell
+        position = self._find_free(own, people) if preview is None else None
+        user_type, condition = (
+            self.plan.cells[preview or 0] if position is None else self.cell(own, position)
+        )
         role, rng = self.plan.roles[user_type], stream(self.plan.seed, "orders", own, number)
         tests = {"eligibility": role.eligibility, "quiz": role.quiz}
         orders = {name: tuple(rng.permutation(len(test)).tolist()) for name, test in tests.items()}
