@@ -1,8 +1,6 @@
 """Exports participants' data as tables with a codebook of every column, and replays the events to
 check that they lead to the stored states."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -10,14 +8,13 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from xplain.errors import Refused
 from xplain.people.flow import Event, Flow, Participant, S
 from xplain.people.plan import StoredPlan
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Row = dict[str, Any]
 OTHERS = "…"
@@ -71,8 +68,6 @@ def order_columns(name: str, rows: Iterable[Row], columns: Sequence[str]) -> pd.
         ValueError: the columns of a row differ from the columns of the codebook. An export would
             lose such a column, or leave it unexplained.
     """
-    import pandas as pd
-
     rows = list(rows)
     fixed = [column for column in columns if not column.endswith(OTHERS)]
     beginnings = tuple(column[: -len(OTHERS)] for column in columns if column.endswith(OTHERS))
@@ -144,8 +139,6 @@ def write(
 def write_identifiers(people: Iterable[Participant[Any]], file: Path) -> None:
     """Writes identifiers for payment into a separate file: a row for each participant with the
     completion code and, if the server keeps them, the platform's ids."""
-    import pandas as pd
-
     rows = [
         {"participant": one.id, "completion_code": one.identity["code"]}
         | one.identity.get("kept", {})

@@ -162,10 +162,8 @@ def clips_of(
     situations, gone = (of_states(domain, what, begin) for what in ("situation", "gone"))
     changes = () if domain.scene else changes_of(domain, transitions)
     none: Told = ((),) * len(begin)
-    ways: list[Way] = []
-    for before, after in transitions[:, [0, 2]].tolist():
-        a, b = cells(before), cells(after)
-        ways.append(((a, b),) if domain.scene and a is not None and b is not None else ())
+    moves = [(cells(before), cells(after)) for before, after in transitions[:, [0, 2]].tolist()]
+    ways: list[Way] = [((a, b),) if domain.scene and a and b else () for a, b in moves]
     return tuple(map(Clip, phrases, ways, situations or none, gone or none, changes or none))
 
 
@@ -387,13 +385,9 @@ def ahead_of(step: Mapping[str, Any], scene: Scene | None, in_words: InWords) ->
         InputError: the step is not on this map.
     """
     way = tuple(((a, b), (c, d)) for (a, b), (c, d) in step["way"])
-    walls = set(scene.walls) if scene else set()
     for row, column in (cell for move in way for cell in move):
-        if (
-            scene is None
-            or (row, column) in walls
-            or not (0 <= row < scene.rows and 0 <= column < scene.columns)
-        ):
+        inside = scene and 0 <= row < scene.rows and 0 <= column < scene.columns
+        if scene is None or not inside or (row, column) in scene.walls:
             wanted = "a cell of this map where the robot can be; wording.ahead=null for none"
             raise InputError("wording.ahead.way", [row, column], wanted)
     return Ahead(tuple(map(in_words, step["steps"])), way)

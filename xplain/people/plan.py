@@ -133,15 +133,18 @@ class LabQuestion:
 
     def __post_init__(self) -> None:
         """Raises InputError if a value is missing that this kind of question needs."""
-        key = f"questions.{self.name}"
-        if self.kind == "choice" and not self.choices:
-            raise InputError(f"{key}.choices", [], "at least one choice")
-        if self.kind == "scale" and not 1 <= self.high - self.low <= 10:
-            raise InputError(f"{key}.high", self.high, "at most 10 above low")
-        if len(self.ends) not in (0, 2):
-            raise InputError(f"{key}.ends", list(self.ends), "two words, for low and high")
-        if self.right and self.options and self.right not in self.options:
-            raise InputError(f"{key}.right", self.right, ", ".join(self.options))
+        high, right, options = self.high, self.right, self.options
+        # key: value, True if the value is not allowed, what is allowed
+        rules: list[tuple[str, object, bool, str]] = [
+            ("choices", [], self.kind == "choice" and not self.choices, "at least one choice"),
+            ("high", high, self.kind == "scale" and not 1 <= high - self.low <= 10, "at most 10 "
+             "above low"),
+            ("ends", [*self.ends], len(self.ends) not in (0, 2), "two words, for low and high"),
+            ("right", right, right not in ("", *(options or (right,))), ", ".join(options)),
+        ]  # fmt: skip
+        for key, value, wrong, allowed in rules:
+            if wrong:
+                raise InputError(f"questions.{self.name}.{key}", value, allowed)
 
     @property
     def options(self) -> tuple[str, ...]:
