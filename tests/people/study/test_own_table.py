@@ -214,7 +214,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, opened: 
     [
         ("ask=beliefs", r"ask\.kinds=\['beliefs'\]: clips in a study"),
         ("domain=rescue", r"domain='rescue': null with transitions"),
-        ({"briefing": "assigned"}, r"briefing='assigned': none, because your own transitions"),
+        ({"briefing": "assigned"}, r"briefing='assigned': none for your own transitions"),
         ({"types": None}, r"types=None: types\.npz of xplain discover"),
         ({"facts": None}, r"facts=None: a \.csv file"),
         ({"transitions": None}, r"facts='facts\.csv': only with transitions"),
