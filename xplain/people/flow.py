@@ -238,7 +238,6 @@ class Flow(ABC, Generic[P, S]):
     Attributes:
         PLAN: class of its plans.
         PACKAGE: name of the package with its templates and tables.
-        DATA: description of the exported data.
         STATE: class of its states.
         STAGES: stages after the consent, in order.
         plan: the stored plan, with ``texts``.
@@ -246,7 +245,6 @@ class Flow(ABC, Generic[P, S]):
 
     PLAN: ClassVar[type[StoredPlan]]
     PACKAGE: ClassVar[str]
-    DATA: ClassVar[str]
     STATE: ClassVar[type[Any]]
     STAGES: ClassVar[tuple[Stage[Any, Any], ...]]
 

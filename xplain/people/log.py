@@ -98,12 +98,6 @@ class Log(Generic[S]):
         keys: participant ids by the keyed hash of their invitation or platform id.
     """
 
-    plan: str
-    paused: bool
-    invited: dict[str, str]
-    people: dict[str, Participant[S]]
-    keys: dict[str, str]
-
     def __init__(
         self, path: Path, kind: type[S], clock: Clock | None = None, patience: float = RELEASE
     ) -> None:
@@ -152,7 +146,8 @@ class Log(Generic[S]):
 
     def _load_events(self) -> None:
         self.plan, self.paused = "", False
-        self.invited, self.people, self.keys = {}, {}, {}
+        self.invited, self.keys = dict[str, str](), dict[str, str]()
+        self.people = dict[str, Participant[S]]()
         for event in self.events():
             self._apply_event(event)
 

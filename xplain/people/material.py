@@ -67,8 +67,8 @@ class Material:
         scene: the map, or None.
         hypotheses: sets of facts that people may believe incorrectly, for the T transitions.
         whole: hypotheses for all transitions of a domain; None if there are no other transitions.
-        setting: the domain with its models, if traces are drawn from the domain.
-        transitions: [T, 3] transitions of the domain; None for a table.
+        setting: the domain with its models, if traces are drawn from the domain. Its reachable
+            transitions are then the T transitions.
     """
 
     name: str
@@ -81,7 +81,6 @@ class Material:
     hypotheses: Hypotheses | None = None
     whole: Hypotheses | None = None
     setting: Setting | None = None
-    transitions: NDArray[np.int64] | None = None
 
     @classmethod
     def of(cls, setting: Setting) -> Material:
@@ -96,7 +95,6 @@ class Material:
             feature_names=tuple(transition_feature_names(domain)),
             scene=domain.scene,
             setting=setting,
-            transitions=every,
         )
 
     @classmethod
@@ -123,14 +121,13 @@ class Material:
             scene=domain.scene,
             hypotheses=known,
             whole=whole,
-            transitions=transitions,
         )
 
     def labels(self, rows: Transitions) -> NDArray[np.uint8]:
         """Returns [M, m, 2^n], the true labels of the transitions with the indices ``rows`` [m], by
         type and message set."""
-        if self.setting and self.transitions is not None:
-            return self.setting.label_table(self.transitions[rows])
+        if self.setting:
+            return self.setting.label_table(self.setting.reachable[rows])
         known = self.hypotheses
         assert known is not None, "a table comes with hypotheses"
         held = [mask_of(one.inaccurate, known.messages) for one in self.types]
@@ -138,18 +135,18 @@ class Material:
         return np.stack([known.labels[known.row(one & ~told)][:, rows].T for one in held])
 
     def rows_of(self, steps: NDArray[np.int64]) -> Transitions:
-        """Finds the index of each of the given transitions [m, 3] in :attr:`transitions`."""
-        assert self.transitions is not None, "transitions of a domain"
-        row_of = {tuple(one): row for row, one in enumerate(self.transitions.tolist())}
+        """Finds the index of each of the given transitions [m, 3] of a domain."""
+        assert self.setting, "transitions of a domain"
+        row_of = {tuple(one): row for row, one in enumerate(self.setting.reachable.tolist())}
         return np.array([row_of[tuple(step)] for step in steps.tolist()], np.int64)
 
     def list_taken(self, trace: Transitions) -> Told:
         """Returns m + 1 lists: the names of the items that are no longer on the map after 0 … m
         steps of a trace. Returns an empty tuple without a domain, or if the domain does not name
         such items."""
-        if self.setting is None or self.transitions is None:
+        if self.setting is None:
             return ()
-        steps = self.transitions[trace]
+        steps = self.setting.reachable[trace]
         states = [*steps[:, 0].tolist(), int(steps[-1, 2])]
         return of_states(self.setting.domain, "gone", states)
 

@@ -244,8 +244,6 @@ def alive(request: Request) -> Response:
 desk = APIRouter(prefix="/researcher")
 MOST_INVITATIONS = 500
 MOST_SHOWN = 500
-MOST_BATCHES = 20
-"""Number of batches of invitations that can be shown again."""
 
 
 def require_login(visit: Visiting) -> Visit:
@@ -279,7 +277,6 @@ def overview(visit: Visiting) -> Response:
         **import_module(f"{flow.PACKAGE}.tables").glance(flow, people),
         token=site.keys.form(here),
         cells=flow.cells,
-        data=flow.DATA,
         columns={} if blinded else flow.about(flow.STATE()),
         people=[(one, {} if blinded else flow.about(one.state)) for one in latest],
         now=store.clock.wall(),
@@ -329,8 +326,6 @@ def invitations(visit: Signed) -> Response:
         raise HTTPException(400, "People need server.entry=[invitation]; pilots and bots do not.")
     made, name = visit.site.invitations, secrets.token_hex(8)
     made[name] = visit.site.store.invite(count, stream)
-    for old in list(made)[:-MOST_BATCHES]:
-        del made[old]
     return visit.lead(f"/researcher?made={name}")
 
 

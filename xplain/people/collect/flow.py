@@ -133,7 +133,6 @@ class Collection(Flow[CollectPlan, CollectState]):
 
     PLAN = CollectPlan
     PACKAGE = "xplain.people.collect"
-    DATA = "labels for xplain discover, and CSV tables of the observers and of every answer"
     STATE: ClassVar = CollectState
     STAGES: ClassVar = (
         Consent("consent", "consent"),
@@ -217,12 +216,9 @@ def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int
     """Lists the facts in a random order for each participant, each fact with its two sentences in a
     random order: [(fact, [(index into STATED, sentence), …])]."""
     rng = stream(plan.seed, "beliefs", number)
-    found = []
-    for j in rng.permutation(len(plan.facts)).tolist():
-        fact = plan.facts[j]
-        pair = [(0, fact.message), (1, fact.belief)]
-        found.append((j, pair if rng.random() < 0.5 else pair[::-1]))
-    return found
+    pairs = [[(0, fact.message), (1, fact.belief)] for fact in plan.facts]
+    order = rng.permutation(len(pairs)).tolist()
+    return [(j, pairs[j] if rng.random() < 0.5 else pairs[j][::-1]) for j in order]
 
 
 def _describe_clip(plan: CollectPlan, clip: AskedClip) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def assemble(
     if rules.listening > len(material.facts):
         most = f"at most one message for each fact: {len(material.facts)}"
         raise InputError("rules.listening", rules.listening, most)
-    subject = wording["words"]["robot"] if material.transitions is not None else ""
+    subject = wording["words"]["robot"] if material.whole is not None else ""
     own, in_words = make_plan_fields("collect", config, wording, material, f"{subject} {{phrase}}")
     known = replace(known, phrases=tuple(map(in_words, known.phrases)))
     listed: tuple[tuple[int, int], ...] = ()

@@ -128,13 +128,15 @@ def find_types_so_far(plan: CollectPlan, people: Sequence[CollectState]) -> Know
     if len(people) < 2:
         return None
     facts, error = fact_sets(plan, people)
-    types = []
-    for held in np.unique(facts).tolist():
-        members = np.flatnonzero(facts == held).tolist()
-        alone = [people[i].belief.get(str(held), 0.0) for i in members]
-        wrong = names_of(held, plan.hypotheses.messages)
-        types.append(FoundType(wrong, tuple(members), float(np.mean(alone))))
-    types.sort(key=lambda one: -len(one.members))
+    members = {held: np.flatnonzero(facts == held).tolist() for held in np.unique(facts).tolist()}
+    types = [
+        FoundType(
+            wrong=names_of(held, plan.hypotheses.messages),
+            members=tuple(own),
+            posterior=float(np.mean([people[i].belief.get(str(held), 0.0) for i in own])),
+        )
+        for held, own in sorted(members.items(), key=lambda item: -len(item[1]))
+    ]
     best = [max([p for f, p in s.belief.items() if f != "none"], default=0.0) for s in people]
     next_new, new_types = predict_new_types(len(types), len(people), 10)
     return KnownSoFar(

@@ -163,7 +163,6 @@ class Study(ExplanationFlow):
 
     PLAN = StudyPlan
     PACKAGE = "xplain.people.study"
-    DATA = "CSV and Parquet tables"
     STATE: ClassVar = StudyState
     STAGES: ClassVar = (
         StudyConsent("consent", "consent"),

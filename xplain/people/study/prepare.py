@@ -284,7 +284,7 @@ def make_learned_table(material: Material, types: LearnedTypes, rows: Transition
         types: the learned types.
         rows: indices of the transitions in the task.
     """
-    made = None if material.transitions is None else material.transitions[rows]
+    made = None if material.setting is None else material.setting.reachable[rows]
     columns = [material.feature_names.index(name) for name in types.feature_names]
     return label_table(types.labelers, material.features[rows][:, columns], made)
 
@@ -379,12 +379,11 @@ def _draw_traces(
     assert setting is not None, "drawn from a domain"
     if rules["rows"]:
         raise InputError("trace.rows", rules["rows"], "only with transitions=TABLE")
-    found = []
-    for index in range(whole_number("trace.candidates", rules["candidates"], 1)):
-        rng = stream(seed, "trace", index)
-        steps = sample_trace(setting.models[0], setting.domain.starts, rng, max_steps)
-        found.append(material.rows_of(steps))
-    return found
+    count = whole_number("trace.candidates", rules["candidates"], 1)
+    rngs = (stream(seed, "trace", index) for index in range(count))
+    starts = setting.domain.starts
+    drawn = (sample_trace(setting.models[0], starts, rng, max_steps) for rng in rngs)
+    return [material.rows_of(steps) for steps in drawn]
 
 
 def make_draft(

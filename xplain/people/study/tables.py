@@ -81,11 +81,6 @@ class Step:
     labels: tuple[int, ...] = ()
     after: tuple[float, ...] = ()
 
-    @property
-    def shown(self) -> int:
-        """Bitmask of all messages on the page."""
-        return (self.page.previous or 0) | self.page.new
-
 
 def steps_of(one: Person) -> list[Step]:
     """Lists the steps of a participant's evaluation so far."""
@@ -173,7 +168,8 @@ def _describe_step(plan: StudyPlan, one: Person, step: Step, shown: Sequence[Row
 
 
 def _list_labels(plan: StudyPlan, one: Person, step: Step) -> Iterator[Row]:
-    on_page = ";".join(names_of(step.shown, plan.problem.message_names))
+    told = (step.page.previous or 0) | step.page.new
+    on_page = ";".join(names_of(told, plan.problem.message_names))
     for i, label in enumerate(step.labels):
         yield {
             "participant": one.id,
