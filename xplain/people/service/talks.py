@@ -162,31 +162,20 @@ class Talks(Log[State]):
             InputError: a talk cannot begin with these settings.
         """
         who = person or f"p{secrets.token_hex(8)}"
-        key, which = f"{kind} {who}", f"{kind[0]}{secrets.token_hex(12)}"
         begun = {**request, "person": who, "seed": derive_seed(self.task.seed, kind, who)}
-        with self.changes():  # talks share plans, so only one talk decides at a time
-            if key not in self.keys:
-                talk = KINDS[kind](self.task, begun)
-                talk.decided = {"number": 1, **talk.decide()}
-                state = json.dumps(talk.decided)
-                self.append(which, "protocol", "begin", begun, state=state)
-                self.append(which, "identity", "identity", {"key": key})
-                self._keep_open(which, talk)
-        which = self.keys[key]
-        first = next(self.events(OWN, which))
-        if first.payload != begun:
-            raise Conflict(f"the talk of person {person} began with other settings")
-        return which, json.loads(str(first.state))
+        with self.changes():
+            which = self.keys.get(f"{kind} {who}", f"{kind[0]}{secrets.token_hex(12)}")
+            return which, self.receive(kind, which, "begin", begun)
 
     def receive(self, kind: str, which: str, key: str, came: Json) -> Json:
-        """Receives the answer to the latest action, or more of a trace, and returns the next
-        action. A repeated request gets the same reply.
+        """Receives the request that begins a talk, the answer to the latest action, or more of a
+        trace. Returns the next action. A repeated request gets the same reply.
 
         Args:
             kind: kind of the talk.
             which: the talk's id.
-            key: "answer NUMBER" with the number of the answered action; or "trace COUNT" with the
-                number of transitions received earlier.
+            key: "begin"; "answer NUMBER" with the number of the answered action; or "trace COUNT"
+                with the number of transitions received earlier.
             came: content of the request.
 
         Raises:
@@ -195,25 +184,31 @@ class Talks(Log[State]):
                 another key.
             InputError: the request is no answer to the latest action.
         """
+        begins = key == "begin"
         try:
-            with self.changes():
-                talk = self._find_talk(kind, which)
+            with self.changes():  # talks share plans, so only one talk decides at a time
+                talk = KINDS[kind](self.task, came) if begins else self._find_talk(kind, which)
                 for before in self.events(f"{OWN} AND kind = ?", which, key):
                     if before.payload != came:
                         raise Conflict(f"{key}: another content was received before")
                     found: Json = json.loads(str(before.state))
                     return found
-                number, waits = talk.decided["number"], talk.decided["kind"] in ("wait", "end")
-                due = "more of the trace" if waits else f"answer {number}"
+                decided = talk.decided or {"number": 0, "kind": "begin"}
+                number, waits = decided["number"], decided["kind"] in ("wait", "end")
+                due = key if begins else "more of the trace" if waits else f"answer {number}"
                 if key.startswith("trace") and isinstance(talk, ExplanationTalk):
                     due = f"trace {len(talk.session.trace)}"
                 if key != due:
                     raise Conflict(f"{key}: the next request must be {due}")
-                talk.receive(key, came)
-                if waits or key.startswith("answer"):
-                    answers = number + key.startswith("answer")
+                if not begins:
+                    talk.receive(key, came)
+                if waits or not key.startswith("trace"):
+                    answers = number + (not key.startswith("trace"))
                     talk.decided = {"number": answers, **talk.decide()}
                 self.append(which, "protocol", key, came, state=json.dumps(talk.decided))
+                if begins:
+                    self.append(which, "identity", "identity", {"key": f"{kind} {came['person']}"})
+                    self._keep_open(which, talk)
                 return talk.decided
         except BaseException:
             self._open.pop(which, None)  # the talk may be half changed, and nothing was stored

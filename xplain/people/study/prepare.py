@@ -70,19 +70,20 @@ def roles_of(
         * ``known``: the facts that everybody is told.
         * ``words``: texts of the questions.
     """
-    roles, known = [], read_known(wording)
-    for t, user_type in enumerate(types):
-        wrong = tuple(j for j, fact in enumerate(facts) if fact.name in user_type.inaccurate)
-        roles.append(
-            StudyRole(
-                user_type.name,
-                wrong,
-                tuple(f.belief if j in wrong else f.message for j, f in enumerate(facts)),
-                _make_eligibility(facts, user_type, wording),
-                _make_quiz(facts, known, wrong, find_needed(labels[t]), t),
-            )
+    known = read_known(wording)
+    held = [
+        tuple(j for j, fact in enumerate(facts) if fact.name in one.inaccurate) for one in types
+    ]
+    return tuple(
+        StudyRole(
+            user_type.name,
+            wrong,
+            tuple(f.belief if j in wrong else f.message for j, f in enumerate(facts)),
+            _make_eligibility(facts, user_type, wording),
+            _make_quiz(facts, known, wrong, find_needed(labels[t]), t),
         )
-    return tuple(roles)
+        for t, (user_type, wrong) in enumerate(zip(types, held, strict=True))
+    )
 
 
 def read_known(wording: Mapping[str, Any]) -> tuple[Parameter, ...]:
